@@ -16,6 +16,10 @@ _LEVELLED = 4.0
 """Time constant with which the accelerometer levels the gyro's attitude [s]: a few strides, over
 which a walking body's own acceleration averages out. A gyro's bias of 1 mrad/s tilts it by 4 mrad.
 """
+_NARROWEST = 0.05
+"""Least spread of the feet's mean positions across their longest extent [m] from which their plane
+gives the upward direction; a smaller one would be tilted by a step's height.
+"""
 _IN_PHASE = 0.7
 """Correlation of two feet's velocities from which their legs swing together: diagonal legs of a
 trot have 0.9 and more, legs a quarter of a stride apart none.
@@ -40,11 +44,11 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
         load = upward_forces(log, robot, up)
     else:
         feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
-        load = -(
-            speeds_beside_lowest(log.t, feet_I, log.gyro, up)
-            if rule.of == "kinematics"
-            else heights_beside_others(log.t, feet_I, up)
-        )
+        if rule.of == "kinematics":
+            load = -speeds_beside_lowest(log.t, feet_I, log.gyro, up)
+        else:
+            up = up_by_feet(log.t, log.gyro, log.accel, feet_I)
+            load = -heights_beside_others(log.t, feet_I, up)
     stands = {}
     for leg, (offset, on, off) in rule.by_leg(legs).items():
         own = load[:, legs.index(leg)] - offset
@@ -156,3 +160,21 @@ def up_in_imu(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
     """
     settled = max(int(np.searchsorted(t, t[0] + _LEVELLED)), 1)
     return _levelled(t, gyro, accel, settled)
+
+
+def up_by_feet(
+    t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, feet_I: np.ndarray
+) -> np.ndarray:
+    """Upward direction (N, 3) in I, across the ground on which the feet walk.
+
+    As `up_in_imu`, but the gyro is corrected towards the normal of the plane through the mean
+    positions of feet_I (N, L, 3) [m]: no bias of the accelerometer tilts it, and on a slope it is
+    the slope's normal. Fewer than three feet, or feet in a line, leave it to the accelerometer.
+    """
+    up = up_in_imu(t, gyro, accel)
+    mean_I = feet_I.mean(axis=0)
+    _, spread, axes = np.linalg.svd(mean_I - mean_I.mean(axis=0))
+    if len(mean_I) < 3 or spread[1] < _NARROWEST:
+        return up
+    normal = axes[2] * np.sign(axes[2] @ up.mean(axis=0))
+    return up_in_imu(t, gyro, np.tile(normal, (len(t), 1)))

@@ -169,7 +169,8 @@ class ContactTable:
     of: Literal["force", "torque", "kinematics", "gait"] = "force"
     """Quantity that is compared: force_<leg>, in its own unit; the upward force [N] of the joints'
     torques on the foot; the foot's speed relative to the lowest one [m/s]; or, for legs that swing
-    together like the diagonals of a trot, the height of their feet above the lowest others [m].
+    together like the diagonals of a trot, the height of their feet above the lowest others [m],
+    across the plane in which the feet walk.
     """
     offset: float | dict[str, float] = 0.0
     """Subtracted first."""

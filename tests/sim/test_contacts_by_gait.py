@@ -10,7 +10,7 @@ import pytest
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.clock import brought_forward
-from surefoot.sim.importing.contacts import feet_that_stand, legs_in_phase, up_in_imu
+from surefoot.sim.importing.contacts import feet_that_stand, legs_in_phase, up_by_feet, up_in_imu
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.importing.sections import ContactTable
 from surefoot.sim.log import Log
@@ -46,9 +46,31 @@ def test_the_lower_diagonal_of_a_trot_stands(trot):
     walks = trot.t > trot.t[0] + 1.5
     single = walks & (trot.contact.sum(axis=1) == 2)
     # A foot that has landed is pressed down for some rows more before it is the lower one.
-    assert np.mean(found.contact[single] == trot.contact[single]) > 0.85
+    assert np.mean(found.contact[single] == trot.contact[single]) > 0.93
     np.testing.assert_array_equal(found.contact[:, 0], found.contact[:, 3])
     np.testing.assert_array_equal(found.contact[walks, 0], ~found.contact[walks, 1])
+
+
+def test_a_biased_accelerometer_does_not_move_the_exchange_of_feet(trot):
+    """A bias of 1.5 m/s^2 tilts the accelerometer's upward direction by 9 degrees."""
+    frame = trot.frame.assign(accel_x=trot.frame.accel_x + 1.5)
+    found = feet_that_stand(replace(trot, frame=frame), GAIT)
+    np.testing.assert_array_equal(found.contact, feet_that_stand(trot, GAIT).contact)
+
+
+def test_upward_is_across_the_plane_of_the_feet_and_the_accelerometers_for_two_feet():
+    t = 0.01 * np.arange(300)
+    still, accel = np.zeros((300, 3)), np.tile([2.0, 0.0, 9.6], (300, 1))
+    square = np.array(
+        [[0.3, 0.2, -0.5], [0.3, -0.2, -0.5], [-0.3, 0.2, -0.56], [-0.3, -0.2, -0.56]]
+    )
+    feet_I = np.tile(square, (300, 1, 1))
+    across = np.array([-0.1, 0.0, 1.0]) / np.sqrt(1.01)
+    np.testing.assert_allclose(up_by_feet(t, still, accel, feet_I), np.tile(across, (300, 1)))
+    by_accelerometer = up_in_imu(t, still, accel)
+    np.testing.assert_array_equal(up_by_feet(t, still, accel, feet_I[:, :2]), by_accelerometer)
+    in_line = feet_I * [1.0, 0.1, 1.0]
+    np.testing.assert_array_equal(up_by_feet(t, still, accel, in_line), by_accelerometer)
 
 
 def test_legs_that_all_swing_together_have_no_gait(trot):

@@ -1,12 +1,12 @@
 """Walks whose logs have positions of the feet: clocks, streams, and accuracy of leg odometry.
 
-Feet of closed chains need no leg model. Such a log shows the share by which standing feet move
-further than the body: feet creep, a leg is compliant, or angles have another scale. One share is
-fitted on the walks of one day and evaluated on those of the other days.
+Feet of closed chains need no leg model. Such a log shows how much further standing feet move than
+the body. A model of their creep has one size for all walks, which is fitted on the walks of one day
+and evaluated on those of the other days.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -18,15 +18,16 @@ from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.studies.hardware.creeping_feet import (
+    lost_by_turning,
+    travel_share,
+    turning_of_feet,
+    with_share,
+)
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.log import Log
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.plausibility import check_log
 
-DISPLACED_OVER = 1.0
-"""Time over which displacements by legs and by the reference are compared [s]: some strides, whose
-ripple cancels.
-"""
 PATH_STEP = 0.5
 """Sampling time of the reference for the length of a path [s]; at shorter times its noise adds to
 it.
@@ -54,28 +55,6 @@ def aligned_walk(recording: RawRecording) -> AlignedWalk:
     log = recording.without_reference().log()
     found = align(log, recording.poses)
     return AlignedWalk(aligned_log(log, found, recording.poses), found)
-
-
-def travel_share(logs: Sequence[Log]) -> float:
-    """Share by which the displacement by standing legs exceeds the body's: least squares of
-    horizontal displacements over DISPLACED_OVER seconds.
-    """
-    both = [_displacements(log) for log in logs]
-    legs, body = (np.concatenate([one[k] for one in both]) for k in (0, 1))
-    return 1.0 - float(np.sum(legs * body) / np.sum(legs**2))
-
-
-def with_share(log: Log, share: float) -> Log:
-    """The log with horizontal positions of the feet scaled down by a share, about their medians."""
-    middle = np.median(log.foot_I, axis=0)
-    feet_I = log.foot_I.copy()
-    feet_I[..., :2] = middle[:, :2] + (1.0 - share) * (feet_I - middle)[..., :2]
-    columns = {
-        f"foot_{leg}_{axis}": feet_I[:, k, i]
-        for k, leg in enumerate(log.legs)
-        for i, axis in enumerate("xyz")
-    }
-    return replace(log, frame=log.frame.assign(**columns))
 
 
 def end_error(log: Log, estimate: Trajectory) -> float:
@@ -134,26 +113,35 @@ def end_errors_table(
     walks: Mapping[str, AlignedWalk], logged: Mapping[str, Log], days: Mapping[str, Sequence[str]]
 ) -> pd.DataFrame:
     """One row for each model of the feet: the leg filter's end error [% of the path] on each walk,
-    and on those to which the model's share was not fitted.
+    and on those to which the model was not fitted.
 
     Args:
         walks: by name.
         logged: the same with the robot's own contacts.
         days: names of the walks of each recording day.
     """
-    cases: dict[str, tuple[float, Sequence[str]]] = {"contacts by the gait": (0.0, ())}
-    for day, names in days.items():
-        share = travel_share([walks[name].log for name in names])
-        cases[f"and {100 * share:.1f} % less way, fitted on {day}"] = share, names
-    rows = [_errors_row("contacts as logged", logged, 0.0, ())]
     aligned = {name: walk.log for name, walk in walks.items()}
-    rows += [_errors_row(words, aligned, *case) for words, case in cases.items()]
+    turning = {name: turning_of_feet(log) for name, log in aligned.items()}
+    none = dict.fromkeys(walks, 0.0)
+    rows = [
+        _errors_row("contacts as logged", logged, none, ()),
+        _errors_row("contacts by the gait", aligned, none, ()),
+    ]
+    for day, names in days.items():
+        share = travel_share([aligned[name] for name in names])
+        words = f"and {100 * share:.1f} % less way, fitted on {day}"
+        rows.append(_errors_row(words, aligned, dict.fromkeys(walks, share), names))
+    for day, names in days.items():
+        size = lost_by_turning([aligned[name] for name in names])
+        words = f"and {1e3 * size:.0f} mm less for each radian of turning, fitted on {day}"
+        shares = {name: size * one for name, one in turning.items()}
+        rows.append(_errors_row(words, aligned, shares, names))
     return pd.DataFrame(rows)
 
 
-def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
+def paths_figure(walks: Mapping[str, AlignedWalk], size: float) -> Figure:
     """Figure: each walk from above, with the reference and the leg filter without and with the
-    share.
+    way [m] that is lost for each radian of turning.
     """
     drawn, axes = new_figure(1, len(walks), (2.4 * len(walks), 3.4))
     for ax, (name, walk) in zip(axes[0], walks.items(), strict=True):
@@ -161,11 +149,11 @@ def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
         forward = truth.p_GI[-1] - truth.p_GI[0]
         heading = np.arctan2(forward[1], forward[0])
         paths = {"motion capture": (truth.p_GI, INK)}
-        for words, size, color in (
+        for words, share, color in (
             ("leg filter", 0.0, BEFORE),
-            ("leg filter, way shortened by the fitted share", share, AFTER),
+            ("leg filter, feet creep as they turn", size * turning_of_feet(walk.log), AFTER),
         ):
-            log = with_share(walk.log, size)
+            log = with_share(walk.log, share)
             paths[words] = run_filter("leg", log, None, None, SETTINGS).trajectory.p_GI, color
         for words, (p, color) in paths.items():
             x, y = (p - p[0])[:, :2].T
@@ -182,11 +170,11 @@ def paths_figure(walks: Mapping[str, AlignedWalk], share: float) -> Figure:
 
 
 def _errors_row(
-    words: str, logs: Mapping[str, Log], share: float, fitted: Sequence[str]
+    words: str, logs: Mapping[str, Log], shares: Mapping[str, float], fitted: Sequence[str]
 ) -> dict[str, str]:
     errors = {}
     for name, log in logs.items():
-        found = run_filter("leg", with_share(log, share), None, None, SETTINGS)
+        found = run_filter("leg", with_share(log, shares[name]), None, None, SETTINGS)
         errors[name] = end_error(log, found.trajectory)
     unseen = [error for name, error in errors.items() if name not in fitted]
     return {
@@ -195,23 +183,3 @@ def _errors_row(
         "worst of unseen walks [%]": f"{np.max(unseen):.1f}",
         **{f"{name} [%]": f"{error:.1f}" for name, error in errors.items()},
     }
-
-
-def _displacements(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal displacements (K, 2) [m] over DISPLACED_OVER seconds, by standing legs and by the
-    reference.
-    """
-    t, feet_I = log.t, log.foot_I
-    dfeet_I = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
-    v_I = -(dfeet_I.reshape(feet_I.shape) + np.cross(log.gyro[:, None], feet_I))
-    stands = log.contact[..., None]
-    mean_I = np.sum(np.where(stands, v_I, 0.0), axis=1) / np.maximum(stands.sum(axis=1), 1)
-    went = np.cumsum(np.einsum("nij,nj->ni", log.ref_R_GI, mean_I) * np.gradient(t)[:, None], 0)
-    starts = np.arange(t[0], t[-1] - DISPLACED_OVER, DISPLACED_OVER)
-
-    def gained(x: np.ndarray) -> np.ndarray:
-        return np.column_stack(
-            [np.interp(starts + DISPLACED_OVER, t, y) - np.interp(starts, t, y) for y in x.T[:2]]
-        )
-
-    return gained(went), gained(log.ref_p)
