@@ -7,14 +7,16 @@ gait is more like the log, `after` has the effects only, and there is no `effect
 
 In each world the robot walks in the style of the measured log (`sim.walking.imitation`), observers
 are trained and calibrated on these walks only, and every filter estimates the measured log with
-that world's model and observers.
+that world's model and observers. Sizes that the trace found are drawn from their intervals for each
+walk (`scenarios.trace.training_walks`).
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from surefoot.models.attribution.evidence import candidates_digest
@@ -53,6 +55,8 @@ from surefoot.sim.walking.imitation import WalkingStyle, walking_style
 
 RECIPE = "recipe.json"
 WORLDS = ("before", "effects", "after")
+HALF_WIDTH = 1.96
+"""Half width of a normal distribution's 95 % interval, in standard deviations."""
 _MODULE = "surefoot.scenarios.trace.loop"
 
 
@@ -114,7 +118,7 @@ def loop(
         ):
             (out / stale).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
-    found = _traced(log, robot, out / "trace", seed, model or declared, holdout)
+    found, spread = _traced(log, robot, out / "trace", seed, model or declared, holdout)
     choice = _gait(log, robot, (*model, *found), out / "gait.json", seed)
     planned: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
     if found and choice.walked:
@@ -123,7 +127,9 @@ def loop(
         planned["after"] = (*model, *found), choice.gait
     worlds = []
     for name, (effects, gait) in planned.items():
-        learnt, simulated = _learnt(style, log, robot, effects, gait, out / name, seed, plan)
+        learnt, simulated = _learnt(
+            style, log, robot, effects, gait, out / name, seed, plan, spread
+        )
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
         worlds.append(LoopWorld(name, effects, learnt, comparison, simulated))
     last = worlds[-1].comparison
@@ -149,8 +155,9 @@ def _traced(
     seed: int,
     declared: Sequence[Effect] | None,
     holdout: Sequence[Log],
-) -> tuple[Effect, ...]:
-    """The effects found on the log, and its own zeros and clocks; traced unless already done.
+) -> tuple[tuple[Effect, ...], dict[tuple[str, str], float]]:
+    """The effects found on the log, and its own zeros and clocks; traced unless already done. Also
+    returns the standard deviation of each size that has an interval, by name and target.
 
     Args:
         log: the measured log.
@@ -175,10 +182,14 @@ def _traced(
         print(summary(found))
         if warned := caution(found.as_dict()):
             print(warned)
-    runs = json.loads((out / "trace.json").read_text(encoding="utf-8"))["runs"]
-    zeros = [one for run in runs for one in run if one["compensated"]]
+    result = json.loads((out / "trace.json").read_text(encoding="utf-8"))
+    zeros = [one for run in result["runs"] for one in run if one["compensated"]]
     own = tuple(effect(one["name"], one["target"], one["value"]) for one in zeros)
-    return (*load_effects(out / "effects.toml"), *own)
+    spread = {
+        (one["name"], one["target"]): float(np.ptp(one["interval"])) / (2.0 * HALF_WIDTH)
+        for one in result["effects"]
+    }
+    return (*load_effects(out / "effects.toml"), *own), spread
 
 
 def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: int) -> GaitChoice:
@@ -218,6 +229,7 @@ def _learnt(
     out: Path,
     seed: int,
     plan: TrainingPlan,
+    spread: Mapping[tuple[str, str], float],
 ) -> tuple[Learnt, ErrorParts]:
     """Observers and bounds from walks of a robot with the effects; trained unless already done.
 
@@ -232,12 +244,13 @@ def _learnt(
         out: folder of this world.
         seed: of walks and training.
         plan: amount of walks and training.
+        spread: standard deviations of sizes, as for `simulate_training`.
     """
     done = out / "done"
     if not done.exists():
         with percent_bar(f"walking: {out.name}") as progress:
             training, calibration = simulate_training(
-                style, robot, effects, seed, plan, gait, progress
+                style, robot, effects, seed, plan, gait, spread, progress
             )
         training = [rates_as_of(one, log) for one in training]
         calibration = rates_as_of(calibration, log)

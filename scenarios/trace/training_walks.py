@@ -1,6 +1,11 @@
-"""Simulated walks in the style of a measured one, to train and calibrate observers."""
+"""Simulated walks in the style of a measured one, to train and calibrate observers.
 
-from collections.abc import Callable, Sequence
+Sizes that were found on a measured log are known to within an interval only. Each walk has sizes
+drawn from it, and all are compensated by the sizes that were found, as the measured log is: so
+observers learn, and bounds hold, what an error of a size does.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,6 +69,7 @@ def simulate_training(
     seed: int,
     plan: TrainingPlan = DEFAULT_PLAN,
     gait: GaitOptions = PLAIN_GAIT,
+    spread: Mapping[tuple[str, str], float] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Log], Log]:
     """Logs to train on, and one to calibrate on, of a robot with the effects.
@@ -77,6 +83,8 @@ def simulate_training(
         seed: of the walks.
         plan: number and length of the walks.
         gait: of the walks.
+        spread: standard deviation of an effect's size, in its unit, by name and target; others are
+            as they are.
         progress: called with the share done, 0 to 1.
     """
     simulated = simulated_robot(robot)
@@ -85,10 +93,30 @@ def simulate_training(
     for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
         rng = np.random.default_rng([seed, k])
         scenario, poised = imitation(style, simulated, f"imitation_{k}", seconds, rng)
-        walked = _walk(replace(scenario, gait=gait), poised, seed + k, added)
-        logs.append(_compensated(replace(walked, name=scenario.name), simulated))
+        own = drawn_sizes(added, spread or {}, rng)
+        walked = _walk(replace(scenario, gait=gait), poised, seed + k, own)
+        logs.append(_compensated(replace(walked, name=scenario.name), added, simulated))
         progress((k + 1) / (plan.walks + 1))
     return logs[:-1], logs[-1]
+
+
+def drawn_sizes(
+    effects: Sequence[Effect], spread: Mapping[tuple[str, str], float], rng: np.random.Generator
+) -> tuple[Effect, ...]:
+    """The effects with sizes from normal distributions about theirs, within their bounds.
+
+    Args:
+        effects: found.
+        spread: standard deviations, as for `simulate_training`.
+        rng: random generator, advanced by one draw for each of `spread`.
+    """
+    drawn = []
+    for one in effects:
+        if (one.name, one.target) in spread:
+            size = rng.normal(one.value, spread[one.name, one.target])
+            one = replace(one, value=float(np.clip(size, *one.bounds)))
+        drawn.append(one)
+    return tuple(drawn)
 
 
 def rates_as_of(log: Log, measured: Log) -> Log:
@@ -105,13 +133,16 @@ def rates_as_of(log: Log, measured: Log) -> Log:
     return replace(log, frame=kept.assign(**columns), meta=meta)
 
 
-def _compensated(walked: Log, simulated: Robot) -> Log:
-    """Compensate the effects of a simulated log.
+def _compensated(walked: Log, effects: Sequence[Effect], simulated: Robot) -> Log:
+    """Compensate effects in a simulated log.
 
     Its metadata names the resulting mounting of the IMU and radius of the feet, since an observer
     stores the mounting that it was trained with.
     """
-    log, model = declared_model(walked, simulated)
+    found = tuple(one.as_dict() for one in effects)
+    log, model = declared_model(
+        replace(walked, meta=replace(walked.meta, effects=found)), simulated
+    )
     corrected = {
         "p_BI": model.p_BI.tolist(),
         "q_BI": quaternion_from_matrix(model.R_BI).tolist(),

@@ -18,6 +18,7 @@ from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, sp
 from surefoot.scenarios.trace.training_walks import (
     TrainingPlan,
     beyond_simulated,
+    drawn_sizes,
     rates_as_of,
     simulate_training,
     simulated_robot,
@@ -69,6 +70,28 @@ def test_training_walks_have_the_effects_and_are_seen_by_a_model_that_knows_them
     np.testing.assert_allclose(told[1].q, plain[1].q, atol=5e-4)
     longer = simulate_training(shown, robot, [effect("link_length", "FR_thigh", 0.03)], 0, SHORT)
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
+
+
+def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
+    """A walk whose encoder is off by another angle than was found keeps the difference."""
+    found, deviation = effect("encoder_offset", "FR_thigh", 0.05), 0.01
+    spread = {("encoder_offset", "FR_thigh"): deviation}
+    shown = walking_style(log, robot)
+    plan = replace(SHORT, walks=3)
+    as_found = simulate_training(shown, robot, [found], 0, plan)
+    drawn = simulate_training(shown, robot, [found], 0, plan, spread=spread)
+    off = []
+    for one, other in zip([*as_found[0], as_found[1]], [*drawn[0], drawn[1]], strict=True):
+        difference = other.q - one.q
+        joint = one.joints.index("FR_thigh")
+        off.append(np.median(difference[:, joint]))
+        assert np.abs(difference[:, joint] - off[-1]).max() < 5e-4  # steps of the encoder
+        assert np.abs(np.delete(difference, joint, axis=1)).max() == 0.0
+    assert len(np.unique(off)) == 4
+    assert 0.0 < np.abs(off).max() < 4 * deviation
+    other = effect("link_length", "FR_thigh", 0.01)
+    drawn_once = drawn_sizes([found, other], spread, np.random.default_rng(0))
+    assert drawn_once[1] == other
 
 
 def test_training_walks_say_how_the_imu_is_mounted_that_their_observer_learns_with(robot, log):
