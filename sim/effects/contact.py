@@ -140,9 +140,10 @@ class SoftGround(Effect):
 
 def _rate(log: Log, joint: str) -> np.ndarray:
     """A joint's rate (N,) [rad/s], as logged or else derived from its angle."""
-    if f"dq_{joint}" in log.frame:
+    if f"dq_{joint}" in log.columns:
         return log.columns[f"dq_{joint}"]
-    return derivative(log.t, log.frame[[f"q_{joint}"]].to_numpy(), JOINT_WINDOW, causal=False)[:, 0]
+    angle = log.columns[f"q_{joint}"][:, None]
+    return derivative(log.t, angle, JOINT_WINDOW, causal=False)[:, 0]
 
 
 def _less_torque(

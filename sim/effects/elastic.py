@@ -168,7 +168,7 @@ def _deflected(log: Log, compliance: float, by: Deflection, joints: tuple[str, .
     for joint in joints:
         at = log.joints.index(joint)
         columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + compliance * by.angle[:, at]
-        if f"dq_{joint}" in log.frame:
+        if f"dq_{joint}" in log.columns:
             rate = log.columns[f"dq_{joint}"] + compliance * by.rate[:, at]
             columns[f"dq_{joint}"] = rate
     return with_columns(log, columns)

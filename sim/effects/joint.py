@@ -58,7 +58,7 @@ class EncoderScale(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         both = [f"{kind}_{joint}" for joint in self.members(robot.limbs) for kind in ("q", "dq")]
-        names = [name for name in both if name in log.frame]
+        names = [name for name in both if name in log.columns]
         scaled = {name: log.columns[name] / (1 + self.value) for name in names}
         return with_columns(log, scaled), robot
 

@@ -5,6 +5,7 @@ of 0 to 40 ms for their robot; Haarnoja et al., "Learning Agile Soccer Skills fo
 Science Robotics 2024, 10 to 50 ms. The bounds follow them; wider ones were chosen.
 """
 
+import operator
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -436,20 +437,40 @@ def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     """
     t = log.t
     then = np.clip(then, t[0], t[-1])
-    names = [str(n) for n in log.frame if str(n).split("_")[0] in kinds and not _commanded(str(n))]
+    names = [n for n in log.columns if n.split("_")[0] in kinds and not _commanded(n)]
     flags = [n for n in names if n.startswith(("contact_", "ref_ok"))]
     turns = [n for n in names if n.startswith("ref_q_")]
     smooth = [n for n in names if n not in flags and n not in turns]
     columns = {}
-    if smooth:
-        rows = np.column_stack([log.columns[name] for name in smooth])
-        values = CubicSpline(t, rows)(then)
-        columns |= {name: values[:, i] for i, name in enumerate(smooth)}
+    for kind in dict.fromkeys(name.split("_")[0] for name in smooth):
+        own = [n for n in smooth if n.split("_")[0] == kind]
+        values = _spline(t, kind, [log.columns[name] for name in own])(then)
+        columns |= {name: values[:, i] for i, name in enumerate(own)}
     columns |= {name: log.columns[name][_nearest(t, then)] for name in flags}
     if turns:
         values = slerp(t, log.ref_q, then)
         columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
     return with_columns(log, columns)
+
+
+KEPT_ROWS = 100_000
+"""Rows up to which splines are kept: those of twelve joints then take a tenth of a GB."""
+_splines: dict[str, tuple[list[np.ndarray], CubicSpline]] = {}
+"""Kind of columns -> those of the last log, time first, and their spline: the delays and the clock
+of a stream are tried one after the other.
+"""
+
+
+def _spline(t: np.ndarray, kind: str, columns: list[np.ndarray]) -> CubicSpline:
+    """Spline through columns (N,) of one kind at times t (N,) [s]."""
+    known = [t, *columns]
+    last = _splines.get(kind)
+    if last and len(last[0]) == len(known) and all(map(operator.is_, last[0], known)):
+        return last[1]
+    spline = CubicSpline(t, np.column_stack(columns))
+    if len(t) <= KEPT_ROWS:
+        _splines[kind] = known, spline
+    return spline
 
 
 def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -94,7 +94,10 @@ class Log:
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
         """The log with some columns replaced; cached values of the others are kept."""
-        log = replace(self, frame=self.frame.assign(**columns))
+        known = vars(self)
+        base, replaced = (known["frame"], {}) if "frame" in known else known["_replaced"]
+        log = object.__new__(type(self))
+        vars(log).update(meta=self.meta, name=self.name, _replaced=(base, replaced | dict(columns)))
         # Unchanged columns remain the same arrays, so comparisons can go by identity.
         vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
         if self.columns.keys() >= columns.keys():
@@ -103,6 +106,16 @@ class Log:
             kept = {k: v for k, v in self._cache.items() if v[0].isdisjoint(columns)}
             object.__setattr__(log, "_cache", kept)
         return log
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> pd.DataFrame:
+            """The frame of a log made by `with_columns`, on first use: most need no frame."""
+            if name != "frame" or "_replaced" not in vars(self):
+                raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+            base, columns = vars(self)["_replaced"]
+            vars(self)["frame"] = frame = base.assign(**columns)
+            return frame
 
     def cached(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
         """A value computed from some columns, cached if the log caches its arrays.
@@ -196,7 +209,7 @@ class Log:
     @property
     def t(self) -> np.ndarray:
         """Time (N,), s, strictly increasing."""
-        return self.cached("t", ["t"], lambda: np.array(self.frame["t"], dtype=float))
+        return self.cached("t", ["t"], lambda: np.array(self.columns["t"], dtype=float))
 
     @property
     def gyro(self) -> np.ndarray:
@@ -284,9 +297,9 @@ class Log:
     def ref_ok(self) -> np.ndarray:
         """Rows (N,), bool, with a measured reference, not one interpolated over a gap."""
         self.require("reference")
-        if "ref_ok" not in self.frame:
-            return np.ones(len(self.frame), dtype=bool)
-        return np.array(self.frame["ref_ok"] > 0.5)
+        if "ref_ok" not in self.columns:
+            return np.ones(len(self.columns["t"]), dtype=bool)
+        return self.columns["ref_ok"] > 0.5
 
     @property
     def slip(self) -> np.ndarray:

@@ -7,6 +7,7 @@ are those that the columns name: a quadruped's, a biped's, an arm's.
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,11 @@ def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> lis
     """The columns of a group for these joints and legs; without any, the name with its
     placeholder.
     """
+    return list(_group_columns(group, tuple(joints), tuple(legs)))
+
+
+@lru_cache(maxsize=128)
+def _group_columns(group: str, joints: tuple[str, ...], legs: tuple[str, ...]) -> tuple[str, ...]:
     names: list[str] = []
     for name in GROUPS[group]:
         for placeholder, each in (("<joint>", joints), ("<leg>", legs)):
@@ -76,7 +82,7 @@ def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> lis
                 break
         else:
             names.append(name)
-    return names
+    return tuple(names)
 
 
 def joint_prefix(column: str) -> str | None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.interpolate import CubicSpline
 from synthetic import synthetic_walk
 
 from surefoot.sim.effects.base import with_columns
@@ -115,3 +116,16 @@ def test_contacts_that_begin_early_are_cut_by_what_debouncing_has_left(log, debo
     assert_array_equal(np.flatnonzero(~known.contact[:, 1]), np.arange(300, 400 + cut))
     assert known.contact[:, [0, 2, 3]].all()
     assert robot.extras.touchdown_late == pytest.approx(cut / 500.0 - 0.03)
+
+
+def test_delays_of_logs_one_after_the_other_do_not_mix_them_up(log):
+    """Splines are kept while the columns are the same arrays."""
+    log = log.caching()
+    doubled = log.with_columns({f"q_{joint}": 2.0 * log.q[:, i] for i, joint in enumerate(JOINTS)})
+    for value in (1e-3, 4e-3):
+        one, other = (
+            JointDelay("all", value).compensate(each, ROBOT)[0] for each in (log, doubled)
+        )
+        assert_allclose(other.q, 2.0 * one.q, rtol=1e-12, atol=1e-12)
+        assert_array_equal(other.dq, one.dq)
+        assert_allclose(one.q, CubicSpline(log.t, log.q)(np.clip(log.t + value, None, log.t[-1])))

@@ -1,6 +1,7 @@
 """The Log: what is written is read back exactly, and nothing broken gets in."""
 
 import json
+import pickle
 import re
 from contextlib import suppress
 from dataclasses import replace
@@ -420,3 +421,21 @@ def test_a_recording_read_as_a_log_is_told_what_it_is(tmp_path):
         (tmp_path / name).write_text("t,gyro_x\n0,1\n")
         with pytest.raises(LogError, match=re.escape(message)):
             Log.read(tmp_path / name)
+
+
+def test_replaced_columns_are_in_the_frame_when_it_is_asked_for():
+    log = make_log().caching()
+    once = log.with_columns({"gyro_x": np.ones(40)})
+    twice = once.with_columns({"gyro_x": np.full(40, 2.0)})
+    assert "frame" not in vars(once)
+    assert "frame" not in vars(twice)
+    assert (twice.gyro[:, 0] == 2.0).all()
+    copied = pickle.loads(pickle.dumps(twice))
+    for one, size in ((once, 1.0), (twice, 2.0), (copied, 2.0), (replace(twice, name="b"), 2.0)):
+        assert list(one.frame) == list(log.frame)
+        np.testing.assert_array_equal(one.frame["gyro_x"], size)
+        np.testing.assert_array_equal(one.frame["gyro_y"], log.frame["gyro_y"])
+    added = twice.with_columns({"x_new": np.zeros(40)})
+    assert list(added.frame) == [*log.frame, "x_new"]
+    with pytest.raises(AttributeError, match="frames"):
+        _ = twice.frames  # pyright: ignore[reportAttributeAccessIssue]
