@@ -294,7 +294,7 @@ class _Linear:
     def __init__(
         self, case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
     ):
-        self.case, self.chosen, self.evaluation_channels = case, list(chosen), evaluation_channels
+        self.case, self.chosen = case, list(chosen)
         self.log, self.robot, self.parts, self.motion = _parts(case, chosen, evaluation_channels)
         self.joints = self.log.joints
         self.reading_scale = _reading_scale(case, chosen)
@@ -339,9 +339,8 @@ class _Linear:
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
         rule = known_effects()[key[0]].chain_rule
         if rule == "readings":
-            change = self._by_chain_rule(log, step) + self._change_without_chain_rule(
-                log, robot, step
-            )
+            change = self._by_chain_rule(log, step)
+            self._add_change_without_chain_rule(change, log, robot, step)
         elif rule is not None:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
@@ -359,8 +358,10 @@ class _Linear:
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
         share = self.case.settings.difference_step
         small = {n: self.log.columns[n] + share * x for n, x in added.items()}
-        others = self._change_without_chain_rule(with_columns(self.log, small), self.robot, share)
-        return self._to_reading_scale(sparse(change + others, self.parts.table))
+        self._add_change_without_chain_rule(
+            change, with_columns(self.log, small), self.robot, share
+        )
+        return self._to_reading_scale(sparse(change, self.parts.table))
 
     def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
         """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
@@ -369,23 +370,24 @@ class _Linear:
         change = _change(self.log, log, self.joints, self.motion, step)
         return wrt_readings(self.parts, self.jacobians, change)
 
-    def _change_without_chain_rule(self, log: Log, robot: Machine, step: float) -> np.ndarray:
-        """The same (M, W) by differences, for the channels that the chain rule does not cover."""
+    def _add_change_without_chain_rule(
+        self, change: np.ndarray, log: Log, robot: Machine, step: float
+    ) -> None:
+        """Add to `change` (M, W), by differences, the channels without a chain rule."""
         layout, table = self.parts.layout, self.parts.table
-        inputs, change = ResidualInputs(log, robot, self.motion), np.zeros(table.shape)
+        inputs = ResidualInputs(log, robot, self.motion)
         for name, columns in layout.channels.items():
             if not channels()[name].has_chain_rule and channels()[name].is_defined_for(
                 log, self.motion
             ):
                 values = channels()[name].residual(inputs)
                 if values is not None:
-                    change[:, columns] = np.nan_to_num(values - table[:, columns]) / step
-        return change
+                    change[:, columns] += np.nan_to_num(values - table[:, columns]) / step
 
     def _derivative_at_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])
         ahead, behind = (
-            table_of(self.case, _with_size_step(self.chosen, key, s), self.evaluation_channels)
+            table_of(self.case, _with_size_step(self.chosen, key, s), evaluation_channels=False)
             for s in (step, -step)
         )
         return self._events_only(key, sparse((behind - ahead) / (2 * step), self.parts.table))
@@ -413,6 +415,9 @@ class _Linear:
             motion = replace(motion_under_model(log, robot, self.case.fixed), level=motion.level)
         only = _event_channels(key) or self.parts.names
         again = [name for name in self.parts.names if name in only and name not in same]
+        if len(known_effects()[key[0]].starts_on(key[1], self.log)) == 1:
+            # No fit uses those; they only help to choose between several starts.
+            again = [name for name in again if not channels()[name].evaluation_only]
         return (residual(log, robot, motion, again).table - self.parts.table) / step
 
     def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:

@@ -30,6 +30,8 @@ NEARLY_ALL = 95.0
 """Percentile of the delays by which nearly all contacts have begun."""
 CHANGE_WINDOW = 0.08
 """Time before and after a contact change in which the foot's motion is examined [s]."""
+CLOSE_WINDOW = 0.024
+"""Time from a contact change, into the stance, within which nearly all feet stop and start [s]."""
 USUAL_DELAY = (-0.0005, -0.018)
 """Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
 on models of seven robots.
@@ -43,10 +45,10 @@ def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarra
     """
     rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
-    speed = log.cached(
-        "speed of touching points",
+    moves = log.cached(
+        "when touching points stop and start",
         log.columns_of("q", "dq", "imu", "contact", "reference", "ref_v"),
-        lambda: speed_over_ground(log, robot, motion, near_changes(turns, motion, rows)),
+        lambda: _all_motion_changes(log, robot, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
         *(robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )
@@ -56,10 +58,7 @@ def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarra
         USUAL_DELAY[0] + log.meta.model.get("contact_debounce", 0.0) + robot.extras.touchdown_late
     )
     usual = (begins, USUAL_DELAY[1] + robot.extras.liftoff_late)
-    for leg, change in enumerate(turns):
-        at, when, lifts = motion_changes(
-            log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce
-        )
+    for leg, (change, (at, when, lifts)) in enumerate(zip(turns, moves, strict=True)):
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
         bins = np.searchsorted(motion.first, at[known], side="right") - 1
@@ -95,16 +94,66 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Robot) -> Reference
     return replace(motion, standing=inside & motion.ok[:, None], early=early, late=late)
 
 
-def near_changes(turns: Sequence[np.ndarray], motion: ReferenceMotion, rows: int) -> np.ndarray:
-    """Mask (N, L) of the rows within `rows` of a contact change of each foot."""
-    n = len(motion.ok)
+def _all_motion_changes(
+    log: Log,
+    robot: Robot,
+    motion: ReferenceMotion,
+    turns: Sequence[np.ndarray],
+    rows: int,
+    bounce: int,
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """`motion_changes` of each foot, at its contact changes `turns`.
+
+    Most feet stop and start close to the change of contact, so the search goes on into the stance
+    only for those that do not.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        motion: reference motion of the log.
+        turns: rows at which each foot's contact changes.
+        rows: to search on either side.
+        bounce: rows up to which a foot in the air has only bounced.
+    """
+    close = max(1, round(CLOSE_WINDOW * log.rate))
+    where = near_changes(turns, log.contact, rows, close) & motion.ok[:, None]
+    speed = speed_over_ground(log, robot, motion, where)
+
+    def search() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return [
+            motion_changes(log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce)
+            for leg, change in enumerate(turns)
+        ]
+
+    moves = search()
+    left = [
+        change[np.isnan(when) & (at > 0)]
+        for change, (at, when, _) in zip(turns, moves, strict=True)
+    ]
+    more = near_changes(left, log.contact, rows, rows) & motion.ok[:, None] & ~where
+    if not more.any():
+        return moves
+    speed = np.where(more, speed_over_ground(log, robot, motion, more), speed)
+    return search()
+
+
+def near_changes(
+    turns: Sequence[np.ndarray], contact: np.ndarray, in_swing: int, in_stance: int
+) -> np.ndarray:
+    """Mask (N, L) of the rows near a contact change of each foot: within `in_swing` rows while it
+    swings, and within `in_stance` while it stands.
+    """
+    n = len(contact)
     near = np.zeros((n, len(turns)), dtype=bool)
     for leg, change in enumerate(turns):
+        lands = contact[change, leg]
+        before = np.where(lands, in_swing, in_stance)
+        after = np.where(lands, in_stance, in_swing)
         count = np.zeros(n + 1, dtype=int)
-        np.add.at(count, np.maximum(change - rows - 1, 0), 1)
-        np.add.at(count, np.minimum(change + rows + 1, n), -1)
+        np.add.at(count, np.maximum(change - before - 1, 0), 1)
+        np.add.at(count, np.minimum(change + after + 1, n), -1)
         near[:, leg] = np.cumsum(count[:-1]) > 0
-    return near & motion.ok[:, None]
+    return near
 
 
 def speed_over_ground(
@@ -113,13 +162,10 @@ def speed_over_ground(
     """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
     elsewhere.
     """
-    rows = np.flatnonzero(where.any(axis=1))
     omega = log.gyro if log.has("imu") else motion.gyro
-    dq = joint_velocity(log)[rows]
-    v = leg_velocity(robot, log.q[rows], dq, omega[rows], motion.up_I[rows], where[rows])
-    speed = np.full(where.shape, np.nan)
-    speed[rows] = np.linalg.norm(v - motion.v_I[rows, None], axis=2)
-    return speed
+    v = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, where)
+    x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
+    return np.sqrt(x * x + y * y + z * z)
 
 
 @kernel
@@ -139,7 +185,8 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
 
     Returns:
         The row and the time [s] of each, NaN where not seen within `rows` or where the foot
-        bounced, and whether the foot lifts, (K,) each.
+        bounced, and whether the foot lifts, (K,) each. Where the search ended at a row without a
+        speed, that row, and NaN for the time.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
     lifts = np.zeros(len(changes), np.bool_)
@@ -158,7 +205,10 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
             continue
         for _ in range(far + rows):
             row += step
-            if row < 0 or row >= len(t) or not np.isfinite(speed[row]):
+            if row < 0 or row >= len(t):
+                break
+            if not np.isfinite(speed[row]):
+                at[k] = row
                 break
             if speed[row] <= STANDING_SPEED:
                 share = (STANDING_SPEED - speed[row]) / (speed[row - step] - speed[row])

@@ -216,10 +216,10 @@ def wrt_readings(
         if not parts.inputs.motion.by_reference:
             stood = np.repeat(parts.inputs.bins.standing, 3, axis=1)
             out[:, legs] = np.nan_to_num(between_feet(np.where(stood, out[:, legs], np.nan)))
-        by_leg = out[:, velocity]
-        stands = np.isfinite(parts.table[:, velocity[:, 0]])
-        means = stance_means(parts.t, by_leg, stands)
-        out[:, layout.by_leg("stance_velocity")] = np.nan_to_num(means)
+        moved = np.flatnonzero(out[:, velocity].any(axis=(0, 2)))
+        stands = np.isfinite(parts.table[:, velocity[moved, 0]])
+        means = stance_means(parts.t, out[:, velocity[moved]], stands)
+        out[:, layout.by_leg("stance_velocity")[moved]] = np.nan_to_num(means)
     for joint, x in change.get("q_step", {}).items():
         forces += known.dynamics_jacobians[0, joint] * x[:, None]
     for joint, x in change.get("dq_step", {}).items():

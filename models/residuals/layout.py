@@ -58,13 +58,20 @@ class Layout:
 
     def of(self, *names: str) -> np.ndarray:
         """Columns of these channels, as far as the layout has them."""
-        every = np.arange(self.width)
-        return np.concatenate([every[:0], *(every[self.channels[n]] for n in names if n in self)])
+        places = [self.channels[n] for n in names if n in self]
+        return np.concatenate([np.arange(p.start, p.stop) for p in (slice(0, 0), *places)])
 
     def by_leg(self, name: str) -> np.ndarray:
         """Columns (legs, n) of a channel, by foot."""
-        legs = range(len(self.limbs.legs))
-        return np.array([[c for c in self.of(name) if self.columns[c].leg == leg] for leg in legs])
+        if name not in self._columns_by_leg:
+            own, legs = self.of(name), range(len(self.limbs.legs))
+            by_leg = [[c for c in own if self.columns[c].leg == leg] for leg in legs]
+            self._columns_by_leg[name] = np.array(by_leg)
+        return self._columns_by_leg[name]
+
+    @cached_property
+    def _columns_by_leg(self) -> dict[str, np.ndarray]:
+        return {}
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels

@@ -79,12 +79,24 @@ def foot_sinking(
             rows[:, leg, axis] = np.interp(log.t, bins.t, swept_G[:, leg, axis])
         rows[:, leg, 3] = load[:, leg]
     rows = np.nan_to_num(rows)
-    feet_I = robot.feet_I(log.q)
-    height = motion.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", motion.R_GI[:, 2], feet_I)
-    give, dq = foot_mobilities(robot), joint_velocity(log)
+    dq = joint_velocity(log)
+
+    def height_and_stances() -> tuple[np.ndarray, list[Stances]]:
+        feet_I = robot.feet_I(log.q)
+        above = np.einsum("nj,nlj->nl", motion.R_GI[:, 2], feet_I)
+        stances = [foot_stances(log, robot, motion, leg, dq) for leg in range(legs)]
+        return motion.p_GI[:, 2, None] + above, stances
+
+    # The same for every softness.
+    height, stances = log.cached(
+        "height of feet, and stances",
+        log.columns_of("q", "dq", "contact"),
+        height_and_stances,
+        *(motion, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
+    )
+    give = foot_mobilities(robot)
     depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
-    for leg in range(legs):
-        s = foot_stances(log, robot, motion, leg, dq)
+    for leg, s in enumerate(stances):
         for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
             moved = (depth[:, leg], v_G[:, leg])
             _add_stances(log.t, height[:, leg], rows[:, leg], s, give[leg], T, sign, *moved)
