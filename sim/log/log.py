@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -94,10 +94,8 @@ class Log:
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
         """The log with some columns replaced; cached values of the others are kept."""
-        known = vars(self)
-        base, replaced = (known["frame"], {}) if "frame" in known else known["_replaced"]
-        log = object.__new__(type(self))
-        vars(log).update(meta=self.meta, name=self.name, _replaced=(base, replaced | dict(columns)))
+        log = object.__new__(_WithColumns)
+        vars(log).update(meta=self.meta, name=self.name, before=self, replaced=dict(columns))
         # Unchanged columns remain the same arrays, so comparisons can go by identity.
         vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
         if self.columns.keys() >= columns.keys():
@@ -106,16 +104,6 @@ class Log:
             kept = {k: v for k, v in self._cache.items() if v[0].isdisjoint(columns)}
             object.__setattr__(log, "_cache", kept)
         return log
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> pd.DataFrame:
-            """The frame of a log made by `with_columns`, on first use: most need no frame."""
-            if name != "frame" or "_replaced" not in vars(self):
-                raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-            base, columns = vars(self)["_replaced"]
-            vars(self)["frame"] = frame = base.assign(**columns)
-            return frame
 
     def cached(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
         """A value computed from some columns, cached if the log caches its arrays.
@@ -310,6 +298,17 @@ class Log:
     def mu(self) -> np.ndarray:
         """Truth: friction coefficient (N, L) under each foot."""
         return self._leg_array("truth", "mu")
+
+
+class _WithColumns(Log):
+    """A log made by `Log.with_columns`: its frame is built on first use, since most need none."""
+
+    before: Log
+    replaced: dict[str, np.ndarray]
+
+    @cached_property
+    def frame(self) -> pd.DataFrame:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.before.frame.assign(**self.replaced)
 
 
 class LogWriter:

@@ -437,5 +437,3 @@ def test_replaced_columns_are_in_the_frame_when_it_is_asked_for():
         np.testing.assert_array_equal(one.frame["gyro_y"], log.frame["gyro_y"])
     added = twice.with_columns({"x_new": np.zeros(40)})
     assert list(added.frame) == [*log.frame, "x_new"]
-    with pytest.raises(AttributeError, match="frames"):
-        _ = twice.frames  # pyright: ignore[reportAttributeAccessIssue]
