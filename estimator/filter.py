@@ -14,7 +14,6 @@ from surefoot.estimator.core.checks import (
     spd_3,
     vector,
 )
-from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.core.propagation import PROPAGATE_CHECKED, propagate, propagate_checked
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
@@ -47,6 +46,7 @@ from surefoot.estimator.updates.velocity import (
     update_velocity_checked,
 )
 from surefoot.estimator.updates.velocity_output import add_velocity, no_contacts, note_velocity
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compile_for, kernel
 

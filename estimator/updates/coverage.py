@@ -30,9 +30,9 @@ towards gamma: `iterations`.
 import numpy as np
 
 from surefoot.estimator.box import box_moments_kernel
-from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.updates.outliers import MOST_REJECTED, is_outlier
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import kernel
 
 FLOOR = 1e-6

@@ -12,3 +12,11 @@ def copy_row(x, out):
     """Copy x (n,) into out (n,)."""
     for i in range(out.shape[0]):
         out[i] = x[i]
+
+
+@kernel
+def copy_corner(x, out):
+    """Copy the first rows and columns of x into all of out (n, m)."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = x[i, j]
