@@ -16,7 +16,7 @@ from surefoot.sim.common.kernels import kernel
 
 
 @kernel(inline="always")
-def no_contacts() -> int:
+def no_contacts() -> np.int64:
     """Number of contact points in a state without any.
 
     A kernel that is called with the literal 0 is compiled once more, for that number.
