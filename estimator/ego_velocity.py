@@ -22,6 +22,7 @@ import numpy as np
 
 from surefoot.estimator.core.checks import numbers
 from surefoot.estimator.updates.velocity_output import inverse_3
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
@@ -211,5 +212,5 @@ def _solve(u, d, weight, noises, v, spread) -> bool:
     k = 1.0 - 0.5 * (noises[1] ** 2 + noises[2] ** 2)
     for j in range(3):
         v[j] = k * (inverse[j, 0] * b[0] + inverse[j, 1] * b[1] + inverse[j, 2] * b[2])
-    spread[:] = inverse @ A @ inverse
+    copy_corner(inverse @ A @ inverse, spread)
     return True

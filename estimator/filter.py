@@ -14,7 +14,6 @@ from surefoot.estimator.core.checks import (
     spd_3,
     vector,
 )
-from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.core.propagation import PROPAGATE_CHECKED, propagate, propagate_checked
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
@@ -46,7 +45,8 @@ from surefoot.estimator.updates.velocity import (
     update_velocity,
     update_velocity_checked,
 )
-from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
+from surefoot.estimator.updates.velocity_output import add_velocity, no_contacts, note_velocity
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compile_for, kernel
 
@@ -308,6 +308,7 @@ def _run(
     mean, P, counts = memory.mean, memory.covariance, memory.counts
     columns, rotation_columns = memory.columns, memory.rotation_columns
     note, R = np.empty((7, 3)), np.zeros((3, 3))
+    contacts = no_contacts()
     m = out = w = 0
     for k in range(imu.t.shape[0]):
         if k > 0 and window[k] != window[k - 1]:
@@ -329,23 +330,31 @@ def _run(
                 )
                 for i in range(3):
                     R[i, i] = (share * epsilon[i]) ** 2
-                note_velocity(mean, P, 0, v_I, R, note)
+                note_velocity(mean, P, contacts, v_I, R, note)
                 if persistent:
                     values[m] = update_coverage_persistent(
                         mean, P, v_I, epsilon, gamma, iterations, model, counts
                     )
                 else:
                     values[m] = update_coverage_within(
-                        mean, P, 0, v_I, epsilon, gamma, iterations, settings.max_error, counts
+                        mean,
+                        P,
+                        contacts,
+                        v_I,
+                        epsilon,
+                        gamma,
+                        iterations,
+                        settings.max_error,
+                        counts,
                     )
             else:
-                note_velocity(mean, P, 0, v_I, velocities.cov[m], note)
+                note_velocity(mean, P, contacts, v_I, velocities.cov[m], note)
                 if persistent:
                     values[m] = update_velocity_persistent(
                         mean, P, v_I, velocities.cov[m], model, counts
                     )
                 else:
-                    values[m] = update_velocity(mean, P, 0, v_I, velocities.cov[m])
+                    values[m] = update_velocity(mean, P, contacts, v_I, velocities.cov[m])
             # An outlier after too many in a row is used, but still counted.
             add_velocity(sums[w, 0], note, counts[REJECTED] <= rejected)
             m += 1

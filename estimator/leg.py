@@ -17,7 +17,6 @@ from surefoot.estimator.core.checks import (
     spd,
     spd_3,
 )
-from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory
@@ -39,6 +38,7 @@ from surefoot.estimator.updates.contact import (
 )
 from surefoot.estimator.updates.velocity import update_velocity
 from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 

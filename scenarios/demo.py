@@ -12,6 +12,7 @@ from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.estimate.compare import compare_log, write_comparison
+from surefoot.scenarios.estimate.first_use import compile_filters
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.html import Picture, Section, nested, save_picture
@@ -71,11 +72,13 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
 def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
     """The table, the trace, and the effect it should have found; all files are in `out`."""
     robot = Robot.load("spot_class")
-    logs = {role: _walk(role, robot, _seed(role, seed), out) for role in WALKS}
-    hidden = _undeclared(robot, seed, out)
-    # Two workers, since a pool of one would be this process; only one is started.
+    # The second worker is started only if the first is still compiling when the walks are done.
     with processes(2) as pool:
         assert pool is not None
+        # On a fresh machine this process has the kernels of the walks to compile meanwhile.
+        submitted(pool, (compile_filters,))
+        logs = {role: _walk(role, robot, _seed(role, seed), out) for role in WALKS}
+        hidden = _undeclared(robot, seed, out)
         tracing = submitted(pool, (_trace, robot, seed, out))
         print("training two observers on one walk: mean squared error, Gaussian likelihood")
         learnt = learn([logs["train"]], logs["calibrate"], out, seed)

@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.moments.faces import remaining
 from surefoot.estimator.moments.quadrature import MOST, NODES, WEIGHTS
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import kernel
 
 _DEPTH = 30.0

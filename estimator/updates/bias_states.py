@@ -41,10 +41,10 @@ import numpy as np
 
 from surefoot.estimator.core.checks import numbers, spd
 from surefoot.estimator.core.state import EXTRA
-from surefoot.estimator.updates.coverage import FLOOR, posterior_moments
+from surefoot.estimator.updates.coverage import projected
 from surefoot.estimator.updates.outliers import GATHERED, is_outlier
 from surefoot.estimator.updates.velocity import gaussian_update
-from surefoot.estimator.updates.velocity_output import lift, velocity_output
+from surefoot.estimator.updates.velocity_output import lift, no_contacts, velocity_output
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
@@ -152,12 +152,13 @@ def update_velocity_persistent(mean, covariance, v_I, R, model, counts) -> float
         model: PersistentModel.
         counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
     """
+    contacts = no_contacts()
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
-    velocity_output(mean, covariance, 0, v_I, PHt, S, residual)
+    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
     if is_outlier(S, residual, model.max_error, model.window, counts):
         return np.nan
-    return gaussian_update(mean, covariance, 0, PHt, S, residual, R)
+    return gaussian_update(mean, covariance, contacts, PHt, S, residual, R)
 
 
 @kernel(inline="always")
@@ -178,9 +179,10 @@ def update_coverage_persistent(
         model: PersistentModel.
         counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
     """
+    contacts = no_contacts()
     n = covariance.shape[0]
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
-    velocity_output(mean, covariance, 0, v_I, PHt, S, residual)
+    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
     if is_outlier(S, residual, model.max_error, model.window, counts):
         return np.nan
     accumulate_window(mean, covariance, PHt, S, residual, 1.0 / model.window)
@@ -194,25 +196,14 @@ def update_coverage_persistent(
             PHt[j, i] = -covariance[j, WINDOW_AT + i]
         for j in range(3):
             S[i, j] = covariance[WINDOW_AT + i, WINDOW_AT + j]
-    floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
-    for i in range(3):
-        S[i, i] += floor
-    lower, upper = residual - epsilon, residual + epsilon
-    z_mean, z_cov = np.zeros(3), S.copy()
-    first = np.nan
-    for _ in range(iterations):
-        before, spread = z_mean.copy(), z_cov.copy()
-        pi = posterior_moments(before, spread, lower, upper, gamma, z_mean, z_cov)
-        if np.isnan(first):
-            first = pi
-        if not pi < gamma:
-            break
-    if first < gamma:
-        lift(mean, covariance, 0, PHt, S, z_mean, z_cov)
+    z_mean, z_cov = np.zeros(3), np.empty((3, 3))
+    pi = projected(S, residual, epsilon, gamma, iterations, z_mean, z_cov)
+    if pi < gamma:
+        lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
     mean[WINDOW_ERROR] = 0.0
     covariance[WINDOW_AT : WINDOW_AT + 3, :] = 0.0
     covariance[:, WINDOW_AT : WINDOW_AT + 3] = 0.0
-    return first
+    return pi
 
 
 @kernel

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.estimator.core.copies import copy_corner
 from surefoot.estimator.core.propagation import (
     add_cross_columns,
     propagate_covariance,
@@ -31,6 +30,7 @@ from surefoot.estimator.evaluation.innovation_sums import (
     no_sums,
 )
 from surefoot.estimator.updates.velocity import gaussian_update
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import kernel
 
 AVERAGED = 0.02

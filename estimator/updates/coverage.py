@@ -32,6 +32,7 @@ import numpy as np
 from surefoot.estimator.box import box_moments_kernel
 from surefoot.estimator.updates.outliers import MOST_REJECTED, is_outlier
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
+from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import kernel
 
 FLOOR = 1e-6
@@ -127,19 +128,39 @@ def _set_update(
         gamma: their joint level.
         iterations: of projection and matching.
     """
-    floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
-    for i in range(3):
-        S[i, i] += floor
-    lower, upper = residual - epsilon, residual + epsilon
-    z_mean, z_cov = np.empty(3), np.empty((3, 3))
-    pi = posterior_moments(np.zeros(3), S, lower, upper, gamma, z_mean, z_cov)
+    z_mean, z_cov = np.zeros(3), np.empty((3, 3))
+    pi = projected(S, residual, epsilon, gamma, iterations, z_mean, z_cov)
     if pi < gamma:
-        for _ in range(iterations - 1):
-            before = z_mean.copy(), z_cov.copy()
-            if (
-                not posterior_moments(before[0], before[1], lower, upper, gamma, z_mean, z_cov)
-                < gamma
-            ):
-                break
         lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
     return pi
+
+
+@kernel(inline="always")
+def projected(S, residual, epsilon, gamma: float, iterations: int, z_mean, z_cov) -> float:
+    """Project and match z ~ N(0, S) up to `iterations` times; returns pi of the prior.
+
+    Args:
+        S: (3, 3) [m^2/s^2]; a floor is added in place.
+        residual: (3,) [m/s], the middle of the box.
+        epsilon: (3,) [m/s], its half widths.
+        gamma: joint level of the box.
+        iterations: of projection and matching.
+        z_mean: (3,), zeros, receives the posterior's mean.
+        z_cov: (3, 3), receives its covariance.
+    """
+    floor = FLOOR**2 + 1e-10 * (S[0, 0] + S[1, 1] + S[2, 2])
+    lower, upper = np.empty(3), np.empty(3)
+    for i in range(3):
+        S[i, i] += floor
+        lower[i], upper[i] = residual[i] - epsilon[i], residual[i] + epsilon[i]
+    copy_corner(S, z_cov)
+    first = np.nan
+    # One place of the call, since each would be another copy of the code.
+    for k in range(iterations):
+        before, spread = z_mean.copy(), z_cov.copy()
+        pi = posterior_moments(before, spread, lower, upper, gamma, z_mean, z_cov)
+        if k == 0:
+            first = pi
+        if not pi < gamma:
+            break
+    return first

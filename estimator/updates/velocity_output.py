@@ -15,6 +15,15 @@ from surefoot.estimator.evaluation.innovation_sums import add_innovation, add_re
 from surefoot.sim.common.kernels import kernel
 
 
+@kernel(inline="always")
+def no_contacts() -> np.int64:
+    """Number of contact points in a state without any.
+
+    A kernel that is called with the literal 0 is compiled once more, for that number.
+    """
+    return np.int64(0)
+
+
 @kernel
 def velocity_output(mean, covariance, contacts: int, v_I, PHt, S, residual):
     """Predicted output of a velocity measurement, with a persistent part where the state has one.

@@ -53,7 +53,9 @@ def scan(gates: np.ndarray, W: np.ndarray, b: np.ndarray, h0: np.ndarray):
     T, B, H = gates.shape[0], gates.shape[1], h0.shape[1]
     h = np.empty((T + 1, B, H), np.float32)
     saved = np.empty((T, B, 4 * H), np.float32)
-    h[0] = h0
+    for i in range(B):
+        for j in range(H):  # assigning the array takes three seconds to compile
+            h[0, i, j] = h0[i, j]
     a = np.empty(3 * H, np.float32)
     half = np.float32(0.5)
     for t in range(T):

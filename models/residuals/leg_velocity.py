@@ -25,9 +25,9 @@ def leg_velocity(
         up: the ground's unit normal (N, 3) in I.
         standing: feet (N, legs) for which to compute it.
     """
-    return _leg_velocity(
-        robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, q, dq, omega, up, standing
-    )
+    # Contiguous, so that it is compiled once.
+    rows = (np.ascontiguousarray(x) for x in (q, dq, omega, up, standing))
+    return _leg_velocity(robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI, *rows)
 
 
 @kernel

@@ -22,6 +22,7 @@ import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, bin_mean
 from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.tiles import SOLIMP, SOLREF
 from surefoot.sim.log import Log, joint_velocity
@@ -178,8 +179,10 @@ def _add_stances(t, height, rows, stances, give, T, sign, depth, v_G):
             start = np.mean(height[half:b] + z[half:b]) - height[a]
             if not start > 0.0:  # nor where there is no reference
                 start = 0.0
-        depth[a:b] += sign * z[a:b]
-        v_G[a:b] += sign * v[a:b]
+        for k in range(a, b):
+            depth[k] += sign * z[k]
+            for axis in range(3):
+                v_G[k, axis] += sign * v[k, axis]
 
 
 @kernel
@@ -200,7 +203,8 @@ def _integrate_stance(t, rows, a, b, z, v_start, give, T, depth, v_G):
     """
     v = v_start.copy()
     damping, spring = 2.0 / (SOLIMP[1] * T), 1.0 / (SOLIMP[1] * T) ** 2
-    depth[a], v_G[a] = z, v
+    depth[a] = z
+    copy_row(v, v_G[a])
     for k in range(a + 1, b):
         steps = max(1, int(np.ceil((t[k] - t[k - 1]) / TIMESTEP - 0.01)))
         h = (t[k] - t[k - 1]) / steps
@@ -213,7 +217,8 @@ def _integrate_stance(t, rows, a, b, z, v_start, give, T, depth, v_G):
             load = rows[k - 1, 3] + share * (rows[k, 3] - rows[k - 1, 3])
             v[2] += h * (i * spring * z - (1.0 - i) / i * give * load)
             z -= h * v[2]
-        depth[k], v_G[k] = z, v
+        depth[k] = z
+        copy_row(v, v_G[k])
 
 
 @kernel

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.irregular import stride_at
@@ -148,7 +149,7 @@ def tick(legs, controller, state, target, torque):
                 feet.mode[leg] = STANCE  # early touchdown: the ground is already carrying
                 feet.progress[leg] = 0.0
             elif memory.mode[leg] != SWING:
-                memory.lift_off[leg] = place
+                copy_row(place, memory.lift_off[leg])
                 memory.bump[leg] = 0.0
         memory.mode[leg] = SWING if feet.mode[leg] == SWING else STANCE
     if gait.slip_care > 0.0:
@@ -167,7 +168,8 @@ def tick(legs, controller, state, target, torque):
 def _command(base, yaw, target):
     """The target's velocities, corrected to return the base to its place and heading."""
     c, s = np.cos(target[2]), np.sin(target[2])
-    v = np.array([c * target[3] - s * target[4], s * target[3] + c * target[4], 0.0])
+    v = np.zeros(3)
+    v[0], v[1] = c * target[3] - s * target[4], s * target[3] + c * target[4]
     for a in range(2):
         v[a] += min(max(1.0 * (target[a] - base.p[a]), -0.3), 0.3)
     yaw_error = np.arctan2(np.sin(target[2] - yaw), np.cos(target[2] - yaw))
@@ -194,9 +196,12 @@ def slow_down_when_sliding(controller, state, loaded, command, feet):
     t, base, _, _, load = state
     dt = t - memory.slid[1]
     memory.slid[1] = t
+    across = np.empty(3)
     for leg in range(4):
         v, up = feet.sole_velocity[leg], feet.normal[leg]
-        across = v - (v @ up) * up
+        rise = v @ up
+        for a in range(3):
+            across[a] = v[a] - rise * up[a]
         speed = np.sqrt(across @ across)
         if feet.mode[leg] == STANCE and feet.progress[leg] < 0.75:
             # In the first quarter of the stance the leg is still being loaded, and yields.
@@ -206,8 +211,11 @@ def slow_down_when_sliding(controller, state, loaded, command, feet):
                 memory.way[leg] = min(
                     memory.way[leg] + speed * dt, 3.0 * SLIDING_DISTANCE * gait.leg_length
                 )
+    way = 0.0
+    for leg in range(4):
+        way += memory.way[leg]
     # A single foot that slips off an edge does not mean slippery ground.
-    if memory.way.mean() > SLIDING_DISTANCE * gait.leg_length:
+    if way / 4.0 > SLIDING_DISTANCE * gait.leg_length:
         memory.slid[0] = t
     part = min(dt / gait.period, 1.0)
     slides = t - memory.slid[0] < gait.period
@@ -236,12 +244,17 @@ def sway_body(controller, state, heading, command, feet):
     """
     gait, memory = controller.gait, controller.memory
     total, x, y = 1e-3, 0.0, 0.0
+    middle_x = middle_y = 0.0
+    for leg in range(4):
+        middle_x += gait.nominal_B[leg, 0]
+        middle_y += gait.nominal_B[leg, 1]
+    middle_x, middle_y = middle_x / 4.0, middle_y / 4.0
     for leg in range(4):
         if feet.mode[leg] != SWING:
             part = load_share(gait, feet.progress[leg])
             total += part
-            x += part * (gait.nominal_B[leg, 0] - gait.nominal_B[:, 0].mean())
-            y += part * (gait.nominal_B[leg, 1] - gait.nominal_B[:, 1].mean())
+            x += part * (gait.nominal_B[leg, 0] - middle_x)
+            y += part * (gait.nominal_B[leg, 1] - middle_y)
     rate = -gait.sway * GRAVITY / gait.height / total
     c, s = heading
     command.push[0] = rate * (c * x - s * y)

@@ -54,16 +54,23 @@ def estimated_base(gait, base, tick):
     """
     p, R, v, w = base
     if len(gait.velocity_error):
-        v = v + R @ gait.velocity_error[tick]
+        moved = R @ gait.velocity_error[tick]
+        for k in range(3):
+            moved[k] = v[k] + moved[k]
+        v = moved
     if len(gait.attitude_error):
         a, b = gait.attitude_error[tick, 0], gait.attitude_error[tick, 1]
         # A small rotation about the base's x and y, normalised column by column.
-        tilt = np.array([[1.0, 0.0, b], [0.0, 1.0, -a], [-b, a, 1.0]])
-        x = tilt[:, 0] / np.sqrt(np.sum(tilt[:, 0] ** 2))
-        y = tilt[:, 1] - np.sum(tilt[:, 1] * x) * x
-        y = y / np.sqrt(np.sum(y**2))
+        size = np.sqrt(1.0 + b * b)
+        x0, x2 = 1.0 / size, -b / size
+        along = a * x2
+        y0, y1, y2 = -along * x0, 1.0, a - along * x2
+        size = np.sqrt(y0 * y0 + y1 * y1 + y2 * y2)
+        y0, y1, y2 = y0 / size, y1 / size, y2 / size
         turned = np.empty((3, 3))
-        turned[:, 0], turned[:, 1], turned[:, 2] = x, y, np.cross(x, y)
+        turned[0, 0], turned[0, 1], turned[0, 2] = x0, y0, -x2 * y1
+        turned[1, 0], turned[1, 1], turned[1, 2] = 0.0, y1, x2 * y0 - x0 * y2
+        turned[2, 0], turned[2, 1], turned[2, 2] = x2, y2, x0 * y1
         R = R @ turned
     return BaseMotion(p, R, v, w)
 

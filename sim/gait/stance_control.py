@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE
@@ -36,7 +37,10 @@ def stance_forces(r, wrench, weight, effort):
         A[3, 3 * i + 1], A[3, 3 * i + 2] = -r[i, 2], r[i, 1]
         A[4, 3 * i], A[4, 3 * i + 2] = r[i, 2], -r[i, 0]
         A[5, 3 * i], A[5, 3 * i + 1] = -r[i, 1], r[i, 0]
-    WA = A * weight.reshape(6, 1)
+    WA = np.empty((6, 3 * n))
+    for a in range(6):
+        for j in range(3 * n):
+            WA[a, j] = A[a, j] * weight[a]
     H = A.T @ WA
     for i in range(n):
         for a in range(3):
@@ -63,7 +67,9 @@ def support(controller, ground, base, command, feet, torque):
     if n == 0:
         return
     level, slope_x, slope_y = ground
-    com = p + R @ gait.com_B
+    com = R @ gait.com_B
+    for a in range(3):
+        com[a] = p[a] + com[a]
     wrench = np.empty(6)
     for a in range(2):
         wrench[a] = gait.mass * gait.course_gain * (command.v[a] + command.sway[a] - v[a])
@@ -72,43 +78,53 @@ def support(controller, ground, base, command, feet, torque):
     wrench[2] = gait.mass * (GRAVITY + 120.0 * (gait.height + level - p[2]) + 16.0 * (climb - v[2]))
     # Attitude error as the rotation vector to the plane, for small angles.
     steep = np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    up_B = R.T @ np.array([-slope_x / steep, -slope_y / steep, 1.0 / steep])
-    error_B = np.array([-up_B[1], up_B[0], 0.0])
-    spin = command.turn * R[2] - w
+    level_up = np.empty(3)
+    level_up[0], level_up[1], level_up[2] = -slope_x / steep, -slope_y / steep, 1.0 / steep
+    up_B = R.T @ level_up
+    error_B = np.zeros(3)
+    error_B[0], error_B[1] = -up_B[1], up_B[0]
     # A loosely controlled robot sways; with the full gain at larger tilt it still does not fall.
     tilt = np.sqrt(error_B @ error_B) / FIRM_TILT
     held = gait.level + (1.0 - gait.level) * min(tilt * tilt, 1.0)
     moment_B = np.empty(3)
     for a in range(3):
         moment_B[a] = (held * gait.inertia[a]) * (
-            gait.level_gain * error_B[a] + gait.level_damping * spin[a]
+            gait.level_gain * error_B[a] + gait.level_damping * (command.turn * R[2, a] - w[a])
         )
-    wrench[3:] = R @ moment_B
+    copy_row(R @ moment_B, wrench[3:])
     size = gait.height
-    weight = np.array([1.0, 1.0, 2.0, 2.0 / size**2, 2.0 / size**2, 1.0 / size**2])
+    weight = np.ones(6)
+    weight[2], weight[3], weight[4], weight[5] = 2.0, 2.0 / size**2, 2.0 / size**2, 1.0 / size**2
     r = np.empty((n, 3))
     effort = np.empty(n)
     for i in range(n):
         leg = standing[i]
-        r[i] = feet.place[leg] - com - gait.foot_radius[leg] * feet.normal[leg]
+        for a in range(3):
+            r[i, a] = feet.place[leg, a] - com[a] - gait.foot_radius[leg] * feet.normal[leg, a]
         effort[i] = 1e-3 / max(load_share(gait, feet.progress[leg]), 0.05) ** 2
     forces = stance_forces(r, wrench, weight, effort)
     floor, ceiling = 0.03 * gait.mass * GRAVITY, 1.5 * gait.mass * GRAVITY
+    across = np.empty(3)
     for i in range(n):
         leg = standing[i]
         up = feet.normal[leg]
         push = forces[i] @ up
-        across = forces[i] - push * up
+        for a in range(3):
+            across[a] = forces[i, a] - push * up[a]
         push = min(max(push, floor), ceiling)
         side = np.sqrt(across @ across)
         if side > gait.friction_clamp * push:
-            across *= gait.friction_clamp * push / side
+            for a in range(3):
+                across[a] *= gait.friction_clamp * push / side
         # On a sliding foot the ground force is saturated, so the leg must damp the motion itself.
         sole_v = feet.sole_velocity[leg]
-        slide = sole_v - (sole_v @ up) * up
-        torque[3 * leg : 3 * leg + 3] = -(
-            feet.jacobian[leg].T @ (push * up + across + gait.slide_damping * slide)
-        )
+        rise = sole_v @ up
+        for a in range(3):
+            slide = sole_v[a] - rise * up[a]
+            across[a] = push * up[a] + across[a] + gait.slide_damping * slide
+        needed = feet.jacobian[leg].T @ across
+        for j in range(3):
+            torque[3 * leg + j] = -needed[j]
 
 
 @kernel(inline="always")
@@ -127,23 +143,33 @@ def stiffen(controller, state, command, feet, torque):
     gait, memory = controller.gait, controller.memory
     t, base, _, dq, _ = state
     v_B = base.R.T @ command.v
-    turn_B = base.R.T @ np.array([0.0, 0.0, command.turn])
+    turn_G = np.zeros(3)
+    turn_G[2] = command.turn
+    turn_B = base.R.T @ turn_G
+    arm, lacking = np.empty(3), np.empty(3)
+    rate_B = np.empty(3)
     for leg in range(4):
         if feet.mode[leg] != STANCE:
             memory.since[leg] = np.nan
             continue
-        own = slice(3 * leg, 3 * leg + 3)
-        r_B = base.R.T @ (feet.place[leg] - base.p)
+        for a in range(3):
+            arm[a] = feet.place[leg, a] - base.p[a]
+        r_B = base.R.T @ arm
+        planted = memory.planted[leg]
         if np.isnan(memory.since[leg]):
-            memory.planted[leg] = r_B
+            copy_row(r_B, planted)
             memory.since[leg] = t
-        rate_B = -(v_B + np.cross(turn_B, memory.planted[leg]))
-        wanted_B = memory.planted[leg] + (t - memory.since[leg]) * rate_B
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            rate_B[a] = -(v_B[a] + (turn_B[b] * planted[c] - turn_B[c] * planted[b]))
+            lacking[a] = planted[a] + (t - memory.since[leg]) * rate_B[a] - r_B[a]
         J = base.R.T @ feet.jacobian[leg]
         # Damped least squares, so that a straight knee does not require an infinite rotation.
-        H = J @ J.T + 1e-4 * gait.leg_length**2 * np.eye(3)
-        error = J.T @ np.linalg.solve(H, wanted_B - r_B)
-        error_rate = J.T @ np.linalg.solve(H, rate_B) - dq[own]
+        H = J @ J.T
+        for a in range(3):
+            H[a, a] += 1e-4 * gait.leg_length**2
+        error = J.T @ np.linalg.solve(H, lacking)
+        error_rate = J.T @ np.linalg.solve(H, rate_B)
         for j in range(3):
             pull = gait.stiffness * min(max(error[j], -FARTHEST_FROM_BASE), FARTHEST_FROM_BASE)
-            torque[3 * leg + j] += pull + gait.damping * error_rate[j]
+            torque[3 * leg + j] += pull + gait.damping * (error_rate[j] - dq[3 * leg + j])

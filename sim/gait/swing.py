@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE, SWING
@@ -33,14 +34,14 @@ def swing(controller, base, command, feet, torque):
     swing_time = (1.0 - gait.duty) * gait.period
     stance_time = gait.duty * gait.period
     rate = 7.0 / swing_time  # natural frequency of the foot's tracking [rad/s]
-    want = np.empty(2)
+    want, force = np.empty(2), np.empty(3)
     goal, goal_v, goal_a = np.empty(3), np.empty(3), np.empty(3)
     for leg in range(4):
         if feet.mode[leg] == STANCE:
             continue
         u = feet.progress[leg]
-        goal_v[:] = 0.0
-        goal_a[:] = 0.0
+        for a in range(3):
+            goal_v[a] = goal_a[a] = 0.0
         if feet.mode[leg] == SWING:
             x, y = gait.nominal_B[leg]
             arm_x, arm_y = c * x - s * y, s * x + c * y
@@ -80,13 +81,16 @@ def swing(controller, base, command, feet, torque):
                 goal_a[a] += end_v * (12.0 * u - 6.0) * u / swing_time
         else:
             # Late touchdown: keep the foothold and move down, or the foot is thrown off its step.
-            goal[:] = memory.foothold[leg]
+            copy_row(memory.foothold[leg], goal)
             goal[2] = feet.place[leg, 2] - 0.02
             goal_v[2] = -max(0.15, gait.touchdown_speed)
-        error, error_v = goal - feet.place[leg], goal_v - feet.velocity[leg]
-        force = gait.foot_mass * (goal_a + rate * rate * error + 1.4 * rate * error_v)
+        for a in range(3):
+            error = goal[a] - feet.place[leg, a]
+            error_v = goal_v[a] - feet.velocity[leg, a]
+            push = goal_a[a] + rate * rate * error + 1.4 * rate * error_v
+            force[a] = gait.foot_mass * push
         force[2] += gait.foot_mass * GRAVITY
-        torque[3 * leg : 3 * leg + 3] = feet.jacobian[leg].T @ force
+        copy_row(feet.jacobian[leg].T @ force, torque[3 * leg : 3 * leg + 3])
 
 
 @kernel
@@ -112,8 +116,12 @@ def place_foot(controller, leg, want, heading, u):
     foothold = controller.memory.foothold[leg]
     length = gait.leg_length
     x, y = want
-    x += _off_edges(height_map, x, y, 0, heading[0], length)
-    y += _off_edges(height_map, x, y, 1, heading[1], length)
+    for axis in range(2):  # in a loop, since the function is compiled into each place of a call
+        off = _off_edges(height_map, x, y, axis, heading[axis], length)
+        if axis == 0:
+            x += off
+        else:
+            y += off
     z = height(height_map, x, y) + gait.foot_radius[leg] / normal(height_map, x, y)[2]
     if u < FOOTHOLD_FIXED or abs(z - foothold[2]) < EDGE_JUMP * length:
         foothold[0], foothold[1], foothold[2] = x, y, z

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numba import types
 
+from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.physics.inertia import LinkChange, change_links
 from surefoot.sim.physics.stepper import mujoco_function
@@ -274,7 +275,9 @@ def _sweep(memory, Q, V, A, out):
         out: (N, nv), filled.
     """
     for k in range(len(Q)):
-        memory.qpos[:], memory.qvel[:], memory.qacc[:] = Q[k], V[k], A[k]
+        copy_row(Q[k], memory.qpos)
+        copy_row(V[k], memory.qvel)
+        copy_row(A[k], memory.qacc)
         _take_positions(memory)
         _take_velocities(memory)
         _fill_forces(memory, out[k])
@@ -297,7 +300,9 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
     qpos, qvel, qacc = memory.qpos, memory.qvel, memory.qacc
     here, there = np.empty(len(qvel)), np.empty(len(qvel))
     for k in range(len(Q)):
-        qpos[:], qvel[:], qacc[:] = Q[k], V[k], A[k]
+        copy_row(Q[k], qpos)
+        copy_row(V[k], qvel)
+        copy_row(A[k], qacc)
         _take_positions(memory)
         _take_velocities(memory)
         _fill_forces(memory, here)
@@ -305,21 +310,28 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
         for j in range(len(dof_adr)):
             qacc[dof_adr[j]] += step
             _fill_forces(memory, there)
-            out[2, j, k] = (there - here) / step
-            qacc[:] = A[k]
+            _difference(there, here, step, out[2, j, k])
+            copy_row(A[k], qacc)
         for j in range(len(dof_adr)):
             qvel[dof_adr[j]] += step
             _take_velocities(memory)
             _fill_forces(memory, there)
-            out[1, j, k] = (there - here) / step
-            qvel[:] = V[k]
+            _difference(there, here, step, out[1, j, k])
+            copy_row(V[k], qvel)
         for j in range(len(dof_adr)):
             qpos[qpos_adr[j]] += step
             _take_positions(memory)
             _take_velocities(memory)
             _fill_forces(memory, there)
-            out[0, j, k] = (there - here) / step
-            qpos[:] = Q[k]
+            _difference(there, here, step, out[0, j, k])
+            copy_row(Q[k], qpos)
+
+
+@kernel(nogil=True)
+def _difference(there, here, step, out):
+    """(there - here) / step, all (nv,), into out."""
+    for i in range(len(out)):
+        out[i] = (there[i] - here[i]) / step
 
 
 @kernel(nogil=True)

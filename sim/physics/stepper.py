@@ -16,6 +16,7 @@ from llvmlite import binding
 from numba import types
 from scipy.spatial.transform import Rotation
 
+from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
@@ -278,24 +279,26 @@ def _stepper(body, legs, controller, load, t, target, trace, ticks):
         base = BaseMotion(qpos[:3].copy(), R, qvel[:3].copy(), qvel[3:6].copy())
         base = estimated_base(controller.gait, base, i)
         tick(legs, controller, RobotState(t[i], base, q, dq, load), target[i], torque)
-        body.ctrl[:] = torque
+        copy_row(torque, body.ctrl)
         for _ in range(STEPS_PER_TICK):
             step(body, trace, k)
             k += 1
-        load[:] = trace.force[k - 1]
+        copy_row(trace.force[k - 1], load)
     return -1
 
 
 @kernel(nogil=True)
 def step(body, trace, k):
     """One time step of MuJoCo, recorded as the k-th."""
-    trace.qpos[k], trace.qvel[k] = body.qpos, body.qvel
-    trace.command[k] = body.ctrl
+    copy_row(body.qpos, trace.qpos[k])
+    copy_row(body.qvel, trace.qvel[k])
+    copy_row(body.ctrl, trace.command[k])
     _mj_step(body.model, body.data)
-    trace.tau[k] = body.actuator_force
+    copy_row(body.actuator_force, trace.tau[k])
     for leg in range(4):
         trace.force[k, leg] = body.sensordata[body.touch_adr[leg]]
-    trace.qpos[k + 1], trace.qvel[k + 1] = body.qpos, body.qvel
+    copy_row(body.qpos, trace.qpos[k + 1])
+    copy_row(body.qvel, trace.qvel[k + 1])
 
 
 @kernel(nogil=True)

@@ -349,7 +349,9 @@ def _rotation_steps(R):
                 turn[k, c] += 0.5 * (A[i, b] * B[i, a] - A[i, a] * B[i, b])
         sine = np.sqrt(turn[k, 0] ** 2 + turn[k, 1] ** 2 + turn[k, 2] ** 2)
         if sine > 0.0:
-            turn[k] *= np.arctan2(sine, 0.5 * (trace - 1.0)) / sine
+            longer = np.arctan2(sine, 0.5 * (trace - 1.0)) / sine
+            for c in range(3):
+                turn[k, c] *= longer
     return turn
 
 

@@ -28,8 +28,12 @@ def foot_truth(motion: Motion, robot: Robot, ground: Ground) -> tuple[np.ndarray
 
     A rolling foot does not slip, since its contact point does not move over the ground.
     """
-    bases = BaseMotion(motion.p_GB[1:], motion.R_GB[1:], motion.v_GB[1:], motion.w_B[1:])
-    q, dq = motion.q[1:], motion.dq[1:]
+    # Contiguous, like the arrays of the controller: `leg_forward` is compiled once for both.
+    p, R, v, w, q, dq = (
+        np.ascontiguousarray(x[1:])
+        for x in (motion.p_GB, motion.R_GB, motion.v_GB, motion.w_B, motion.q, motion.dq)
+    )
+    bases = BaseMotion(p, R, v, w)
     slid, rate = np.zeros((2, 0, *robot.legs.foot.shape))
     if motion.give is not None:
         joints, joint_rates, slid, rate = (part[1:] for part in motion.give)
@@ -66,14 +70,19 @@ def _soles(legs, height_map, radius, bases, q, dq, slid, slid_rate):
             own = slice(3 * leg, 3 * leg + 3)
             if len(slid):
                 # A foot's place in B is linear in that on its link.
-                legs.foot[leg] = on_link[leg] + slid[k, leg] + slid_rate[k, leg]
+                for a in range(3):
+                    legs.foot[leg, a] = on_link[leg, a] + slid[k, leg, a] + slid_rate[k, leg, a]
                 leg_forward(legs, leg, q[k], ahead, J, axes)
-                legs.foot[leg] = on_link[leg] + slid[k, leg]
+                for a in range(3):
+                    legs.foot[leg, a] = on_link[leg, a] + slid[k, leg, a]
             leg_forward(legs, leg, q[k], foot, J, axes)
             foot_motion(base, dq[k, own], foot, J, axes, motion)
             if len(slid):
-                ahead -= foot
-                velocity += R[k] @ ahead
+                for a in range(3):
+                    ahead[a] -= foot[a]
+                moved = R[k] @ ahead
+                for a in range(3):
+                    velocity[a] += moved[a]
             up[0], up[1], up[2] = normal(height_map, place[0], place[1])
             # The contact point lies below the centre along the ground's normal, not along gravity.
             sole_motion(velocity, spin, radius[leg], up, sole_v)

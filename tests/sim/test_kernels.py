@@ -1,5 +1,6 @@
 """What a user is told while kernels are compiled, and what a compiled kernel accepts."""
 
+import gc
 import sys
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 from surefoot.sim.common.kernels import (
     COMPILE_TIME,
     QUIET_TIME,
+    RARE_COLLECTION,
     _CompilationNotice,
+    _RareCollection,
     compile_for,
     kernel,
 )
@@ -61,3 +64,18 @@ def test_a_kernel_compiled_for_a_signature_refuses_other_arguments():
     assert total(np.ones(3)) == 3.0
     with pytest.raises(TypeError):
         total(np.ones((3, 2))[:, 0])
+
+
+def test_garbage_is_collected_rarely_while_kernels_are_compiled_and_as_usual_afterwards():
+    usual, listener = gc.get_threshold(), _RareCollection()
+    gc.set_threshold(701, 11, 9)
+    try:
+        for depth in range(2):  # a kernel, and one that it calls
+            listener.on_start(None)  # type: ignore[arg-type]
+            assert gc.get_threshold()[:2] == RARE_COLLECTION[:2], depth
+        listener.on_end(None)  # type: ignore[arg-type]
+        assert gc.get_threshold()[:2] == RARE_COLLECTION[:2]
+        listener.on_end(None)  # type: ignore[arg-type]
+        assert gc.get_threshold()[:2] == (701, 11)
+    finally:
+        gc.set_threshold(*usual)

@@ -1,0 +1,35 @@
+"""Compile the kernels of observers and filters before they are used, while another process works.
+
+On a fresh machine that takes half a minute, and the processes that need the same kernel at the same
+time would each compile it. With a warm cache it takes a second.
+"""
+
+import numpy as np
+
+from surefoot.estimator.core.state import NavState
+from surefoot.estimator.ego_velocity import ego_velocities
+from surefoot.estimator.filter import run_coverage
+from surefoot.estimator.leg import run_leg
+from surefoot.sim.common.gravity import GRAVITY
+
+
+def compile_filters() -> None:
+    """Run every kind of kernel on a few rows, in the order in which the demo needs them."""
+    import torch
+
+    from surefoot.models.observer.gru import GRU
+
+    inputs = torch.ones(2, 1, 3)
+    torch.sum(GRU(3, 4)(inputs)).backward()
+
+    t, still = np.arange(3) * 0.01, np.zeros((3, 3))
+    accel = np.tile([0.0, 0.0, GRAVITY], (3, 1))
+    start, covariance = NavState(), 1e-4 * np.eye(15)
+    bounds = np.full(3, 0.1)
+    # One loop holds the updates of all filters with a velocity.
+    run_coverage(t, still, accel, np.array([1, 2]), still[1:], bounds, 0.8, start, covariance)
+    feet, standing = np.tile(-0.3 * np.eye(3)[2], (3, 1, 1)), np.ones((3, 1), dtype=bool)
+    noise = np.tile(1e-4 * np.eye(3), (3, 1, 1, 1))
+    run_leg(t, still, accel, feet, standing, noise, start, covariance)
+    ahead = np.eye(3)
+    ego_velocities(np.zeros(3, dtype=np.int64), ahead, np.zeros(3), 1, 0.1)

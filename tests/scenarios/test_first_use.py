@@ -1,0 +1,62 @@
+"""What a fresh clone compiles, and that kernels compiled ahead are those that filters use."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMPILED = """
+import collections
+from numba.core import event
+
+class Count(event.Listener):
+    def on_start(self, event):
+        function = event.data["dispatcher"].py_func
+        count[function.__module__ + "." + function.__qualname__] += 1
+
+    def on_end(self, event):
+        pass
+
+count = collections.Counter()
+event.register("numba:compile", Count())
+{work}
+for name, times in count.items():
+    print(times, name)
+"""
+FILTERS = "from surefoot.scenarios.estimate.first_use import compile_filters\ncompile_filters()"
+ESTIMATES = """
+import numpy as np
+from surefoot.estimator.core.state import NavState
+from surefoot.estimator.filter import run_imu, run_velocity
+from surefoot.models.observer.gru import scan
+t, still, start = np.arange(50) * 0.01, np.zeros((50, 3)), (NavState(), np.eye(15))
+run_imu(t, still, still, *start)
+run_velocity(t, still, still, np.arange(1, 9), still[1:9], np.eye(3), *start)
+scan(*(np.zeros(n, np.float32) for n in ((2, 3, 24), (8, 24), 24, (3, 8))))
+"""
+SEVERAL = ("add_cross_columns", "is_outlier", "_rotate", "add_velocity")
+"""Small kernels that are compiled for numbers, or for rows and columns, at a tenth of a second."""
+
+
+def compiled(work: str, cache: Path) -> dict[str, int]:
+    """Names of the functions that are compiled, and how often."""
+    environment = {**os.environ, "SUREFOOT_CACHE": str(cache)}
+    script = COMPILED.format(work=work)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+    )
+    pairs = (line.split(maxsplit=1) for line in done.stdout.splitlines())
+    return {name: int(times) for times, name in pairs}
+
+
+@pytest.mark.slow
+def test_a_fresh_clone_compiles_each_kernel_once_and_no_formatting_of_messages(tmp_path):
+    first = compiled(FILTERS, tmp_path)
+    own = {name: times for name, times in first.items() if name.startswith("surefoot.estimator")}
+    assert "surefoot.estimator.filter._run" in own
+    twice = [name for name, times in own.items() if times > 1 and not name.endswith(SEVERAL)]
+    assert not twice
+    assert not [name for name in first if ".unicode." in name]
+    assert not compiled(ESTIMATES, tmp_path)
