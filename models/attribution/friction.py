@@ -16,7 +16,7 @@ from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.bootstrap import block_bootstrap_counts
-from surefoot.models.residuals.binning import base_motion
+from surefoot.models.residuals.binning import at_rows, base_motion
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.gravity import GRAVITY
@@ -158,7 +158,7 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     def smooth(x: np.ndarray) -> np.ndarray:
         return uniform_filter1d(x, rows, axis=0)
 
-    v_I = leg_velocity(robot, log.q, dq, log.gyro, motion.up_I, stands)
+    v_I = leg_velocity(robot, log.q, dq, at_rows(log.gyro), motion.up_I, stands)
     # A foot at rest reproduces the reference's velocity; the difference is the foot's own.
     v_B = smooth(np.nan_to_num(motion.v_I[:, None] - v_I) @ robot.R_BI.T)
     up_B = motion.up_I @ robot.R_BI.T

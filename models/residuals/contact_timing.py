@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.models.residuals.binning import STANCE_MARGIN, ReferenceMotion
+from surefoot.models.residuals.binning import STANCE_MARGIN, ReferenceMotion, at_rows
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log, joint_velocity
@@ -162,7 +162,7 @@ def speed_over_ground(
     """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
     elsewhere.
     """
-    omega = log.gyro if log.has("imu") else motion.gyro
+    omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     v = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
     return np.sqrt(x * x + y * y + z * z)

@@ -187,7 +187,8 @@ def _add_stances(t, height, rows, stances, give, T, sign, depth, v_G):
 
 @kernel
 def _integrate_stance(t, rows, a, b, z, v_start, give, T, depth, v_G):
-    """Integrate one stance with the simulation's time step.
+    """Integrate one stance with the simulation's time step, whose depths are half a step ahead of
+    its velocities; those of a log, and so these, are not.
 
     Args:
         t: (N,) [s].
@@ -208,6 +209,7 @@ def _integrate_stance(t, rows, a, b, z, v_start, give, T, depth, v_G):
     for k in range(a + 1, b):
         steps = max(1, int(np.ceil((t[k] - t[k - 1]) / TIMESTEP - 0.01)))
         h = (t[k] - t[k - 1]) / steps
+        z -= 0.5 * h * v[2]
         for j in range(steps):
             share = (j + 1.0) / steps
             for axis in range(3):
@@ -217,6 +219,7 @@ def _integrate_stance(t, rows, a, b, z, v_start, give, T, depth, v_G):
             load = rows[k - 1, 3] + share * (rows[k, 3] - rows[k - 1, 3])
             v[2] += h * (i * spring * z - (1.0 - i) / i * give * load)
             z -= h * v[2]
+        z += 0.5 * h * v[2]
         depth[k] = z
         copy_row(v, v_G[k])
 

@@ -7,7 +7,7 @@ accumulates is their mean, and the displacement of the foot over the ground whil
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from surefoot.models.residuals.binning import BIN, ReferenceMotion
+from surefoot.models.residuals.binning import BIN, ReferenceMotion, at_rows
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
@@ -45,7 +45,7 @@ def stance_displacement(log: Log, robot: Robot, motion: ReferenceMotion) -> np.n
     the contact. Contacts are shortened to the time in which the foot does not move, and by the
     delays that the model declares.
     """
-    omega = log.gyro if log.has("imu") else motion.gyro
+    omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     # One more row on either side, for contacts that the model delays by a part of a row.
     around = maximum_filter1d(log.contact, 3, axis=0) & motion.ok[:, None]
     v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, around)

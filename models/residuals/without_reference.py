@@ -11,7 +11,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.models.residuals.binning import ReferenceMotion, reference_motion
+from surefoot.models.residuals.binning import ReferenceMotion, at_rows, reference_motion
 from surefoot.models.residuals.contact_timing import within_windows
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -54,7 +54,7 @@ def with_dead_reckoning(log: Log, robot: Robot) -> Log:
     """
     up = uniform_filter1d(log.accel, max(1, round(LEVELLING_WINDOW * log.rate)), axis=0)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    by_foot = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, up, log.contact)
+    by_foot = leg_velocity(robot, log.q, joint_velocity(log), at_rows(log.gyro), up, log.contact)
     count = log.contact.sum(axis=1)
     v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
     stands = np.flatnonzero(count)

@@ -16,6 +16,7 @@ from surefoot.estimator.metrics import (
     matched,
     path_length,
 )
+from surefoot.models.residuals.binning import at_rows
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
@@ -131,7 +132,7 @@ def dead_reckoned(log: Log, robot: Robot) -> Trajectory:
     integrated. While no foot stands, the last velocity in the IMU's frame is held.
     """
     R_GI, stands = log.ref_R_GI, log.contact
-    omega = log.gyro if log.has("imu") else np.zeros((len(log.t), 3))
+    omega = at_rows(log.gyro) if log.has("imu") else np.zeros((len(log.t), 3))
     v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, R_GI[:, 2], stands)
     supported = np.flatnonzero(stands.any(axis=1))
     mean = np.nansum(v_I[supported], axis=1) / stands[supported].sum(axis=1, keepdims=True)

@@ -100,8 +100,8 @@ def test_feet_that_already_move_are_not_asked_where_contacts_end_late(plain):
     assert (rows & ~plain.motion.standing).sum() < 0.08 * rows.sum()
     assert rows.sum() > 0.9 * plain.motion.standing.sum()
     velocities = layout_for(QUADRUPED).channels["leg_velocity"]
-    worst = [np.nanmax(np.abs(table_of(case, ())[:, velocities])) for case in (plain, late)]
-    assert worst[1] < 1.5 * worst[0]
+    # A foot that lifts is faster by an order of magnitude.
+    assert np.nanmax(np.abs(table_of(late, ())[:, velocities])) < 0.02
 
 
 def test_a_foot_that_bounces_has_landed_once():

@@ -60,7 +60,8 @@ def of_two_streams(floor, late, other, delay):
 @BOTH_WAYS
 def test_of_two_streams_the_late_one_is_named(floor, late, other):
     effects, _ = of_two_streams(floor, late, other, 0.001)
-    assert effects[0].value == pytest.approx(0.001, rel=0.15)
+    # Interpolation draws a delay towards whole rows: here by a tenth of one at most.
+    assert effects[0].value == pytest.approx(0.001, abs=2e-4)
 
 
 @BOTH_WAYS

@@ -14,7 +14,7 @@ from surefoot.scenarios.studies.hardware.creeping_feet import (
     lost_by_turning,
     lost_way_table,
     single_stances_table,
-    stances,
+    stance_travel,
     travel_share,
     turning_of_feet,
     with_share,
@@ -160,8 +160,8 @@ def test_way_lost_by_turning_is_found_where_walks_turn_by_different_amounts():
     assert travel_share([wild]) == pytest.approx(2.0 * travel_share([calm]), rel=0.03)
     size = lost_by_turning([calm, wild])
     assert size == pytest.approx(LOST, rel=0.03)
-    left = stances(with_share(wild, size * turning_of_feet(wild))).lost
-    assert abs(left.sum()) < 0.05 * stances(wild).lost.sum()
+    left = stance_travel(with_share(wild, size * turning_of_feet(wild))).lost
+    assert abs(left.sum()) < 0.05 * stance_travel(wild).lost.sum()
     (row,) = lost_way_table([calm]).to_dict("records")
     assert row["lost for each radian [mm]"] == f"{1e3 * lost_by_turning([calm]):.0f}"
     assert float(row["lost at each stance of FL, RR [mm]"]) == pytest.approx(12.0, abs=1.0)

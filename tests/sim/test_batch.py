@@ -9,7 +9,7 @@ from mujoco import rollout
 
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import Log
-from surefoot.sim.physics.stepper import rotation
+from surefoot.sim.physics.stepper import at_time_of_rates, rotation
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import Fallen, plan, simulate, walk
@@ -90,7 +90,9 @@ def test_the_recorded_torques_replay_to_the_same_states_in_the_bare_engine():
     first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     states, _ = rollout.rollout(model, data, first[None], motion.tau[None])
-    qpos = np.asarray(states)[0, :, 1 : 1 + model.nq]
+    qpos, qvel = np.split(np.asarray(states)[0, :, 1 : 1 + model.nq + model.nv], [model.nq], axis=1)
+    assert np.array_equal(qvel[:, :3], motion.v_GB[1:])
+    qpos = at_time_of_rates(qpos, qvel)
     assert np.array_equal(qpos[:, :3], motion.p_GB[1:])
     assert np.array_equal(qpos[:, made.world.qpos_adr], motion.q[1:])
 

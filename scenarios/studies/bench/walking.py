@@ -32,7 +32,7 @@ class Replay:
     models: list[mujoco.MjModel]
     first: np.ndarray  # (walks, nstate)
     controls: np.ndarray  # (walks, steps, 12) N m
-    last: np.ndarray  # (walks, 3) m, where the base was in the end
+    last: np.ndarray  # (walks, 3) m/s, velocity of the base in the end
 
     @classmethod
     def of(cls, walks: Sequence[tuple[Plan, Motion]]) -> "Replay":
@@ -47,7 +47,7 @@ class Replay:
             models,
             first,
             np.stack([m.tau for m in motions]),
-            np.stack([m.p_GB[-1] for m in motions]),
+            np.stack([m.v_GB[-1] for m in motions]),
         )
 
     def run(self, threads: int = 1) -> None:
@@ -58,7 +58,8 @@ class Replay:
         datas = [mujoco.MjData(self.models[0]) for _ in range(threads)]
         with Rollout(nthread=threads if threads > 1 else 0) as pool:
             states, _ = pool.rollout(self.models, datas, self.first, self.controls)
-        if not np.array_equal(np.asarray(states)[:, -1, 1:4], self.last):
+        first = 1 + self.models[0].nq  # after time and positions
+        if not np.array_equal(np.asarray(states)[:, -1, first : first + 3], self.last):
             raise RuntimeError("the replay differs from the walk: the two do not do the same work")
 
 

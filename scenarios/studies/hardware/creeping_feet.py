@@ -31,7 +31,7 @@ _LAGS = np.arange(-0.15, 0.15, 0.002)
 
 
 @dataclass(frozen=True)
-class Stances:
+class StanceTravel:
     """Displacements while the same feet stand, one row for each stance.
 
     The rows at which feet are exchanged belong to no stance: a filter crosses them by its IMU.
@@ -56,8 +56,8 @@ class Stances:
         return gone - np.sum(self.body * ahead, axis=1)
 
 
-def stances(log: Log) -> Stances:
-    """Stances of a log with positions of the feet and a reference."""
+def stance_travel(log: Log) -> StanceTravel:
+    """StanceTravel of a log with positions of the feet and a reference."""
     feet_G = np.einsum("nij,nkj->nki", log.ref_R_GI, log.foot_I)[..., :2]
     p_GI = log.ref_p[:, :2]
     rows = [
@@ -65,7 +65,7 @@ def stances(log: Log) -> Stances:
         for a, b, stand in _stance_rows(log)
     ]
     start, feet, legs, body = (np.array(column) for column in zip(*rows, strict=True))
-    return Stances(start, feet, legs, body)
+    return StanceTravel(start, feet, legs, body)
 
 
 def turning_of_feet(log: Log) -> float:
@@ -112,7 +112,7 @@ def lost_way_table(logs: Sequence[Log]) -> pd.DataFrame:
     """
     rows = []
     for log in logs:
-        gone = np.linalg.norm(stances(log).legs[1:-1], axis=1)
+        gone = np.linalg.norm(stance_travel(log).legs[1:-1], axis=1)
         row = {
             "walk": log.name,
             "legs go at each stance [mm]": f"{1e3 * gone.mean():.0f}",
@@ -208,7 +208,7 @@ def _by_feet(log: Log) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Each group of feet that stand together, with way lost [m] and angle turned [rad] in each of
     its stances; without the first and last of a walk, in which it starts and rests.
     """
-    found, turned = stances(log), _turned(log)
+    found, turned = stance_travel(log), _turned(log)
     inner = np.zeros(len(turned), dtype=bool)
     inner[1:-1] = True
     for group in np.unique(found.feet[inner], axis=0)[::-1]:
@@ -249,7 +249,7 @@ def _displacements(log: Log) -> tuple[np.ndarray, np.ndarray]:
     """Horizontal displacements (K, 2) [m] of the stances that begin in the same DISPLACED_OVER
     seconds, by standing legs and by the reference.
     """
-    found = stances(log)
+    found = stance_travel(log)
     window = ((found.start - found.start[0]) / DISPLACED_OVER).astype(int)
     sums = np.zeros((2, window[-1] + 1, 2))
     np.add.at(sums[0], window, found.legs)
