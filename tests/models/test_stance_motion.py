@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import correlated_entries
-from surefoot.models.residuals.binning import BIN, reference_motion
+from surefoot.models.residuals.binning import BIN, at_rows, reference_motion
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.stance_motion import (
     FEWEST_STANCE_BINS,
@@ -49,7 +49,8 @@ def test_feet_that_roll_move_over_the_ground_of_a_model_that_lacks_it(log):
     """Against a sum over the rows of every stance, in each row's own heading."""
     frame = reference_motion(log, ROBOT.limbs)
     points = replace(ROBOT, foot_radius=np.zeros(4))
-    v = leg_velocity(points, log.q, log.dq, log.gyro, frame.up_I, log.contact) - frame.v_I[:, None]
+    omega = at_rows(log.gyro)
+    v = leg_velocity(points, log.q, log.dq, omega, frame.up_I, log.contact) - frame.v_I[:, None]
     found = stance_displacement(log, points, frame)
     rolling = stance_displacement(log, ROBOT, frame)
     for leg in range(4):
@@ -78,7 +79,8 @@ def test_contacts_known_to_end_late_are_that_much_shorter(log):
     points = replace(ROBOT, foot_radius=np.zeros(4))
     before = stance_displacement(log, points, frame)
     after = stance_displacement(log, replace(points, extras=late), frame)
-    v = leg_velocity(points, log.q, log.dq, log.gyro, frame.up_I, log.contact) - frame.v_I[:, None]
+    omega = at_rows(log.gyro)
+    v = leg_velocity(points, log.q, log.dq, omega, frame.up_I, log.contact) - frame.v_I[:, None]
     first, end = stances(log.contact[:, 0])
     steps = end[(end - first >= 60) & (first > 0) & (end < len(log.t))]
     use = np.isfinite(before[:, 0])
