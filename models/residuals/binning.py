@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.sim.common.low_pass import low_pass
+from surefoot.sim.common.low_pass import low_pass, without_low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
@@ -199,8 +199,9 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     gyro = accel = np.full((n, 3), np.nan)
     omega = motion.gyro
     if log.has("imu") and isinstance(robot, Robot):
-        omega = log.gyro
         slow = robot.extras.imu_lowpass
+        # Over a bin, the noise that this adds averages out.
+        omega = without_low_pass(log.gyro, slow, log.rate)
         gyro = np.where(
             motion.moved[:, None], log.gyro - low_pass(motion.gyro, slow, log.rate), gyro
         )
@@ -234,7 +235,11 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
         gyro=_where_most(gyro, motion),
         accel=_where_most(accel, motion),
         omega=log.cached(
-            "binned omega", log.columns_of("imu"), lambda: mean(at_rows(omega)), motion
+            "binned omega",
+            log.columns_of("imu"),
+            lambda: mean(at_rows(omega)),
+            motion,
+            robot.extras.imu_lowpass if isinstance(robot, Robot) else None,
         ),
         base=log.cached("binned base", of_base, base, motion, *mounted),
         **motion.means,

@@ -40,7 +40,7 @@ CHANNELS_OF_FIELD = {
     "touchdown_late": ("contact_timing",),
     "liftoff_late": ON_CONTACTS,
     "softness": (*ON_LEGS, *ON_TORQUES),
-    "imu_lowpass": ("imu_gyro", "imu_accel"),
+    "imu_lowpass": ("imu_gyro", "imu_accel", *ON_LEGS),
     "command_late": ("command",),
 }
 """Field of a robot, or of its declared extras, -> channels that it may change."""

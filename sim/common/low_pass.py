@@ -26,3 +26,11 @@ def low_pass_from(
     return lfilter(
         [1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * x[:1] if state is None else state
     )
+
+
+def without_low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
+    """The readings before `low_pass` made x (N, K) of them. Noise that came after it grows."""
+    if not time > 0.0:
+        return x
+    keep = np.exp(-1.0 / (time * rate))
+    return np.concatenate([x[:1], (x[1:] - keep * x[:-1]) / (1.0 - keep)])

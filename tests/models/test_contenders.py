@@ -70,6 +70,16 @@ def test_the_other_stream_is_no_rival_where_it_leaves_more(floor, late, other):
     assert worse == ((other, "all"),)
 
 
+@pytest.mark.parametrize("time", [0.001, 0.004])
+def test_a_filtered_imu_is_no_late_one(floor, time):
+    """Filtered rates are late in the legs' velocities too, which know of the filter."""
+    data = data_of(case_with(effect("imu_lowpass", "all", time)), floor)
+    filtered, late = candidate("imu_lowpass", "all", time), candidate("imu_delay", "all", time)
+    best, effects, _ = rerank(data, [late, filtered])
+    assert best is filtered
+    assert effects[0].value == pytest.approx(time, rel=0.15)
+
+
 def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floor):
     data = data_of(case_with(), floor)
     weight, command = interpolation_weights(data), data.evidence.layout.of("command")

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.low_pass import low_pass
+from surefoot.sim.common.low_pass import low_pass, without_low_pass
 from surefoot.sim.sensors.streams import Sensors, Streams, add_sensor_errors, sensed_contact
 
 WEIGHT = 300.0  # N
@@ -73,6 +73,12 @@ def test_low_pass_has_the_gain_of_its_bandwidth(frequency):
     wave = low_pass(np.sin(2 * np.pi * frequency * t)[:, None], time, rate)
     gain = np.sqrt(2) * wave[len(t) // 2 :].std()
     assert gain == pytest.approx(1 / np.hypot(1.0, frequency / 20.0), rel=0.01)
+
+
+@pytest.mark.parametrize("time", [0.0, 0.002, 0.02])
+def test_readings_before_a_low_pass_are_had_back(time):
+    x = np.random.default_rng(0).normal(size=(200, 3))
+    assert_allclose(without_low_pass(low_pass(x, time, RATE), time, RATE), x, atol=1e-9)
 
 
 def test_low_pass_starts_at_rest():
