@@ -37,7 +37,8 @@ class AngleError:
     Attributes:
         joint: name of the joint.
         channel: channel in which the error shows most.
-        share: what the curve explains on unseen blocks, relative to the effects found at the joint.
+        share: what the curve explains on unseen blocks, of what it and the effects found at the
+            joint explain.
     """
 
     joint: str
@@ -48,7 +49,9 @@ class AngleError:
 def angle_errors(
     cases: Sequence[LogUnderModel], result: Attribution, split: Split, rng: np.random.Generator
 ) -> tuple[AngleError, ...]:
-    """Joints with an effect whose unseen blocks are explained better by a curve of the angle."""
+    """Joints with an effect whose unseen blocks are explained better by a curve of the angle; the
+    curve that explains most comes first.
+    """
     s, found = cases[0].settings, [f.effect for f in result.found]
     limbs = result.evidence.layout.limbs
     kind = {joint: limbs.kind(i) for i, joint in enumerate(limbs.joints)}
@@ -87,8 +90,8 @@ def angle_errors(
                 own = own.rows(own.part == SELECT)
                 by_channel[channel] = float(np.sum(loss(own, plain) - loss(own, bent[joint])))
             channel = max(by_channel, key=lambda name: by_channel[name])
-            out.append(AngleError(joint, channel, gain / max(explained, 1e-300)))
-    return tuple(sorted(out, key=lambda one: -one.share))
+            out.append((gain, AngleError(joint, channel, gain / (gain + max(explained, 0.0)))))
+    return tuple(one for _, one in sorted(out, key=lambda pair: -pair[0]))
 
 
 def _curves_of(evidence: Evidence, joint: str) -> list[tuple[str, str]]:

@@ -140,6 +140,9 @@ def _is_a_frame(inertial: ElementTree.Element) -> bool:
 def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     """The MjSpec of a URDF with a floating root, and what was mended of its inertias."""
     robot, changes = ElementTree.parse(file).getroot(), []
+    for mass in robot.findall("link/inertial/mass"):
+        if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide
+            raise ValueError(f"a mass is below zero, {mass.get('value')}")
     uneven = [
         link.get("name", "")
         for link in robot.findall("link")
