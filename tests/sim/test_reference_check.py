@@ -6,6 +6,7 @@ import pytest
 from motions import attitude, motion, position
 from scipy.spatial.transform import Rotation
 
+import surefoot.sim.importing.reference_noise as reference_noise_module
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -51,6 +52,22 @@ def test_frames_that_were_miscounted_are_found():
     # Steps of four frames and more, taken for one less, are no longer told from speed.
     assert 0.1 < found.doubtful < 0.25
     assert found.jumps == 0
+
+
+def test_the_search_for_the_noise_of_a_reference_without_any_ends(monkeypatch):
+    """Its likelihood has no maximum: it grows as the sizes tend to zero."""
+    calls, filtered = [], reference_noise_module._filtered
+
+    def counted(*arguments):
+        calls.append(arguments)
+        return filtered(*arguments)
+
+    monkeypatch.setattr(reference_noise_module, "_filtered", counted)
+    walk = motion(8.0, 400.0)
+    found = reference_noise(walk.t, walk.gyro, walk.accel, poses(walk.t[5:-5:5]))
+    assert found is not None
+    assert found.position < 1e-4
+    assert len(calls) < 300
 
 
 @pytest.mark.parametrize(("stamped", "covered"), [(1, 2), (2, 1), (2, 3), (3, 2)])
