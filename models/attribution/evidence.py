@@ -253,7 +253,8 @@ def table_of(
 
     Without `evaluation_channels`, the channels that are only evaluated and never fitted are NaN.
     """
-    return _parts(case, chosen, evaluation_channels)[2].table * _reading_scale(case, chosen)
+    parts = _parts(case, chosen, evaluation_channels)[2]
+    return _table(case, chosen, parts) * _reading_scale(case, chosen)
 
 
 def _reading_scale(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
@@ -288,6 +289,18 @@ def _parts(
     return log, robot, residual(log, robot, motion, names), motion
 
 
+def _table(case: LogUnderModel, chosen: Sequence[Effect], parts: ResidualTable) -> np.ndarray:
+    """The table (M, W) of `parts`, each channel without the effects that are unseen by it."""
+    unseen = {name for one in chosen for name in one.unseen_by}
+    table, motion = parts.table.copy(), parts.inputs.motion
+    for name in unseen.intersection(parts.names):
+        seen = [one for one in chosen if name not in one.unseen_by]
+        log, robot = compensate_all(seen, case.log, case.robot)
+        columns = parts.layout.of(name)
+        table[:, columns] = residual(log, robot, motion, [name]).table[:, columns]
+    return table
+
+
 class _Linear:
     """Residual of one log with the chosen effects compensated, and its derivatives."""
 
@@ -298,6 +311,7 @@ class _Linear:
         self.log, self.robot, self.parts, self.motion = _parts(case, chosen, evaluation_channels)
         self.joints = self.log.joints
         self.reading_scale = _reading_scale(case, chosen)
+        self.table = _table(case, chosen, self.parts) * self.reading_scale
         self.contacts_differ = self.motion is not case.motion and any(
             name.startswith("contact_") for name in changed_columns(case.log, self.log)
         )
@@ -306,11 +320,6 @@ class _Linear:
     @cached_property
     def jacobians(self) -> ResidualJacobians:
         return residual_jacobians(self.parts, self.robot)
-
-    @property
-    def table(self) -> np.ndarray:
-        """The residual table (M, W)."""
-        return self.parts.table * self.reading_scale
 
     def regressor(self, key: Key) -> Regressor:
         """Derivative of the residual table with respect to the size of `key`."""
@@ -345,7 +354,7 @@ class _Linear:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(key, log, robot, step)
-        one = self._to_reading_scale(self._events_only(key, sparse(change, self.parts.table)))
+        one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
     def _to_reading_scale(self, one: Regressor) -> Regressor:
@@ -390,17 +399,19 @@ class _Linear:
             table_of(self.case, _with_size_step(self.chosen, key, s), evaluation_channels=False)
             for s in (step, -step)
         )
-        return self._events_only(key, sparse((behind - ahead) / (2 * step), self.parts.table))
+        return self._where_it_shows(key, sparse((behind - ahead) / (2 * step), self.parts.table))
 
-    def _events_only(self, key: Key, one: Regressor) -> Regressor:
-        """Restrict the regressor of an effect that shows only in the times of events.
+    def _where_it_shows(self, key: Key, one: Regressor) -> Regressor:
+        """Restrict the regressor of an effect to channels in which it shows.
 
-        Removes the changes of other channels, which come from stances with more or fewer samples,
-        and events that were lost or matched to a neighbour.
+        Of one that shows only in the times of events, this removes the changes of other channels,
+        which come from stances with more or fewer samples, and events that were lost or matched to
+        a neighbour.
         """
         names = _event_channels(key)
         if not names:
-            return one
+            seen = ~np.isin(one.columns, self.parts.layout.of(*known_effects()[key[0]].unseen_by))
+            return Regressor(one.columns[seen], one.values[:, seen])
         own = np.isin(one.columns, self.parts.layout.of(*names))
         values, step = one.values[:, own], known_effects()[key[0]].step_of(key[1])
         return Regressor(

@@ -71,6 +71,12 @@ class Effect:
     effects must be compensated before.
     """
 
+    unseen_by: ClassVar[tuple[str, ...]] = ()
+    """Residual channels that take the readings as they are without `compensate`: it turns the
+    encoders' readings into angles by which the feet are where they are, but these channels are of
+    motors or links, which are where the encoders say.
+    """
+
     def __post_init__(self):
         if isinstance(self.targets, tuple) and self.target not in self.targets:
             raise SurefootError(self._unknown(self.target, self.targets))

@@ -49,6 +49,7 @@ class LegCompliance(Effect):
     step = 2e-5
     chain_rule = "readings"
     uses_loads = True
+    unseen_by = ("joint_rate", "command")
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
@@ -77,12 +78,13 @@ class FootElasticity(Effect):
     name = "foot_elasticity"
     unit = "m/N"
     bounds = (0.0, 1e-4)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
+    channels = ("leg_velocity", "foot_height")
     targets = ("normal", "tangential")
     needs = ("q", "contact")
     step = 1e-6
     chain_rule = "readings"
     uses_loads = True
+    unseen_by = ("joint_torque", "base_wrench", "joint_rate", "command")
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for leg in range(len(robot.limbs.legs)):
