@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
+from surefoot.models.residuals.binning import reference_motion
 from surefoot.models.residuals.contact_timing import (
     STANDING_SPEED,
     USUAL_DELAY,
@@ -14,10 +16,12 @@ from surefoot.models.residuals.contact_timing import (
     motion_changes,
 )
 from surefoot.models.residuals.layout import layout_for
+from surefoot.models.residuals.registry import CHANNELS
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import JOINTS, LEGS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
@@ -59,6 +63,53 @@ def test_moments_are_those_at_which_a_foot_stops_and_starts():
         motion_changes(t, stands, 0.5 * STANDING_SPEED + 0 * t, changes, 40, 25)[1]
     ).all()
     assert np.isnan(motion_changes(t, stands, np.full(400, np.nan), changes, 40, 25)[1]).all()
+
+
+def timing_of_two_steps(before: float) -> np.ndarray:
+    """Timing of a robot at rest whose FL foot starts to move at 0.123 and 0.563 s and stops at
+    0.317 and 0.757 s; its contact ends `before` [s] it starts and begins as it stops."""
+    log = synthetic_walk(0, 1.0, robot="spot_class")
+    robot = replace(ROBOT, foot_radius=np.zeros(4))
+    speed, stands = np.zeros(len(log.t)), np.ones(len(log.t), dtype=bool)
+    for start, stop in ((0.123, 0.317), (0.563, 0.757)):
+        ramp = STANDING_SPEED + 20.0 * np.minimum(log.t - start, stop - log.t)
+        speed += np.clip(ramp, 0.0, 1.0)
+        stands &= (log.t < start - before) | (log.t > stop)
+    thigh, q = JOINTS.index("FL_thigh"), np.tile(robot.q_home, (len(log.t), 1))
+    dq = np.outer(speed, np.eye(12)[thigh])
+    dq /= np.linalg.norm(robot.feet_jacobian_I(q[:1])[0, 0], axis=0)[1]
+    columns = {f"q_{joint}": q[:, i] for i, joint in enumerate(JOINTS)}
+    columns |= {f"dq_{joint}": dq[:, i] for i, joint in enumerate(JOINTS)}
+    columns |= {f"contact_{leg}": np.where(leg == "FL", stands, 1.0) for leg in LEGS}
+    still = {"ref_q_w": 1.0, "ref_q_x": 0.0, "ref_q_y": 0.0, "ref_q_z": 0.0}
+    still |= {f"{what}_{axis}": 0.0 for what in ("gyro", "ref_p", "ref_v") for axis in "xyz"}
+    columns |= {name: np.full(len(log.t), value) for name, value in still.items()}
+    log = with_columns(log, columns)
+    return contact_timing(log, robot, reference_motion(log, robot.limbs))
+
+
+def test_a_step_shows_in_the_bins_in_which_its_foot_starts_and_stops():
+    late = timing_of_two_steps(0.018)
+    rows, columns = np.nonzero(np.isfinite(late))
+    assert list(zip(rows, columns, strict=True)) == [(6, 4), (15, 0), (28, 4), (37, 0)]
+    sooner = timing_of_two_steps(0.026)[rows, columns]
+    assert_allclose(late[rows, columns] - sooner, [0.008, 0.0, 0.008, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("before", [0.006, 0.024])
+def test_a_foot_that_lifts_as_that_of_some_robot_is_usual_within_two_spreads(before):
+    late = timing_of_two_steps(before)[[6, 28], 4]
+    assert np.abs(late).max() < 2.0 * CHANNELS["contact_timing"].level_spread["liftoff"] + 1e-9
+
+
+@pytest.mark.parametrize("name", ["go1", "v60_class"])
+def test_robots_whose_feet_move_soon_and_late_lift_as_usual_within_two_spreads(name):
+    """From the end of a contact until the foot moves, go1 takes 7 ms and the V60 class 24 ms."""
+    robot = Robot.load(name)
+    log = walk(Scenario("timing", COURSE, Ground(0.8)), robot, 4)
+    lifts = contact_timing(log, robot, reference_motion(log, robot.limbs))[:, 4:]
+    assert np.isfinite(lifts).sum() > 60
+    assert abs(np.nanmean(lifts)) < 2.0 * CHANNELS["contact_timing"].level_spread["liftoff"]
 
 
 def test_each_change_is_in_the_bin_in_which_the_foot_stopped_or_started(plain):

@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.models.residuals.binning import binned
+from surefoot.models.residuals.binning import binned, reference_motion
 from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share
 from surefoot.models.residuals.layout import layout_for
@@ -27,9 +28,10 @@ from surefoot.models.residuals.torques import (
 )
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
+from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import SOLIMP
-from surefoot.sim.log import Log
+from surefoot.sim.log import JOINTS, LEGS, Log
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -157,6 +159,30 @@ def test_a_foots_load_is_read_from_its_legs_torques(on_soft_ground):
     assert abs(np.mean((of_torques - true)[inside])) < 0.01 * weight
     assert_allclose(shared.sum(axis=1)[log.contact.any(axis=1)], weight, rtol=1e-2)
     assert abs(np.mean((shared - true)[inside])) < 0.05 * weight
+
+
+def test_legs_that_weigh_nothing_carry_what_their_torques_say(monkeypatch):
+    """As they swing on: a torque is of the middle of the step before its row, angles are of the
+    row."""
+    robot, log = Robot.load("spot_class"), synthetic_walk(0, 1.0, robot="spot_class")
+    load = np.random.default_rng(9).uniform(100.0, 300.0, (len(log.t), 4))
+    load[100:200, 1] = 0.0
+    middle = log.q.copy()
+    middle[1:] = 0.5 * (log.q[1:] + log.q[:-1])
+    up = robot.feet_jacobian_I(middle)[:, :, 2]  # I lies as B does, and upright
+    columns = {f"contact_{leg}": (load[:, i] > 0.0).astype(float) for i, leg in enumerate(LEGS)}
+    for leg, joints in enumerate(robot.legs.joints):
+        for joint, along in zip(joints, up[:, leg].T, strict=True):
+            columns[f"tau_{JOINTS[joint]}"] = -load[:, leg] * along
+    log = with_columns(log, columns)
+    motion = reference_motion(log, robot.limbs)
+    bins = binned(log, robot, motion)
+    weightless = InverseDynamics(np.zeros((len(bins.t), 6)), np.zeros_like(bins.tau))
+    monkeypatch.setattr(
+        "surefoot.models.residuals.foot_loads.inverse_dynamics", lambda *_, **__: weightless
+    )
+    found = foot_loads(log, robot, motion, bins, dynamics_inputs(bins, robot))
+    assert_allclose(found, load, atol=1e-9)
 
 
 @pytest.mark.parametrize("torques", [True, False])

@@ -118,9 +118,11 @@ def test_a_leg_turned_about_its_hips_axis_is_an_error_of_the_hips_encoder():
     ],
 )
 def test_what_a_file_of_effects_may_say_of_a_link(name, target, least, most):
-    """A bound is part of the file's format: what was written at it must stay readable."""
+    """A bound is part of the file's format: what was written at it must stay of use."""
     for value in (least, most):
-        assert effect(name, target, value).value == value
+        one = effect(name, target, value)
+        assert one.value == value
+        assert len(one.compensate(LOG, SPOT)[1].extras.links) == 1
     for value in (least - 0.01, most + 0.01):
         with pytest.raises(SurefootError, match=name):
             effect(name, target, value)
