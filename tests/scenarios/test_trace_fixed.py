@@ -88,15 +88,24 @@ def test_a_few_seconds_of_one_drive_are_enough():
 
 
 def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
-    """The dry friction of a large gear, beyond what drives of legs have."""
+    """A brake that was left on."""
     log = swung(dry=0.0)
-    rubbing = log.tau[:, 0] + 15.0 * np.tanh(log.dq[:, 0] / 0.05)
+    rubbing = log.tau[:, 0] + 150.0 * np.tanh(log.dq[:, 0] / 0.03)
     found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
     assert found.verdict == "none_of_these"
     assert "coulomb_friction" not in {one.name for one in found.effects}
     (told,) = (line for line in summary(found).splitlines() if "coulomb_friction" in line)
-    assert "shoulder of +15 N m would explain 100 % of the remaining residual" in told
-    assert told.endswith("its bounds are 0 and 10")
+    assert "shoulder of +150 N m would explain 100 % of the remaining residual" in told
+    assert told.endswith("its bounds are 0 and 100")
+
+
+def test_the_dry_friction_of_a_large_gear_is_named():
+    """Far beyond what drives of legs have."""
+    log = swung(dry=0.0)
+    rubbing = log.tau[:, 0] + 15.0 * np.tanh(log.dq[:, 0] / 0.03)
+    found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
+    (one,) = (one for one in found.effects if one.name == "coulomb_friction")
+    assert one.value == pytest.approx(15.0, rel=0.02)
 
 
 def test_what_a_slide_lacks_is_in_metres_and_newtons(tmp_path):
