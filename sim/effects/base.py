@@ -72,9 +72,9 @@ class Effect:
     """
 
     unseen_by: ClassVar[tuple[str, ...]] = ()
-    """Residual channels that take the readings as they are without `compensate`: it turns the
-    encoders' readings into angles by which the feet are where they are, but these channels are of
-    motors or links, which are where the encoders say.
+    """Residual channels that take the readings without `compensate`. For a spring it turns the
+    encoders' angles into those by which the feet are where they are; motors, and also links where
+    only the feet yield, stay where the encoders say.
     """
 
     def __post_init__(self):

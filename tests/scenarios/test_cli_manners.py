@@ -121,6 +121,25 @@ def test_an_empty_number_of_threads_is_as_if_it_were_not_set(name):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize(("given", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_numpy_has_one_thread_unless_the_user_says_otherwise(given, used):
+    script = (
+        "import os, sys; from surefoot.scenarios.cli.start import entry_point\n"
+        "sys.argv = ['surefoot', '--version']\n"
+        "try: entry_point()\n"
+        "finally: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    without = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    run = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env=without | given,
+        check=False,
+    )
+    assert (run.returncode, run.stdout.split()[-1]) == (0, used)
+
+
 @pytest.mark.parametrize("name", ["MUJOCO_GL", "MPLBACKEND", "SOURCE_DATE_EPOCH"])
 def test_nonsense_in_a_variable_that_libraries_read_is_one_line(name):
     done = version_with(name, "banana")
