@@ -48,7 +48,7 @@ def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
     steep = np.empty(3)
     determinant = _inverse(C, information)
     _windows(C, information, low, high, mode, distance, centre, half, steep, free)
-    frees = free[0] + free[1] + free[2]
+    frees = int(free[0]) + int(free[1]) + int(free[2])
     if frees == 3:
         mean[:] = 0.0
         copy_corner(C, cov)

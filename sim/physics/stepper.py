@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from llvmlite import binding
 from numba import types
+from numba.core import config
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.copies import copy_row
@@ -34,6 +35,7 @@ from surefoot.sim.sensors.streams import Motion, SpringDeflection
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
 UPRIGHT = 0.5  # cosine of the tilt from which a robot has fallen
 TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
+_C_TYPES = {types.intc: ctypes.c_int, types.uintp: ctypes.c_void_p}
 
 
 class Fallen(SurefootError):
@@ -59,8 +61,18 @@ def mujoco_library() -> ctypes.CDLL:
 
 
 def mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
-    """A function of MuJoCo's library on a model and its data, callable from compiled code."""
-    binding.add_symbol(name, ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value)
+    """A function of MuJoCo's library on a model and its data, callable from kernels.
+
+    Args:
+        name: of the function, which returns nothing.
+        arguments: types of those that follow the addresses of model and data.
+    """
+    function = getattr(mujoco_library(), name)
+    if config.DISABLE_JIT:
+        sizes = (ctypes.c_void_p, ctypes.c_void_p, *(_C_TYPES[one] for one in arguments))
+        function.argtypes, function.restype = sizes, None
+        return function
+    binding.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
     # Compiled code refers to the function by its name, so that it can be cached.
     return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))
 

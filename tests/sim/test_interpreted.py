@@ -1,0 +1,35 @@
+"""Without numba's compiler (NUMBA_DISABLE_JIT, for debuggers and coverage) kernels do the same."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walk import walk
+
+SCENARIO = """
+name = "short"
+robot = "spot_class"
+stand = 0.1
+segment = [{duration = 0.3, forward = 0.3}]
+"""
+
+
+def test_an_interpreted_walk_is_the_compiled_one(tmp_path):
+    file = tmp_path / "short.toml"
+    file.write_text(SCENARIO)
+    subprocess.run(
+        [sys.executable, "-m", "surefoot", "simulate", file, "-o", tmp_path],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        check=True,
+    )
+    interpreted = Log.read(tmp_path / "short_0.parquet")
+    compiled = walk(Scenario.load(file), Robot.load("spot_class"), 0)
+    # Compiled code contracts products and sums: the last digits differ, and steps amplify that.
+    for name, values in compiled.columns.items():
+        np.testing.assert_allclose(interpreted.columns[name], values, atol=1e-4, err_msg=name)
+    assert np.ptp(compiled.columns["ref_p_x"]) > 0.02
