@@ -63,10 +63,13 @@ class ChannelLevel:
     def worse(self) -> bool:
         """Whether compensation increases the residual on unseen data.
 
-        The increase must exceed both the scatter between walks simulated with these effects and
-        their noise floor.
+        On the same bins, either to `refuted_ratio` of what it was and above all walks of the noise
+        floor, or, where chance is not the reason, by more than walks simulated with these effects
+        scatter and above their floor.
         """
         before, after = self.same_bins or (self.before, self.after)
+        if after > max(self.settings.refuted_ratio * before, self.highest):
+            return True
         if self.by_chance or after <= self.settings.worse_ratio * before:
             return False
         if self.noise_floor is None:

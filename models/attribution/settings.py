@@ -175,6 +175,10 @@ class TraceSettings:
     """Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
     worse_ratio: float = 1.02
     """Ratio of after to before from which a channel is worse."""
+    refuted_ratio: float = 1.1
+    """Ratio of after to before from which a channel above all walks of its floor is worse, however
+    much these scatter.
+    """
     far_ratio: float = 3.0
     """Ratio to the floor from which the remaining residual of a channel makes all sizes
     uncertain.

@@ -13,7 +13,7 @@ from surefoot.models.attribution.levels import ChannelLevel, _by_chance, scatter
     [
         (1.0, 0.9, False),
         (1.0, 1.01, False),  # hardly more
-        (1.0, 1.15, False),  # less than the floor's walks differ by
+        (1.15, 1.21, False),  # less than the floor's walks differ by
         (1.0, 1.3, True),
         (0.5, 0.95, False),  # below what the declared model leaves
         (0.5, 1.3, True),
@@ -21,6 +21,15 @@ from surefoot.models.attribution.levels import ChannelLevel, _by_chance, scatter
 )
 def test_harm_is_more_than_the_floors_walks_differ_by(before, after, worse):
     assert ChannelLevel(before, after, 1.0, "m", 1.2).worse == worse
+
+
+def test_a_tenth_more_above_all_walks_is_harm_however_much_these_scatter():
+    level = ChannelLevel(1.0, 1.12, 0.5, "m", 1.11)
+    assert level.worse
+    assert replace(level, by_chance=True).worse
+    assert not replace(level, highest=1.13).worse
+    assert not replace(level, after=1.09, highest=1.05).worse
+    assert not replace(level, same_bins=(1.0, 1.05)).worse
 
 
 def test_other_bins_are_no_harm():
