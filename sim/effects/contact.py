@@ -64,7 +64,7 @@ class CoulombFriction(Effect):
             joint.frictionloss += self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / STICTION_RATE)), robot
+        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / _stiction(rate))), robot
 
 
 class Armature(Effect):
@@ -139,6 +139,27 @@ class SoftGround(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         known = replace(robot.extras, softness=robot.extras.softness + self.value)
         return log, replace(robot, extras=known)
+
+
+NOISE_WIDTH = 3.0
+"""Rate below which dry friction is smoothed, as a multiple of the noise of the rate."""
+SLOW_SHARE = 0.01
+"""The same as a share of the rate's RMS, for rates without noise: presliding of gears and guides,
+and the soft friction of simulators, have a width of their own.
+"""
+
+
+def _stiction(rate: np.ndarray) -> float:
+    """Rate below which dry friction is smoothed, in the unit of a joint's rate (N,).
+
+    As narrow as the noise of the rate allows, at most STICTION_RATE. The second difference has six
+    times the variance of the noise and little of the motion.
+    """
+    if len(rate) < 3:
+        return STICTION_RATE
+    noise = float(np.std(np.diff(rate, n=2))) / np.sqrt(6.0)
+    least = SLOW_SHARE * float(np.sqrt(np.mean(rate**2)))
+    return min(STICTION_RATE, max(NOISE_WIDTH * noise, least, 1e-9))
 
 
 def _rate(log: Log, joint: str) -> np.ndarray:
