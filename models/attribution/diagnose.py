@@ -210,7 +210,15 @@ def diagnose(
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
     verdict, reasons = verdict_of(
-        found, channels, bool(curves), result.rivals, held_out, pushes, gone, result.harmful
+        found,
+        channels,
+        bool(curves),
+        result.rivals,
+        held_out,
+        pushes,
+        gone,
+        result.harmful,
+        robot.limbs,
     )
     if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
         shown = _shown_between_feet(found)

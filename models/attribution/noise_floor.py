@@ -292,12 +292,12 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
     """
     if floor.readings:
         return replace(floor, sigma=reading_noise(floor.readings, effects))
+    limbs = floor.walks[0].evidence.layout.limbs if floor.walks else None
     # Rounded to two digits, so that nearly equal sizes share one simulated walk.
+    bounds = [type(e).interior_bounds(e.target, limbs) for e in effects]
     telling = tuple(
-        replace(
-            e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).interior_bounds(e.target)))
-        )
-        for e in effects
+        replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *within)))
+        for e, within in zip(effects, bounds, strict=True)
         if is_compensated_approximately(e)
     )
     if not telling or floor.plan is None or not floor.walks:

@@ -21,12 +21,14 @@ class ViscousFriction(Effect):
     """A joint's drive has more viscous friction than the model.
 
     No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad. The
-    bounds leave room for the gears of large arms.
+    bounds leave room for the gears of large arms and, in N s/m, for the belts and screws of slides.
     """
 
     name = "viscous_friction"
     unit = "N m s/rad"
-    bounds = (0.0, 100.0)
+    bounds = (0.0, 1e4)
+    bounds_on_legs = (0.0, 100.0)
+    unit_of_slides = "N s/m"
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
@@ -52,7 +54,9 @@ class CoulombFriction(Effect):
 
     name = "coulomb_friction"
     unit = "N m"
-    bounds = (0.0, 100.0)
+    bounds = (0.0, 2e3)
+    bounds_on_legs = (0.0, 100.0)
+    unit_of_slides = "N"
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
@@ -76,7 +80,9 @@ class Armature(Effect):
 
     name = "armature"
     unit = "kg m^2"
-    bounds = (0.0, 10.0)
+    bounds = (0.0, 1e3)
+    bounds_on_legs = (0.0, 10.0)
+    unit_of_slides = "kg"
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
