@@ -27,12 +27,13 @@ from surefoot.models.attribution.noise_floor import RunVariation, noise_floor
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
 from surefoot.models.attribution.refinement import RefinementData
 from surefoot.models.attribution.run_fit import FittedRun, fit_runs
-from surefoot.models.attribution.run_offsets import is_per_run
+from surefoot.models.attribution.run_offsets import is_per_run, is_sampling_lag
 from surefoot.models.attribution.run_variation import run_variation
 from surefoot.models.attribution.search import Attribution, attribute
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import split_of
+from surefoot.models.attribution.sticking import sticks
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
 from surefoot.models.attribution.verdict import verdict_of
 from surefoot.models.bootstrap import block_bootstrap_counts
@@ -177,12 +178,13 @@ def diagnose(
         if slip:
             break
     # Effects of single logs, apart from those of the machine, are fitted to each log.
-    own = [f.effect for f in result.found if several and is_per_run(f.effect.name)]
+    lags = _sampling_lags(result.found, cases)
+    own = [f.effect for f in result.found if (several and is_per_run(f.effect.name)) or f in lags]
     found = (*(f for f in result.found if f.effect not in own), *slip)
     effects = [one.effect for one in found]
     weights = result.robust_weights
     known = RefinementData(cases, result.floor, result.evidence, effects, weights, split.part)
-    runs = fit_runs(known, effects, own) if several else ()
+    runs = fit_runs(known, effects, own) if several or own else ()
     # Residuals before and after, and where outside forces act, which is left out of the verdict.
     now, used = [run.case for run in runs] or cases, split.fit | split.select
     before = linearise(now, (), ())
@@ -196,6 +198,8 @@ def diagnose(
         f for f in found if pushes and not _still_explains(f.effect, effects, now, result, unpushed)
     ]
     found = tuple(f for f in found if f not in gone)
+    still = sticks(now, [*model, *effects], after.layout)
+    left, plainly = (np.where(still, np.nan, table) for table in (left, plainly))
     # The verdict, on the part that no fit has seen and on held-out logs.
     judge = split.report & ~pushed
     channels = channel_levels(plainly[judge], left[judge], after, result.floor)
@@ -206,7 +210,15 @@ def diagnose(
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
     verdict, reasons = verdict_of(
-        found, channels, bool(curves), result.rivals, held_out, pushes, gone, result.harmful
+        found,
+        channels,
+        bool(curves),
+        result.rivals,
+        held_out,
+        pushes,
+        gone,
+        result.harmful,
+        robot.limbs,
     )
     if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
         shown = _shown_between_feet(found)
@@ -245,11 +257,31 @@ def diagnose(
             *slip_notes(friction, "leg_velocity" in channels, settings),
             *(f"excluded from the verdict: {words}" for words in excluded),
             *_result_notes(found, channels),
+            *_lag_notes(lags),
             *_run_variation_notes(since, channels),
         ),
         unexplained=unexplained,
         run_variation=run_variation(runs, effects, result.floor, after, left, weights),
     )
+
+
+def _sampling_lags(found: Sequence[Found], cases: Sequence[LogUnderModel]) -> list[Found]:
+    """Lags within a row of the logs of a machine on a fixed base (`is_sampling_lag`).
+
+    They belong to the logs and are no effects of the machine.
+    """
+    if not all(case.fixed for case in cases):
+        return []
+    slowest = min(case.log.rate for case in cases)
+    return [one for one in found if is_sampling_lag(one.effect, slowest)]
+
+
+def _lag_notes(lags: Sequence[Found]) -> list[str]:
+    return [
+        f"{one.effect.name} of {1e3 * one.effect.value:+.2g} ms is compensated and not counted as "
+        "an effect: it is within a row, whose readings a log gives one time"
+        for one in lags
+    ]
 
 
 def _shown_between_feet(found: Sequence[Found]) -> tuple[str, ...]:

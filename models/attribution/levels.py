@@ -130,7 +130,7 @@ def channel_levels(
             before=trimmed_rms(before[:, columns]),
             after=trimmed_rms(after[:, columns]),
             noise_floor=own,
-            unit=channel.unit,
+            unit=" and ".join(dict.fromkeys(c.unit for c in known.layout.columns[columns])),
             highest=most,
             settings=known.settings,
             evaluation_only=channel.evaluation_only,

@@ -26,7 +26,11 @@ from surefoot.models.attribution.reference_sampling import (
     resample_reference,
 )
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.sensor_noise import data_sheet_noise, reading_noise
+from surefoot.models.attribution.sensor_noise import (
+    apparent_sizes,
+    data_sheet_noise,
+    reading_noise,
+)
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_for
@@ -114,6 +118,7 @@ class NoiseFloor:
         plan: what was simulated.
         readings: the logs, where the noise of their own readings is the floor.
         run_variation: variation between runs of the same machine, where known.
+        of_noise: candidate -> apparent size that the noise of the readings alone gives it.
     """
 
     sigma: np.ndarray
@@ -122,6 +127,7 @@ class NoiseFloor:
     plan: FloorPlan | None = None
     readings: tuple[LogUnderModel, ...] = ()
     run_variation: RunVariation | None = None
+    of_noise: Mapping[Key, float] = field(default_factory=dict)
     _known: dict = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -147,6 +153,7 @@ class NoiseFloor:
         effect.
 
         Compliant, creeping contacts resemble some effects a little, in the same way on every walk.
+        Without walks, the noise of the readings gives some effects a size (`apparent_sizes`).
         """
         mean, spread = self._of_walks(chosen, key)
         differ = self.run_variation.size_spread.get(key, 0.0) if self.run_variation else 0.0
@@ -154,7 +161,7 @@ class NoiseFloor:
 
     def _of_walks(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
         if key not in self._keys:
-            return 0.0, 0.0
+            return self.of_noise.get(key, 0.0), 0.0
         limbs = self.walks[0].evidence.layout.limbs
         alike = [k for k in self._keys if k[0] == key[0] and _part(k, limbs) == _part(key, limbs)]
         free = self.walks[0].normal_equations
@@ -178,13 +185,20 @@ class NoiseFloor:
         the offset.
         """
         if not self.walks:
-            return 0.0
+            # Noise is not quite normal and white, so its share is no better known.
+            return self._settings.apparent_size_uncertainty * abs(offset)
         kind = known_effects()[key[0]]
         shows_in = [channels()[name] for name in kind.channels_of(key[1]) if name in channels()]
         known = [c.level_spread[key[1]] for c in shows_in if key[1] in c.level_spread]
         if known and len(known) == len(shows_in):
             return max(known)
-        return self.walks[0].evidence.settings.apparent_size_uncertainty * abs(offset)
+        return self._settings.apparent_size_uncertainty * abs(offset)
+
+    @property
+    def _settings(self) -> TraceSettings:
+        if self.walks:
+            return self.walks[0].evidence.settings
+        return self.readings[0].settings if self.readings else DEFAULT
 
     @property
     def _keys(self) -> tuple[Key, ...]:
@@ -244,7 +258,9 @@ def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> No
     first = cases[0]
     if first.fixed:
         source = "the differences between successive readings"
-        return NoiseFloor(reading_noise(cases), (), source, readings=tuple(cases))
+        sigma = reading_noise(cases)
+        known = apparent_sizes(cases, sigma)
+        return NoiseFloor(sigma, (), source, readings=tuple(cases), of_noise=known)
     known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
     walks = first.robot.limbs == QUADRUPED
     evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
@@ -276,12 +292,12 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
     """
     if floor.readings:
         return replace(floor, sigma=reading_noise(floor.readings, effects))
+    limbs = floor.walks[0].evidence.layout.limbs if floor.walks else None
     # Rounded to two digits, so that nearly equal sizes share one simulated walk.
+    bounds = [type(e).interior_bounds(e.target, limbs) for e in effects]
     telling = tuple(
-        replace(
-            e, value=float(np.clip(float(f"{e.value:.1e}"), *type(e).interior_bounds(e.target)))
-        )
-        for e in effects
+        replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *within)))
+        for e, within in zip(effects, bounds, strict=True)
         if is_compensated_approximately(e)
     )
     if not telling or floor.plan is None or not floor.walks:

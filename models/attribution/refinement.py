@@ -27,6 +27,7 @@ from surefoot.models.attribution.split import REPORT
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.command import commanded_torque
 from surefoot.sim.effects import Effect, effect, known_effects
+from surefoot.sim.robot.limbs import Limbs
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,8 @@ def refine_sizes(data: RefinementData, chosen: Sequence[Effect], report: int) ->
 
     Gauss-Newton iterations, which recompute derivatives only after a size has moved far.
     """
-    chosen = [with_clipped_size(e, e.value) for e in chosen]
+    limbs = data.evidence.layout.limbs
+    chosen = [with_clipped_size(e, e.value, limbs) for e in chosen]
     settings, keys = data.evidence.settings, [(e.name, e.target) for e in chosen]
     offsets, derived = _offsets(data.floor, keys), []
     evidence = data.evidence.only(keys)
@@ -81,7 +83,9 @@ def refine_sizes(data: RefinementData, chosen: Sequence[Effect], report: int) ->
         sums = data.normal_equations(evidence)
         sums = sums.rows(sums.part != report)
         steps = fit(sums, keys, errors=False).sizes - offsets
-        moved = [with_clipped_size(e, e.value + d) for e, d in zip(chosen, steps, strict=True)]
+        moved = [
+            with_clipped_size(e, e.value + d, limbs) for e, d in zip(chosen, steps, strict=True)
+        ]
         settled = not _has_moved(chosen, moved, settings.newton_tolerance)
         chosen = moved
         if settled:
@@ -113,9 +117,9 @@ def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
     return np.array([floor.sizes([k for k in keys if k != key], key)[0] for key in keys])
 
 
-def with_clipped_size(one: Effect, value: float) -> Effect:
-    """The effect with its value clipped to its bounds."""
-    return replace(one, value=float(np.clip(value, *type(one).interior_bounds(one.target))))
+def with_clipped_size(one: Effect, value: float, limbs: Limbs) -> Effect:
+    """The effect with its value clipped to its bounds on a machine with these limbs."""
+    return replace(one, value=float(np.clip(value, *type(one).interior_bounds(one.target, limbs))))
 
 
 def refine_jointly(data: RefinementData, key: Key) -> tuple[NormalEquations, list[Effect]]:

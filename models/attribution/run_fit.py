@@ -118,7 +118,9 @@ def _fitted_sizes(
     found = []
     for i, key in enumerate(keys):
         offset, spread = floor.sizes([k for k in keys if k != key], key)
-        one = with_clipped_size(effect(*key, 0.0), at.get(key, 0.0) + fitted.sizes[i] - offset)
+        one = with_clipped_size(
+            effect(*key, 0.0), at.get(key, 0.0) + fitted.sizes[i] - offset, known.layout.limbs
+        )
         many = len(floor.walks)
         chance = t.ppf(0.975, many - 1) * spread if many > 1 else 0.0
         faked = 1.96 * floor.size_uncertainty(key, offset)

@@ -8,6 +8,7 @@ with a size for each.
 import numpy as np
 
 from surefoot.models.residuals.jacobians import Regressor
+from surefoot.sim.effects import Effect
 
 PER_RUN_EFFECTS = frozenset(
     {
@@ -25,6 +26,23 @@ PER_RUN_EFFECTS = frozenset(
 def is_per_run(name: str) -> bool:
     """Whether the effect of this name has a different size in every run."""
     return name in PER_RUN_EFFECTS
+
+
+SAMPLING_LAGS = frozenset({"rate_delay", "torque_delay"})
+"""Lags between readings of one row."""
+WITHIN_ROW = 0.55
+"""Share of a row up to which such a lag is one of sampling: the nearest row is half a row away, and
+the lag is measured to a few percent.
+"""
+
+
+def is_sampling_lag(one: Effect, rate: float) -> bool:
+    """Whether an effect is a lag between readings that a log at this rate [Hz] gives the same row.
+
+    A log does not say when within a row each reading was taken. A simulator that steps rates before
+    angles (semi-implicit Euler) has rates half a step before them.
+    """
+    return one.name in SAMPLING_LAGS and abs(one.value) * rate <= WITHIN_ROW
 
 
 def deviations(one: Regressor, log: np.ndarray) -> list[Regressor]:

@@ -39,6 +39,7 @@ from surefoot.models.attribution.robust_weights import (
     noisy_leg_columns,
     robust_weights,
 )
+from surefoot.models.attribution.run_offsets import is_sampling_lag
 from surefoot.models.attribution.selection import (
     Candidate,
     cross_validated_error,
@@ -47,7 +48,7 @@ from surefoot.models.attribution.selection import (
 )
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_bootstrap_counts
-from surefoot.sim.effects import Effect, effect, known_effects
+from surefoot.sim.effects import AXES, Effect, effect, known_effects
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
@@ -117,7 +118,7 @@ def attribute(
         explained, limbs = approximate_gains(known), known.evidence.layout.limbs
         candidates = evaluate_candidates(data, floor, found, explained, limbs, rng, certain)
         rounds.append(candidates)
-        if len(found) == settings.most_effects:
+        if _causes(known.explained, cases) >= settings.most_effects:
             break
         candidates = tuple(c for c in candidates if c.key not in refuted)
         hidden = [key for key in masked_candidates(keys, found, limbs) if key not in refuted]
@@ -171,6 +172,29 @@ def attribute(
     rivals = tuple(rival for rival in rivals if rival[0] not in named)
     weights, evidence = known.robust_weights, known.evidence
     return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, harmful)
+
+
+LINK = ("link_mass", "link_com", "link_inertia")
+"""What a load changes of the link that it is tied to."""
+
+
+def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
+    """Number of effects, as counted against `most_effects`.
+
+    On a fixed base, mass, centre and inertia of one link count as one: a load changes them all.
+    Lags within a row count as none.
+    """
+    if not all(case.fixed for case in cases):
+        return len(explained)
+    slowest = min(case.log.rate for case in cases)
+    joints = cases[0].robot.limbs.joints
+    causes = set()
+    for one in explained:
+        if is_sampling_lag(one, slowest):
+            continue
+        link = next((j for j in joints if one.target in (j, *(f"{j}_{a}" for a in AXES))), "")
+        causes.add(link if one.name in LINK and link else _key(one))
+    return len(causes)
 
 
 def _is_insignificant(one: Found, certain: bool) -> bool:

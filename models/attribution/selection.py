@@ -113,7 +113,7 @@ def evaluate_candidates(
         most, error = float(np.max(np.abs(sizes))), error * np.sqrt(len(sizes))
         # The apparent size on the floor's walks is only as certain as their contact model.
         spread = float(np.hypot(spread, floor.size_uncertainty(key, offset)))
-        low_end, high_end = known_effects()[key[0]].interior_bounds(key[1])
+        low_end, high_end = known_effects()[key[0]].interior_bounds(key[1], limbs)
         # Also at a bound if the size is beyond it before the floor's offset is subtracted.
         fitted_beyond = abs(fitted.sizes[-1]) > max(-low_end, high_end)
         at_bound = fitted_beyond or not low_end < sizes.min() <= sizes.max() < high_end

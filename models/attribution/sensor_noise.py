@@ -1,13 +1,20 @@
 """Residual caused by sensor noise alone, from data sheets or from the readings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import LogUnderModel, table_of
+from surefoot.models.attribution.evidence import (
+    Key,
+    LogUnderModel,
+    all_keys,
+    linearise,
+    table_of,
+)
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.registry import channels
+from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.sensors.streams import Sensors
@@ -38,6 +45,34 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     square = np.concatenate(change) ** 2
     count = np.maximum(np.isfinite(square).sum(axis=0), 1)
     return np.maximum(np.sqrt(np.nansum(square, axis=0) / count), 1e-9)
+
+
+def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping[Key, float]:
+    """Size [its unit] that the readings' noise alone gives each candidate that takes loads.
+
+    The noise of a torque is in the residual and, through the load, in the candidate's regressor. A
+    fit of one to the other then finds a spring where there is none. As much noise again adds as
+    much again to the product of the two, which is measured here.
+
+    Args:
+        cases: the logs under the declared model.
+        sigma: noise of each column (W,), as of `reading_noise`.
+    """
+    by_load = {name for name, kind in known_effects().items() if kind.uses_loads}
+    keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
+    if not keys:
+        return {}
+    rng = np.random.default_rng(cases[0].settings.reading_seed)
+    noisy = [replace(case, log=_with_more_noise(case, rng)) for case in cases]
+    before, after = linearise(cases, (), keys), linearise(noisy, (), keys)
+    change = np.nan_to_num(after.table - before.table) / sigma
+    sizes = {}
+    for key, old, new in zip(keys, before.X, after.X, strict=True):
+        was, now = (one.values / sigma[one.columns] for one in (old, new))
+        both = np.sum(change[:, new.columns] * now) - np.sum(change[:, old.columns] * was)
+        square = np.sum(was**2)
+        sizes[key] = float(both / square) if square else 0.0
+    return sizes
 
 
 def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> Log:

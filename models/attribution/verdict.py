@@ -10,6 +10,7 @@ from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
 from surefoot.models.attribution.priors import prior_of
 from surefoot.sim.effects import Effect
+from surefoot.sim.robot.limbs import Limbs
 
 
 def verdict_of(
@@ -21,6 +22,7 @@ def verdict_of(
     pushes: Sequence[Push] = (),
     pushed_away: Sequence[Found] = (),
     harmful: Sequence[tuple[Effect, str]] = (),
+    limbs: Limbs | None = None,
 ) -> tuple[str, tuple[str, ...]]:
     """The verdict and its reasons; `no_residual`, `attributed` and `confounded` have none.
 
@@ -33,6 +35,7 @@ def verdict_of(
         pushes: sections with an outside force; channels are judged without them.
         pushed_away: effects that explain nothing but outside forces.
         harmful: effects that were dropped, and the channel that each made worse.
+        limbs: of the machine, on which bounds depend.
     """
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
@@ -41,7 +44,7 @@ def verdict_of(
     reasons += [
         f"{one.effect.name} {one.effect.target}: its size is at its bound"
         for one in found
-        if _at_bound(one.effect)
+        if _at_bound(one.effect, limbs)
     ]
     reasons += [why for one in found if (why := _implausible(one))]
     reasons += [f"{one.name} {one.target}: dropped, it makes {name} worse" for one, name in harmful]
@@ -69,10 +72,10 @@ def _above(c: ChannelLevel) -> str:
     return f"worse with the effects found, {c.before:.3g} -> {c.after:.3g} {c.unit}"
 
 
-def _at_bound(one: Effect) -> bool:
+def _at_bound(one: Effect, limbs: Limbs | None) -> bool:
     if not type(one).is_compensated():
         return False
-    low, high = type(one).interior_bounds(one.target)
+    low, high = type(one).interior_bounds(one.target, limbs)
     return not low < one.value < high
 
 

@@ -299,10 +299,17 @@ def _of_legs(what: str, unit: str, limbs: Limbs, axes: Sequence[str] = AXES) -> 
     )
 
 
+_OF_SLIDES = {"N m": "N", "rad/s": "m/s"}
+"""Unit of a hinge -> that of a joint that slides."""
+
+
 def per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
     """A column for each joint, with the same noise on all legs."""
-    joints = enumerate(limbs.joints)
-    return tuple(Column(f"{what}_{name}", unit, name, limbs.kind(i)) for i, name in joints)
+    units = [_OF_SLIDES.get(unit, unit) if name in limbs.slides else unit for name in limbs.joints]
+    return tuple(
+        Column(f"{what}_{name}", of, name, limbs.kind(i))
+        for i, (name, of) in enumerate(zip(limbs.joints, units, strict=True))
+    )
 
 
 def _stands(inputs: ResidualInputs) -> bool:

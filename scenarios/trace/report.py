@@ -53,7 +53,7 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
         assert isinstance(robot, Robot)
         write_recording(out / "trace.rrd", first.log, robot, estimates)
     write_report(out / "report.html", "Trace: what does the model lack?", sections(found))
-    save_effects(out / "effects.toml", effects)
+    save_effects(out / "effects.toml", effects, limbs=robot.limbs)
     with whole_file(out / "trace.json") as temporary:
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n"
         temporary.write_text(text, encoding="utf-8")
@@ -206,7 +206,7 @@ def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
             "value": f"{f.effect.value:.4g}",
             "low": f"{f.interval[0]:.4g}",
             "high": f"{f.interval[1]:.4g}",
-            "unit": found.unit_of(f.effect.name, f.effect.target, f.effect.unit),
+            "unit": found.unit_of(f.effect.name, f.effect.target),
         }
         for f in ones
     ]

@@ -5,20 +5,11 @@ from typing import Any
 
 from surefoot.models.attribution.diagnose import Diagnosis, plain
 from surefoot.scenarios.trace.filters import BeforeAfter
+from surefoot.sim.effects import known_effects
+from surefoot.sim.robot.limbs import Limbs
 
 Filters = dict[str, dict[str, dict[str, float]]]
 """Filter -> "before" or "after" -> metric -> value."""
-
-_OF_SLIDES = {
-    "encoder_offset": "m",
-    "backlash": "m",
-    "torque_bias": "N",
-    "coulomb_friction": "N",
-    "viscous_friction": "N s/m",
-    "armature": "kg",
-    "leg_compliance": "m/N",
-}
-"""Units of effects on a joint that slides, whose angle is a distance and whose torque a force."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +22,7 @@ class Trace(Diagnosis):
         unseen_filters: the same over whole held-out logs.
         worse: channels and filters that got worse.
         motion: what to record to distinguish rival explanations.
-        slides: joints that are no hinges.
+        limbs: of the machine.
     """
 
     filters: Filters
@@ -39,18 +30,18 @@ class Trace(Diagnosis):
     unseen_filters: Filters = field(default_factory=dict)
     worse: tuple[str, ...] = ()
     motion: str = ""
-    slides: tuple[str, ...] = ()
+    limbs: Limbs = field(default_factory=lambda: Limbs((), (), ()))
 
-    def unit_of(self, name: str, target: str, unit: str) -> str:
-        """Unit of an effect on this machine: m and N for joints that slide, else `unit`."""
-        return _OF_SLIDES.get(name, unit) if target in self.slides else unit
+    def unit_of(self, name: str, target: str) -> str:
+        """Unit of an effect on this machine (`Effect.unit_on`)."""
+        return known_effects()[name].unit_on(target, self.limbs)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of trace.json."""
         out = super().as_dict() | plain({"filters": self.filters, "worse": self.worse})
         runs = (*out["runs"], *out.get("holdout", {"runs": ()})["runs"])
         for one in (*out["effects"], *(zero for run in runs for zero in run)):
-            one["unit"] = self.unit_of(one["name"], one["target"], one["unit"])
+            one["unit"] = self.unit_of(one["name"], one["target"])
         if self.held_out:
             out["holdout"]["filters"] = plain(self.unseen_filters)
         return out | {"motion": self.motion} if self.rivals else out

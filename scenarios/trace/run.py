@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
-
 from surefoot.models.attribution.diagnose import diagnose, logs_under_model
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.noise_floor import RunVariation
@@ -25,7 +23,6 @@ from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
-from surefoot.sim.robot.model_file import compiled_model
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
@@ -141,17 +138,8 @@ def trace_logs(
         unseen_filters=unseen_filters,
         worse=(*(name for name, c in found.channels.items() if c.worse), *harm),
         motion=motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else "",
-        slides=_slides(robot),
+        limbs=robot.limbs,
     )
-
-
-def _slides(machine: Machine) -> tuple[str, ...]:
-    """Names of the joints of a machine on a fixed base that slide; legs are of hinges."""
-    if isinstance(machine, Robot):
-        return ()
-    model = compiled_model(machine.file)
-    kinds = {name: int(model.joint(name).type[0]) for name in machine.joint_names}
-    return tuple(name for name, kind in kinds.items() if kind == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def _harm(filters: Filters, limit: float) -> tuple[str, ...]:

@@ -75,9 +75,7 @@ def size_in_words(found: Found, unit: str) -> str:
 
 def sizes_in_words(found: Trace, ones: Sequence[Found]) -> list[str]:
     """Effects of a trace with their sizes (`size_in_words`)."""
-    return [
-        size_in_words(f, found.unit_of(f.effect.name, f.effect.target, f.effect.unit)) for f in ones
-    ]
+    return [size_in_words(f, found.unit_of(f.effect.name, f.effect.target)) for f in ones]
 
 
 def target_in_words(one: Effect) -> str:
@@ -117,9 +115,9 @@ def beyond_bounds(found: Trace) -> list[str]:
     lines = []
     for one in sorted(out, key=lambda c: -c.share)[:2]:
         kind = known_effects()[one.key[0]]
-        unit = found.unit_of(*one.key, kind.unit)
+        unit = found.unit_of(*one.key)
         factor, unit = _SCALE.get(unit, (1.0, unit))
-        low, high = (factor * x for x in kind.bounds)
+        low, high = (factor * x for x in kind.bounds_on(found.limbs))
         lines.append(
             f"  {one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
             f"{100 * one.share:.0f} % of the remaining residual, but its bounds are {low:.3g} and "

@@ -41,6 +41,12 @@ class Effect:
     name: ClassVar[str]
     unit: ClassVar[str]
     bounds: ClassVar[tuple[float, float]]
+    bounds_on_legs: ClassVar[tuple[float, float] | None] = None
+    """Narrower bounds within which `trace` looks on a machine with legs, whose parts are small."""
+    unit_of_slides: ClassVar[str | None] = None
+    """Unit on a joint that slides, whose angle is a distance and whose torque a force, if it
+    differs.
+    """
     channels: ClassVar[tuple[str, ...]]
     targets: ClassVar[Part | tuple[str, ...]]
     """Kind of part that the effect is on, or the names of its targets if they are no parts."""
@@ -170,11 +176,27 @@ class Effect:
         return cls.starts or (cls.step_of(target),)
 
     @classmethod
-    def interior_bounds(cls, target: str) -> tuple[float, float]:
-        """The bounds, reduced by a little more than a step at each end, for derivatives within
-        them.
+    def bounds_on(cls, limbs: Limbs | None) -> tuple[float, float]:
+        """The bounds on a machine with these limbs; `bounds` if it is not known."""
+        legs = bool(limbs and limbs.legs)
+        return cls.bounds_on_legs if legs and cls.bounds_on_legs else cls.bounds
+
+    @classmethod
+    def unit_on(cls, target: str, limbs: Limbs) -> str:
+        """Unit on a machine with these limbs: m and N for a joint that slides, or for several that
+        all do, else `unit`.
         """
-        (low, high), step = cls.bounds, cls.step_of(target)
+        if cls.unit_of_slides is None or not limbs.slides:
+            return cls.unit
+        slides = set(cls.members_of(target, limbs)) <= set(limbs.slides)
+        return cls.unit_of_slides if slides else cls.unit
+
+    @classmethod
+    def interior_bounds(cls, target: str, limbs: Limbs | None = None) -> tuple[float, float]:
+        """The bounds (`bounds_on`), reduced by a little more than a step at each end, for
+        derivatives within them.
+        """
+        (low, high), step = cls.bounds_on(limbs), cls.step_of(target)
         return low + 1.1 * step, high - 1.1 * step
 
     @classmethod

@@ -21,12 +21,14 @@ class ViscousFriction(Effect):
     """A joint's drive has more viscous friction than the model.
 
     No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad. The
-    bounds leave room for the gears of large arms.
+    bounds leave room for the gears of large arms and, in N s/m, for the belts and screws of slides.
     """
 
     name = "viscous_friction"
     unit = "N m s/rad"
-    bounds = (0.0, 100.0)
+    bounds = (0.0, 1e4)
+    bounds_on_legs = (0.0, 100.0)
+    unit_of_slides = "N s/m"
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
@@ -52,7 +54,9 @@ class CoulombFriction(Effect):
 
     name = "coulomb_friction"
     unit = "N m"
-    bounds = (0.0, 100.0)
+    bounds = (0.0, 2e3)
+    bounds_on_legs = (0.0, 100.0)
+    unit_of_slides = "N"
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
@@ -64,7 +68,7 @@ class CoulombFriction(Effect):
             joint.frictionloss += self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / STICTION_RATE)), robot
+        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / _stiction(rate))), robot
 
 
 class Armature(Effect):
@@ -76,7 +80,9 @@ class Armature(Effect):
 
     name = "armature"
     unit = "kg m^2"
-    bounds = (0.0, 10.0)
+    bounds = (0.0, 1e3)
+    bounds_on_legs = (0.0, 10.0)
+    unit_of_slides = "kg"
     channels = ("joint_torque",)
     targets = "joint"
     groups = True
@@ -139,6 +145,27 @@ class SoftGround(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         known = replace(robot.extras, softness=robot.extras.softness + self.value)
         return log, replace(robot, extras=known)
+
+
+NOISE_WIDTH = 3.0
+"""Rate below which dry friction is smoothed, as a multiple of the noise of the rate."""
+SLOW_SHARE = 0.01
+"""The same as a share of the rate's RMS, for rates without noise: presliding of gears and guides,
+and the soft friction of simulators, have a width of their own.
+"""
+
+
+def _stiction(rate: np.ndarray) -> float:
+    """Rate below which dry friction is smoothed, in the unit of a joint's rate (N,).
+
+    As narrow as the noise of the rate allows, at most STICTION_RATE. The second difference has six
+    times the variance of the noise and little of the motion.
+    """
+    if len(rate) < 3:
+        return STICTION_RATE
+    noise = float(np.std(np.diff(rate, n=2))) / np.sqrt(6.0)
+    least = SLOW_SHARE * float(np.sqrt(np.mean(rate**2)))
+    return min(STICTION_RATE, max(NOISE_WIDTH * noise, least, 1e-9))
 
 
 def _rate(log: Log, joint: str) -> np.ndarray:

@@ -42,6 +42,7 @@ class LegCompliance(Effect):
     name = "leg_compliance"
     unit = "rad/(N m)"
     bounds = (0.0, 0.02)
+    unit_of_slides = "m/N"
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = "joint"
     groups = True

@@ -8,6 +8,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect, whole_file
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects.catalogue import Effect, effect
+from surefoot.sim.robot.limbs import Limbs
 
 
 @dataclass(frozen=True)
@@ -18,9 +19,10 @@ class _Entry:
     unit: str
 
     def __post_init__(self):
-        unit = self.effect.unit
-        if self.unit != unit:
-            raise SurefootError(f"unit of {self.name} must be '{unit}', is '{self.unit}'")
+        unit, of_slides = self.effect.unit, type(self.effect).unit_of_slides
+        if self.unit not in (unit, of_slides):
+            other = f", or '{of_slides}' of a slide" if of_slides else ""
+            raise SurefootError(f"unit of {self.name} must be '{unit}'{other}, is '{self.unit}'")
 
     @property
     def effect(self) -> Effect:
@@ -46,18 +48,23 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     return tuple(entry.effect for entry in read_typed(path, _File, "effects").effect)
 
 
-def save_effects(path: str | Path, effects: Sequence[Effect], force: bool = False) -> None:
-    """Write the effects so that `load_effects` returns them, value for value."""
+def save_effects(
+    path: str | Path, effects: Sequence[Effect], force: bool = False, limbs: Limbs | None = None
+) -> None:
+    """Write the effects so that `load_effects` returns them, value for value.
+
+    limbs: of their machine, for the units of joints that slide.
+    """
     with whole_file(path, force) as temporary:
-        temporary.write_text(to_toml(effects), encoding="utf-8")
+        temporary.write_text(to_toml(effects, limbs), encoding="utf-8")
 
 
-def to_toml(effects: Sequence[Effect]) -> str:
+def to_toml(effects: Sequence[Effect], limbs: Limbs | None = None) -> str:
     """Text of an effects file; one without effects says so in a comment."""
     if not effects:
         return "# no effects\n"
     return "\n".join(
         f'[[effect]]\nname = "{e.name}"\ntarget = "{e.target}"\n'
-        f'value = {float(e.value)!r}\nunit = "{e.unit}"\n'
+        f'value = {float(e.value)!r}\nunit = "{e.unit_on(e.target, limbs) if limbs else e.unit}"\n'
         for e in effects
     )

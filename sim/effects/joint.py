@@ -28,6 +28,7 @@ class EncoderOffset(Effect):
     name = "encoder_offset"
     unit = "rad"
     bounds = (-0.2, 0.2)
+    unit_of_slides = "m"
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = "joint"
     step = 1e-3
@@ -76,6 +77,7 @@ class Backlash(Effect):
     name = "backlash"
     unit = "rad"
     bounds = (0.0, 0.1)
+    unit_of_slides = "m"
     channels = ("joint_rate", "leg_velocity", "foot_height", "base_wrench")
     targets = "joint"
     groups = True
@@ -135,7 +137,9 @@ class TorqueBias(Effect):
 
     name = "torque_bias"
     unit = "N m"
-    bounds = (-200.0, 200.0)
+    bounds = (-2e3, 2e3)
+    bounds_on_legs = (-200.0, 200.0)
+    unit_of_slides = "N"
     channels = ("joint_torque", "base_wrench", "command")
     targets = "joint"
     step = 0.1

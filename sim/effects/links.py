@@ -2,7 +2,7 @@
 
 A link is the body that a joint moves, and is named after the joint; the machine may have a fixed
 base. The bounds are wide: CAD models omit cables, screws and covers, a tenth to a half of a link's
-mass.
+mass, and a gantry carries a hundred kilograms.
 """
 
 from dataclasses import replace
@@ -22,7 +22,8 @@ class LinkMass(Effect):
 
     name = "link_mass"
     unit = "kg"
-    bounds = (-0.5, 5.0)
+    bounds = (-20.0, 200.0)
+    bounds_on_legs = (-0.5, 5.0)
     channels = ("joint_torque", "base_wrench")
     targets = "joint"
     groups = True
@@ -44,7 +45,8 @@ class LinkCom(Effect):
 
     name = "link_com"
     unit = "m"
-    bounds = (-0.1, 0.1)
+    bounds = (-0.5, 0.5)
+    bounds_on_legs = (-0.1, 0.1)
     channels = ("joint_torque", "base_wrench")
     targets = "joint_axis"
     step = 1e-3
@@ -74,7 +76,8 @@ class LinkInertia(Effect):
 
     name = "link_inertia"
     unit = "kg m^2"
-    bounds = (0.0, 0.5)
+    bounds = (0.0, 20.0)
+    bounds_on_legs = (0.0, 0.5)
     channels = ("joint_torque", "base_wrench")
     targets = "joint"
     groups = True

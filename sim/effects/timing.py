@@ -24,6 +24,7 @@ from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.contact import swings
 from surefoot.sim.sensors.pad import begin_early, begin_late, end_late
 from surefoot.sim.sensors.streams import Reference, Streams
@@ -241,8 +242,8 @@ class ContactDelay(Effect):
         return target == "liftoff" and not robot.extras.liftoff_late
 
     @classmethod
-    def interior_bounds(cls, target: str) -> tuple[float, float]:
-        low, high = super().interior_bounds(target)
+    def interior_bounds(cls, target: str, limbs: Limbs | None = None) -> tuple[float, float]:
+        low, high = super().interior_bounds(target, limbs)
         return (low if target == "touchdown" else 1.1 * cls.step), high
 
 

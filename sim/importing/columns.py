@@ -14,17 +14,20 @@ DEGREE = pi / 180.0
 _ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE, "turn": 2.0 * pi}
 _RATE = {"rad/s": 1.0, "deg/s": DEGREE, "mdeg/s": 1e-3 * DEGREE, "rpm": 6.0 * DEGREE}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3}
+_FORCE = {"N": 1.0, "kN": 1e3}
 UNITS: dict[str, dict[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "gyro": _RATE,
     "accel": {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
-    "q": _ANGLE,
-    "dq": _RATE | {"turn/s": 2.0 * pi},
-    "tau": {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2},
+    # Of joints that slide, distances, speeds and forces.
+    "q": _ANGLE | _LENGTH,
+    "dq": _RATE | {"turn/s": 2.0 * pi} | _SPEED,
+    "tau": {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2} | _FORCE,
     "foot": _LENGTH,
-    "force_xyz": {"N": 1.0, "kN": 1e3},
+    "force_xyz": _FORCE,
     "ref_p": _LENGTH,
-    "ref_v": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "ref_v": _SPEED,
     "ref_euler": _ANGLE,
 }
 """Factor of each unit to SI, by kind of column; columns of other kinds are kept as given."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import mujoco
@@ -37,10 +38,20 @@ class FixedBase:
     extras: DeclaredExtras = field(default_factory=DeclaredExtras)
     legless: str = ""
 
-    @property
+    @cached_property
     def limbs(self) -> Limbs:
-        """Names of its joints; it has no legs."""
-        return Limbs((), self.joint_names, ())
+        """Its joints, which of them slide, and what they move; it has no legs."""
+        model = compiled_model(self.file)
+        joints = [model.joint(name) for name in self.joint_names]
+        slide = mujoco.mjtJoint.mjJNT_SLIDE
+        return Limbs(
+            (),
+            self.joint_names,
+            (),
+            slides=tuple(joint.name for joint in joints if int(joint.type[0]) == slide),
+            inertia=tuple(float(model.dof_M0[joint.dofadr[0]]) for joint in joints),
+            mass=float(model.body_mass[model.body_weldid != 0].sum()),
+        )
 
 
 Machine = Robot | FixedBase

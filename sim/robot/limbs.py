@@ -18,12 +18,19 @@ class Limbs:
             or a torso, or of a machine without legs) are in none.
         links: the legs' links of non-zero length except the first of each, named by the joint at
             the upper end.
+        slides: joints that slide.
+        inertia: (J,) moved by each joint in the zero posture, by the model [kg m^2; kg of slides];
+            empty for a machine with legs, as is `slides`.
+        mass: all that the joints move, by the model [kg]; 0 for a machine with legs.
     """
 
     legs: tuple[str, ...]
     joints: tuple[str, ...]
     chains: tuple[tuple[int, ...], ...]
     links: tuple[str, ...] = ()
+    slides: tuple[str, ...] = ()
+    inertia: tuple[float, ...] = ()
+    mass: float = 0.0
 
     @cached_property
     def leg_of(self) -> tuple[int | None, ...]:

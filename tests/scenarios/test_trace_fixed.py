@@ -8,10 +8,12 @@ import pandas as pd
 import pytest
 
 from surefoot.models.attribution.found import Found
+from surefoot.models.residuals.layout import layout_for
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
+from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.robot import Robot
@@ -90,13 +92,13 @@ def test_a_few_seconds_of_one_drive_are_enough():
 def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
     """A brake that was left on."""
     log = swung(dry=0.0)
-    rubbing = log.tau[:, 0] + 150.0 * np.tanh(log.dq[:, 0] / 0.03)
+    rubbing = log.tau[:, 0] + 3000.0 * np.tanh(log.dq[:, 0] / 0.03)
     found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
     assert found.verdict == "none_of_these"
     assert "coulomb_friction" not in {one.name for one in found.effects}
     (told,) = (line for line in summary(found).splitlines() if "coulomb_friction" in line)
-    assert "shoulder of +150 N m would explain 100 % of the remaining residual" in told
-    assert told.endswith("its bounds are 0 and 100")
+    assert "shoulder of +2.99e+03 N m would explain 100 % of the remaining residual" in told
+    assert told.endswith("its bounds are 0 and 2e+03")
 
 
 def test_the_dry_friction_of_a_large_gear_is_named():
@@ -119,13 +121,19 @@ def test_what_a_slide_lacks_is_in_metres_and_newtons(tmp_path):
     columns = {f"{kind}_{joint}": np.sin(t) for kind in ("q", "tau") for joint in ("cart", "pole")}
     log = Log(pd.DataFrame({"t": t} | columns), Meta(100.0), "short")
     found = trace_logs([log], load_machine(tmp_path / "cart.xml"))
-    assert found.slides == ("cart",)
+    assert found.limbs.slides == ("cart",)
     named = tuple(
         Found(effect("coulomb_friction", joint, 3.0), (2.0, 4.0)) for joint in ("cart", "pole")
     )
     found = replace(found, found=named)
     assert [one["unit"] for one in found.as_dict()["effects"]] == ["N", "N m"]
     assert "coulomb_friction cart +3 N (95 % interval" in summary(found)
+    save_effects(tmp_path / "effects.toml", found.effects, limbs=found.limbs)
+    assert 'value = 3.0\nunit = "N"\n' in (tmp_path / "effects.toml").read_text()
+    assert load_effects(tmp_path / "effects.toml") == found.effects
+    units = {c.name: c.unit for c in layout_for(found.limbs).columns}
+    assert (units["torque_cart"], units["torque_pole"]) == ("N", "N m")
+    assert (units["rate_cart"], units["rate_pole"]) == ("m/s", "rad/s")
 
 
 def test_too_short_a_log_is_not_identifiable():
