@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
@@ -219,7 +219,7 @@ def fit_placement(
     spread = np.std([solved(one) for one in draws], axis=0)
     first = np.arange(count) < count / 2
     halves = np.array([solved(of_blocks[half].sum(axis=0)) for half in (first, ~first)])
-    width = student.ppf(0.975, max(count - 1, 1)) * spread
+    width = stdtrit(max(count - 1, 1), 0.975) * spread
     lever = -columns[:, 3:, 10:13]
     return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
 

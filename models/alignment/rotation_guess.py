@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.signal import fftconvolve
 from scipy.spatial.transform import Rotation
 
+from surefoot.sim.common.convolution import convolve
 from surefoot.sim.log.reference import Poses
 
 _STEP = 0.005
@@ -108,11 +108,11 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     infinity where the overlap is shorter than _OVERLAP.
     """
     back, one_a, one_b = b[::-1], np.ones_like(a), np.ones_like(b)
-    count = np.round(fftconvolve(one_a, one_b))
-    sum_a, sum_b = fftconvolve(a, one_b), fftconvolve(one_a, back)
-    both = fftconvolve(a, back) - sum_a * sum_b / count
-    var_a = fftconvolve(a**2, one_b) - sum_a**2 / count
-    var_b = fftconvolve(one_a, back**2) - sum_b**2 / count
+    count = np.round(convolve(one_a, one_b))
+    sum_a, sum_b = convolve(a, one_b), convolve(one_a, back)
+    both = convolve(a, back) - sum_a * sum_b / count
+    var_a = convolve(a**2, one_b) - sum_a**2 / count
+    var_b = convolve(one_a, back**2) - sum_b**2 / count
     size = np.sqrt(np.maximum(var_a * var_b, 1e-18))
     return np.where(count * _STEP >= _OVERLAP, both / size, -np.inf)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, Key
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
+from surefoot.sim.common.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -189,9 +190,8 @@ def _summed(
         A = np.column_stack([data.y[rows, column], X]) / sigma[column]
         A = A * np.sqrt(weight[rows, column])[:, None]
         # Block by block, since adding to all at once strides through memory.
-        entry = (place[:, None] * size + place).ravel()
-        for sums, i, j in zip(G.reshape(len(G), -1), begin, end, strict=True):
-            sums[entry] += (A[i:j].T @ A[i:j]).ravel()
+        for sums, i, j in zip(G, begin, end, strict=True):
+            add_block(sums, place, A[i:j].T @ A[i:j])
     known = np.count_nonzero(weight[:, evidence.layout.fitted], axis=1)
     entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
     parts = part[first].astype(int)
@@ -205,6 +205,14 @@ def _summed(
         deviation_of=evidence.deviation_of,
         settings=evidence.settings,
     )
+
+
+@kernel
+def add_block(sums, place, block):
+    """Add a block (k, k) to the rows and columns `place` (k,) of sums (P, P)."""
+    for i in range(len(place)):
+        for j in range(len(place)):
+            sums[place[i], place[j]] += block[i, j]
 
 
 @dataclass(frozen=True)

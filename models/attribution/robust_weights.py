@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.attribution.fit import Design
+from surefoot.models.attribution.fit import Design, add_block
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.layout import Layout
 
@@ -166,7 +166,7 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
             continue
         root = np.sqrt(weight[rows, column]) / sigma[column]
         A = X * root[:, None]
-        normal[np.ix_(which, which)] += A.T @ A
+        add_block(normal, which, A.T @ A)
         right[which] += A.T @ (root * data.y[rows, column])
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     # A ridge far below the data makes collinear candidates solvable without affecting others.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from surefoot.models.attribution.evidence import (
     Evidence,
@@ -122,7 +122,7 @@ def _fitted_sizes(
             effect(*key, 0.0), at.get(key, 0.0) + fitted.sizes[i] - offset, known.layout.limbs
         )
         many = len(floor.walks)
-        chance = t.ppf(0.975, many - 1) * spread if many > 1 else 0.0
+        chance = stdtrit(many - 1, 0.975) * spread if many > 1 else 0.0
         faked = 1.96 * floor.size_uncertainty(key, offset)
         error = 1.96 * np.sqrt(fitted.covariance[i, i])
         half = float(np.sqrt(error**2 + chance**2 + faked**2))

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from surefoot.models.attribution.drift import adds_drift
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, all_keys, linearise
@@ -364,7 +364,7 @@ def _with_intervals(
         faked = 1.96 * floor.size_uncertainty(keys[i], offset)
         half = float(np.hypot(1.96 * np.sqrt(covariance[i, i]), faked))
         if repeats > 1:
-            half = float(np.hypot(half, t.ppf(0.975, repeats - 1) * spread))
+            half = float(np.hypot(half, stdtrit(repeats - 1, 0.975) * spread))
         elif floor.run_variation:
             half = float(np.hypot(half, 1.96 * spread))
         at = 1 + data.keys.index(keys[i])

@@ -25,6 +25,7 @@ from surefoot.models.residuals.torques import (
     smooth_121,
     standing_feet_wrenches,
 )
+from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
 
@@ -286,11 +287,31 @@ def _same_bodies(robot: Machine, one: Machine) -> bool:
 
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
     """Keep the columns that change, with zeros where the table has no value."""
-    touched = np.flatnonzero(change.any(axis=0))
-    change = change[:, touched]
-    change = np.where(np.isfinite(table[:, touched]) & np.isfinite(change), change, 0.0)
-    large = np.abs(change).max(axis=0) > 1e-9
-    return Regressor(touched[large], np.ascontiguousarray(change[:, large]))
+    columns = np.flatnonzero(_largest(change, table) > 1e-9)
+    return Regressor(columns, _picked(change, table, columns))
+
+
+@kernel
+def _largest(change, table):
+    """Largest absolute change (W,) of each column, where both (M, W) have a value."""
+    out = np.zeros(change.shape[1])
+    for k in range(change.shape[0]):
+        for c in range(change.shape[1]):
+            size = abs(change[k, c])
+            if size > out[c] and np.isfinite(size) and np.isfinite(table[k, c]):
+                out[c] = size
+    return out
+
+
+@kernel
+def _picked(change, table, columns):
+    """These columns (n,) of the change (M, n), zero where it or the table (M, W) has no value."""
+    out = np.zeros((change.shape[0], len(columns)))
+    for k in range(change.shape[0]):
+        for i, c in enumerate(columns):
+            if np.isfinite(change[k, c]) and np.isfinite(table[k, c]):
+                out[k, i] = change[k, c]
+    return out
 
 
 def explained_share(one: Regressor, table: np.ndarray) -> float:

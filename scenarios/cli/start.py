@@ -1,5 +1,6 @@
 """Entry point of the process, in which a signal is one line from the first import to the end."""
 
+import gc
 import importlib
 import os
 import re
@@ -16,9 +17,16 @@ BACKENDS = {"MPLBACKEND": "matplotlib", "MUJOCO_GL": "mujoco"}
 """Variables that name a way to draw -> module that fails to be imported if it has no such one."""
 
 
+COLLECTION = (10_000, 50, 100)
+"""Thresholds of Python's garbage collector. The imports and the compiled kernels leave half a
+million objects, which the usual thresholds go through again and again; cycles are rare.
+"""
+
+
 def entry_point() -> None:
     """The command line; during the imports, which take a second, there is nothing to undo."""
     catch_signals()
+    gc.set_threshold(*COLLECTION)
     # No window is opened: MuJoCo would look for a library of them in a process of its own, whose
     # traceback a signal would leave on the terminal.
     os.environ.setdefault("MUJOCO_GL", "disable")

@@ -1,9 +1,9 @@
 """First-order Gauss-Markov noise."""
 
 import numpy as np
-from scipy.signal import lfilter
 
 from surefoot.sim.common.deferred_normals import deferred_normals
+from surefoot.sim.common.low_pass import recursion
 
 
 class GaussMarkov:
@@ -25,14 +25,14 @@ class GaussMarkov:
         self._drive = sigma * np.sqrt(1.0 - self._keep**2)
         self._rng = deferred_normals(rng, 3 * n)
         self._first: np.ndarray | None = rng.normal(0.0, sigma, 3)
-        self._state = np.zeros((1, 3))
+        self._state = np.zeros(3)
 
     def next(self, rows: int) -> np.ndarray:
         """The next rows of the process, (rows, 3)."""
         drive = self._rng.normal(0.0, self._drive, (rows, 3))
         if self._first is not None:
             drive[0], self._first = self._first, None
-        process, self._state = lfilter([1.0], [1.0, -self._keep], drive, axis=0, zi=self._state)
+        process, self._state = recursion(drive, 1.0, self._keep, self._state)
         return process
 
 

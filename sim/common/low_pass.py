@@ -1,7 +1,8 @@
 """First-order low-pass filter of sensors."""
 
 import numpy as np
-from scipy.signal import lfilter
+
+from surefoot.sim.common.kernels import kernel
 
 
 def low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
@@ -23,9 +24,28 @@ def low_pass_from(
         rate: sampling rate [Hz].
     """
     keep = np.exp(-1.0 / (time * rate))
-    return lfilter(
-        [1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * x[:1] if state is None else state
-    )
+    state = keep * x[0] if state is None else state
+    return recursion(np.ascontiguousarray(x, dtype=float), 1.0 - keep, keep, state)
+
+
+@kernel
+def recursion(x, gain, keep, state):
+    """First-order recursion y[n] = gain x[n] + keep y[n-1] of x (N, K), each column by itself.
+
+    Args:
+        x: (N, K).
+        gain: of the input.
+        keep: of the output before.
+        state: (K,), keep times the output before the first row.
+
+    Returns y (N, K) and the state after the last row.
+    """
+    out, state = np.empty_like(x), state.copy()
+    for n in range(len(x)):
+        for k in range(x.shape[1]):
+            out[n, k] = state[k] + gain * x[n, k]
+            state[k] = keep * out[n, k]
+    return out, state
 
 
 def without_low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:

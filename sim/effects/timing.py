@@ -13,12 +13,12 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import correlate, correlation_lags
 from scipy.spatial.transform import Rotation, Slerp
-from scipy.stats import theilslopes
 
+from surefoot.sim.common.convolution import convolve
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.median_slope import median_slope
 from surefoot.sim.common.quaternion import slerp
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
@@ -314,8 +314,10 @@ def _turning(log: Log) -> _Turning:
 def _turning_lag(turning: _Turning, most: float) -> float:
     row, turned, gyro = float(np.mean(turning.duration)), turning.reference, turning.gyro
     both = [x - x.mean(axis=0) for x in (turned, gyro)]
-    shared = np.sum([correlate(a, b) for a, b in zip(*(x.T for x in both), strict=True)], axis=0)
-    lags = correlation_lags(len(turned), len(gyro)) * row
+    shared = np.sum(
+        [convolve(a, b[::-1]) for a, b in zip(*(x.T for x in both), strict=True)], axis=0
+    )
+    lags = np.arange(1 - len(gyro), len(turned)) * row
     near = np.abs(lags) <= most
     return float(lags[near][np.argmax(shared[near])])
 
@@ -338,8 +340,8 @@ def _lag_drift(log: Log, most: float) -> float:
         return 0.0
     turning = _turning(log)
     lags = [_turning_lag(turning.steps(slice(i, j - 1)), most * duration) for i, j in parts]
-    drift = theilslopes(lags, [log.t[i:j].mean() for i, j in parts])
-    return float(drift.slope) if drift.low_slope * drift.high_slope > 0.0 else 0.0
+    slope, low, high = median_slope(np.array([log.t[i:j].mean() for i, j in parts]), np.array(lags))
+    return slope if low * high > 0.0 else 0.0
 
 
 class ClockScale(Effect):

@@ -17,9 +17,11 @@ def house(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     sources_digest.cache_clear()
     sources._folders.cache_clear()
+    sources._source.cache_clear()
     yield tmp_path / "house"
     sources_digest.cache_clear()
     sources._folders.cache_clear()
+    sources._source.cache_clear()
 
 
 def made(folder, inputs, log):

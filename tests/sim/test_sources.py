@@ -38,9 +38,11 @@ def house(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     sources_digest.cache_clear()
     sources._folders.cache_clear()
+    sources._source.cache_clear()
     yield tmp_path / "house"
     sources_digest.cache_clear()
     sources._folders.cache_clear()
+    sources._source.cache_clear()
 
 
 def test_every_way_to_import_counts(house):

@@ -1,0 +1,34 @@
+"""Convolution, median slope and first-order recursion against those of scipy."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.signal import fftconvolve, lfilter
+from scipy.stats import theilslopes
+
+from surefoot.sim.common.convolution import convolve
+from surefoot.sim.common.low_pass import recursion
+from surefoot.sim.common.median_slope import median_slope
+
+
+def test_a_convolution_is_that_of_scipy():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=300), rng.normal(size=211)
+    assert_allclose(convolve(a, b), fftconvolve(a, b), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("points", [5, 8, 13])
+def test_a_median_slope_and_its_interval_are_those_of_scipy(points):
+    rng = np.random.default_rng(points)
+    # Whole numbers, so that some are equal.
+    x, y = np.sort(rng.normal(size=points)), rng.integers(-3, 4, points).astype(float)
+    known = theilslopes(y, x)
+    assert_allclose(median_slope(x, y), (known.slope, known.low_slope, known.high_slope))
+
+
+def test_a_recursion_in_two_pieces_is_that_of_scipy():
+    x = np.random.default_rng(0).normal(size=(50, 3))
+    expected = lfilter([0.3], [1.0, -0.7], x, axis=0)
+    first, state = recursion(x[:20], 0.3, 0.7, np.zeros(3))
+    second, _ = recursion(x[20:], 0.3, 0.7, state)
+    assert_array_equal(np.concatenate([first, second]), expected)
