@@ -53,7 +53,7 @@ def save_effects(path: str | Path, effects: Sequence[Effect], force: bool = Fals
 
 
 def to_toml(effects: Sequence[Effect]) -> str:
-    """Text of an effects file; one without effects says so in a comment."""
+    """Text of an effects file; without effects, a comment."""
     if not effects:
         return "# no effects\n"
     return "\n".join(
