@@ -31,7 +31,7 @@ class Trace(Diagnosis):
         unseen_filters: the same over whole held-out logs.
         worse: channels and filters that got worse.
         motion: what to record to distinguish rival explanations.
-        slides: joints that are no hinges.
+        slides: names of prismatic joints.
     """
 
     filters: Filters
