@@ -27,9 +27,9 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
 ENOUGH = 6
-"""Returns, and inliers, that a frame needs: twice the unknowns."""
+"""Least number of returns, and of inliers, in a frame: twice the unknowns."""
 AGREED = 0.4
-"""Share of a frame's returns that must be inliers; fewer may agree on a ghost."""
+"""Least share of inliers among a frame's returns; fewer may agree on a ghost."""
 _GROW, _ROUNDS = 1.4, 100
 
 
@@ -43,7 +43,8 @@ def ego_velocity(
 
     direction (n, 3), unit, in the radar's axes (x along the beam, y left, z up); doppler (n,)
     [m/s], the range's rate (negative when it closes); noise [m/s] of a Doppler; angle_noise [rad]
-    of azimuth and elevation.
+    of azimuth and elevation. Raises SurefootError on wrong shapes, values that are not finite and
+    noise out of range.
 
     Returns velocity (3,) [m/s] in those axes, its covariance (3, 3) and a mask of the inliers (n,).
     None if there are fewer than ENOUGH inliers, or fewer than AGREED of all returns, or if they
@@ -64,8 +65,10 @@ def ego_velocities(
     noise: float,
     angle_noise: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`ego_velocity` of every frame: mask of the frames with a result (M,), velocities (M, 3),
-    covariances.
+    """`ego_velocity` of every frame.
+
+    Returns the indices (R,) of the frames with a result, their velocities (R, 3) [m/s] in the
+    sensor's axes and the covariances (R, 3, 3) [m^2/s^2].
 
     Args:
         frame: (n,), index of each return's frame, ascending, below `frames`.
@@ -96,7 +99,7 @@ def _checked(direction, doppler, noise, angle_noise):
 
 @kernel
 def _each(ends, direction, doppler, noises, velocities, covariances):
-    """`_ego_velocity` of each frame; returns whether it has one, (M,) bool.
+    """`_ego_velocity` of each frame; returns which frames have a result, (M,) bool.
 
     Args:
         ends: (M+1,), row of each frame's first return, and the end of the last.

@@ -232,8 +232,8 @@ class InvariantFilter:
 
         The result is the same as with one call per row, however a log is divided into pieces.
         Updates are coverage updates where `velocities` have bounds and Gaussian ones where they
-        have covariances. The record contains, of a window, the measurement that ended it and, of
-        velocities, those not rejected.
+        have covariances. The record contains the coverage updates made, of a window the one at its
+        end, and all Gaussian measurements, of which rejected ones are not `active`.
 
         Args:
             imu: the samples, from `imu_samples`.
@@ -378,9 +378,9 @@ def _deviation_share(gamma: float, window: int) -> float:
 def coverage_settings(
     gamma: float, iterations: int, max_error, persistent: bool
 ) -> CoverageSettings:
-    """Check settings.
+    """Checked settings; raises SurefootError for values out of range.
 
-    max_error (3,) [m/s] or None; a filter with a persistent part has its own.
+    max_error (3,) [m/s] or None, which it must be for a filter with a persistent part.
     """
     _check_level(gamma, iterations)
     limit = UNLIMITED if max_error is None else _limit(max_error, persistent)
@@ -413,7 +413,7 @@ def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None) -> Traje
         state: the initial state.
         covariance: of its error.
         noise: FilterNoise, or None for the defaults.
-        stride: rows from one returned estimate to the next; 100 Hz where left out.
+        stride: rows between returned estimates; 100 Hz by default.
     """
     imu = imu_samples(t, gyro, accel)
     return InvariantFilter(state, covariance, noise).run(imu, rows=every_row(imu.t, stride))
@@ -434,8 +434,8 @@ def run_velocity(
         state: the initial state.
         covariance: of its error.
         noise: FilterNoise, or None for the defaults.
-        stride: rows from one returned estimate to the next; 100 Hz where left out.
-        persistent: as of `run_coverage`.
+        stride: rows between returned estimates; 100 Hz by default.
+        persistent: as for `run_coverage`.
     """
     imu = imu_samples(t, gyro, accel)
     velocities = gaussian_velocities(rows, v_I, cov, len(imu.t))

@@ -1,4 +1,4 @@
-"""Initial state of a filter, from the reference's first row, or else from gravity."""
+"""Initial state of a filter, from the reference's first row or, without one, from gravity."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ STILL_GYRO, STILL_ACCEL = 0.03, 0.5
 INDEPENDENT = 0.02
 """Interval at which a gyro's readings at rest count as independent [s]."""
 STILL_BIAS = 3e-4
-"""Least deviation of a gyro bias estimated in standing [rad/s]: legs yield a little, slowly."""
+"""Least standard deviation of a gyro bias estimated at rest [rad/s], since legs yield slowly."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
     the IMU shows that the robot is at rest (`still_gyro_bias`).
 
     Raises LogError where the log has neither a reference nor an IMU, and SurefootError where the
-    initial mean force cannot be gravity (outside 8 to 12 m/s^2).
+    reference is not valid in the first row or the mean specific force cannot be gravity (more than
+    2 m/s^2 off).
     """
     if log.has("reference"):
         row = int(np.flatnonzero(log.ref_ok)[0]) if log.ref_ok.any() else 0

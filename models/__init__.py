@@ -1,1 +1,1 @@
-"""What is learnt from data: the velocity observer, its calibration, residuals and their causes."""
+"""Models from data: the velocity observer, its calibration, residuals and their causes."""

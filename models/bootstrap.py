@@ -8,7 +8,7 @@ def block_bootstrap_counts(
 ) -> np.ndarray:
     """How often each of K blocks is in each of `count` samples of the block bootstrap, (count, K).
 
-    Times the sums of the blocks (K, ...) it gives the sum of each sample. `drawn`: how many blocks
-    a sample has, K where left out.
+    Multiplied by the sums of the blocks (K, ...) it gives the sum of each sample. `drawn`: number
+    of blocks in a sample, by default K.
     """
     return rng.multinomial(drawn or blocks, np.full(blocks, 1.0 / blocks), size=count)

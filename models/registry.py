@@ -1,4 +1,4 @@
-"""Networks and calibration methods by name: those that come with surefoot, then those users add.
+"""Registries of networks and calibration methods: the bundled ones, then those of plug-ins.
 
 Listing them imports neither torch nor any of them.
 """
@@ -17,7 +17,7 @@ ARCHITECTURES = Registry(
     },
     needs=("width", "rate", "receptive_field", "causal", "initialise", "forward", "stepper"),
 )
-"""Each as surefoot.models.observer.network.Architecture has it."""
+"""Name -> class with the interface of surefoot.models.observer.network.Architecture."""
 
 CALIBRATORS = Registry(
     "surefoot.calibrators",
@@ -31,8 +31,9 @@ CALIBRATORS = Registry(
     },
     needs=("label", "fit_share", "level", "samples_needed", "fit", "conformalize", "bounds"),
 )
-"""Each as surefoot.models.calibration.regions.Calibrator has it."""
+"""Name -> class with the interface of surefoot.models.calibration.regions.Calibrator."""
 
 LOSSES = ("mse", "gml")
-"""What an observer is trained by: mean squared error, or Gaussian likelihood, which predicts a
-covariance too."""
+"""Losses of the training: mean squared error, or Gaussian likelihood, which also predicts a
+covariance.
+"""

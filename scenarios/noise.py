@@ -58,7 +58,7 @@ def noise_text(name: str, found: RestNoise) -> str:
 
 
 def settings_text(name: str, found: RestNoise) -> str:
-    """The worst axis of each sensor as settings; what the rest is too short for is a comment."""
+    """The worst axis of each sensor as settings; values that need a longer rest are comments."""
     lines = [
         f"# Noise of {name} at rest from {found.begin:.2f} to {found.end:.2f} s; the worst axis.",
         "# A sensor at rest: walking adds impacts and misalignment, so that filters want more.",

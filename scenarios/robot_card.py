@@ -1,4 +1,4 @@
-"""`surefoot robots NAME`: what was read from a robot's file, as text and as a picture."""
+"""`surefoot robots NAME`: the model read from a robot's file, as text and as a picture."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from surefoot.sim.robot.robot import IMU_SITES, Robot
 
 @dataclass(frozen=True)
 class RobotCard:
-    """What was read from a robot's file, as text for a reader and as values for a program."""
+    """The model read from a robot's file, as text for a reader and as values for a program."""
 
     text: str
     values: dict[str, Any]
@@ -121,7 +121,7 @@ def _no_imu(model: mujoco.MjModel) -> str:
 
 
 def _why_not(robot: Robot) -> str:
-    """Why simulation refuses the robot, in its own words; empty if it can walk."""
+    """The error with which simulation refuses the robot; empty if it can walk."""
     try:
         build_world(robot, Ground(mu=1.0))
     except SurefootError as error:

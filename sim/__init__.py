@@ -1,1 +1,1 @@
-"""The world that makes data: robots, terrain, gait, sensors, effects and the Log."""
+"""Simulation and logs: robots, terrain, gait, sensors, effects and the Log."""

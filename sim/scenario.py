@@ -24,7 +24,7 @@ ROLES: tuple[Role, ...] = get_args(Role)
 Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
 Factor = Annotated[float, msgspec.Meta(ge=0.01, le=100.0)]
 Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
-"""[m/s or rad/s]; twice as fast as any legged robot."""
+"""[m/s or rad/s]; the limit is twice the speed of any legged robot."""
 SHORTEST_SEGMENT = 0.004
 """Shortest segment [s]: a tick of the controller."""
 Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
@@ -133,7 +133,7 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
         Patch(p.center_x + dx, p.center_y + dy, p.size_x, p.size_y, p.mu * mu)
         for p, (dx, dy) in zip(ground.patches, shifts, strict=True)
     )
-    # A height field is cut along its lattice: so is the friction that is truth.
+    # A height field is divided along its lattice, and the true friction with it.
     for layer in (*[s for s in ground.strips if s.rough][:1], *ground.fields):
         patches = tuple(p.snapped(layer) if _on(p, layer) else p for p in patches)
     strips = tuple(_drawn_strip(s, mu, rough, rng) for s in ground.strips)

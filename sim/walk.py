@@ -165,7 +165,7 @@ def plan(
             )
     world = build_world(robot, ground, spec)
     start = SETTLING_TIME + scenario.stand
-    # Feet of another radius are put down as such: a controller feels the ground that they stand on.
+    # The controller places feet with their actual radius, since it senses the ground below them.
     radius = find_legs(world.model, robot.name).foot_radius
     same = np.array_equal(radius, robot.foot_radius)  # keeps the inertia that it has computed
     standing_on = robot if same else replace(robot, foot_radius=radius)

@@ -36,8 +36,8 @@ def propagate(mean, covariance, gyro, accel, dt: float, noise, columns, rotation
     """One IMU step of mean (7+E, 3) and covariance (15+3E, 15+3E), in place.
 
     gyro (3,) [rad/s], accel (3,) [m/s^2]: means over the step of dt [s]; noise (4, 3) as
-    `FilterNoise.packed`. columns (15+3E, 6) is work space for B; its rows of extras, and
-    rotation_columns (3E, 3), the coupling of extras to the rotation error, are the caller's.
+    `FilterNoise.packed`. columns (15+3E, 6) is work space for B. The caller fills its rows of
+    extras, and rotation_columns (3E, 3), the coupling of extras to the rotation error.
     """
     propagate_mean(mean, gyro, accel, dt, columns)
     propagate_covariance(covariance, columns, rotation_columns, dt, noise)
@@ -244,7 +244,7 @@ def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotatio
         accel: (3,) [m/s^2] in I, specific force.
         dt: the step [s].
         noise: (4, 3), `FilterNoise.packed`.
-        columns: (15+3E, 6), work space for B; its rows of extras are the caller's.
+        columns: (15+3E, 6), work space for B; the caller fills its rows of extras.
         rotation_columns: (3E, 3), coupling of the extras to the rotation error.
     """
     plausible = gyro.shape[0] == 3 and accel.shape[0] == 3 and 0.0 < dt <= MOST_STEP

@@ -16,12 +16,12 @@ ACCEL_NOISE = 0.03
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a filter did in each window of SUM_WINDOW.
+    """Innovations, biases, speed and corrections of a filter in each window of SUM_WINDOW.
 
     Attributes:
         start: start of the windows (W,) [s].
-        sums: `surefoot.estimator.evaluation.innovation_sums` (W, S, 10), S = 0 for a filter
-            without.
+        sums: `surefoot.estimator.evaluation.innovation_sums` (W, S, 10); S = 0 without
+            innovations.
         bias: b_a [m/s^2] and b_g [rad/s] at the window's end (W, 6).
         speed: the highest (W,) [m/s].
         pushed: total change of the velocity by updates (W,) [m/s].

@@ -98,7 +98,7 @@ def plane_moments(gaussian, rectangle, about, out):
     """Scaled moments of a two-dimensional Gaussian on a rectangle, into out (6,).
 
     Without the factor 1/(2 pi s1 s2); out receives the moments 1, 1', 2', 1'1', 1'2', 2'2'. Where
-    one axis is free as far as the density matters, only the other's line is integrated.
+    the bounds of one axis lie outside the relevant range, only the other axis is integrated.
 
     Args:
         gaussian: Conditional2.

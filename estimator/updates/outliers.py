@@ -16,7 +16,7 @@ from surefoot.sim.common.kernels import kernel
 SIGMAS = 3.3
 """Deviations of the estimate that are allowed before a measurement is an outlier."""
 MOST_REJECTED = 25
-"""Largest number of measurements rejected in a row, where no window states it."""
+"""Largest number of measurements rejected in a row by a filter without a window."""
 UNLIMITED = np.full(3, np.inf)
 """A max_error that rejects nothing."""
 
@@ -37,7 +37,7 @@ def is_outlier(S, residual, max_error, most: int, counts) -> bool:
         S: prior covariance (3, 3) of the measured velocity, [m^2/s^2].
         residual: measured minus predicted (3,) [m/s].
         max_error: largest error of a measurement (3,) [m/s].
-        most: rejected in a row; one more is no outlier.
+        most: number rejected in a row, after which a measurement is accepted.
         counts: of the filter (2,), see GATHERED and REJECTED.
     """
     for i in range(3):

@@ -35,7 +35,7 @@ def velocity_output(mean, covariance, contacts: int, v_I, PHt, S, residual):
         v_I: (3,) [m/s], measured velocity of the IMU in I.
         PHt: (n, 3), filled with Sigma H^T.
         S: (3, 3) [m^2/s^2], filled with H Sigma H^T.
-        residual: (3,) [m/s], filled with v_I - v_I_bar.
+        residual: (3,) [m/s], filled with v_I - v_I_bar, minus the persistent part.
     """
     n = covariance.shape[0]
     persistent = EXTRA + contacts < mean.shape[0]

@@ -37,8 +37,8 @@ class AngleError:
     Attributes:
         joint: name of the joint.
         channel: channel in which the error shows most.
-        share: what the curve explains on unseen blocks, of what it and the effects found at the
-            joint explain.
+        share: share of the curve in what it and the effects found at the joint explain together on
+            unseen blocks.
     """
 
     joint: str

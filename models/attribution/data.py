@@ -1,4 +1,4 @@
-"""What a trace reads from its logs, and what can be identified from them."""
+"""Columns that a trace reads from its logs, and the effects that can be identified from them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 LACKING = ": not used, the log lacks "
-"""Separates, in a note, a channel from the columns that it would need."""
+"""Text of a note between a channel and the columns that it lacks."""
 
 
 def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:

@@ -61,7 +61,7 @@ class Diagnosis:
         channels: residual of each channel on data that no fit has seen.
         held_out: the same on held-out logs.
         masked_share: share of the stance that was masked as slipping.
-        friction: of the feet; None where the logs lack what it takes.
+        friction: of the feet; None where the logs lack the columns for it.
         floor: source of the noise floor.
         rivals: other effects that explain the data as well.
         notes: for the reader.
@@ -285,7 +285,7 @@ def _lag_notes(lags: Sequence[Found]) -> list[str]:
 
 
 def _shown_between_feet(found: Sequence[Found]) -> tuple[str, ...]:
-    """A reason that names the effects which show only as motion of feet against each other."""
+    """A reason that names the effects seen only in the relative motion of the feet."""
     effects = [one.effect for one in found]
     by_feet = [e for e in effects if "leg_velocity" in e.channels_of(e.target)]
     names = ", ".join(f"{one.name} {one.target}" for one in by_feet)

@@ -30,8 +30,8 @@ def adds_drift(
 
     The drift is the apparent motion of the feet over the ground during stance, summed over blocks
     so that noise averages out. It grows if the sum of its squares does in 95 % of the bootstrap
-    draws, by more than the share GROWN of its value with nothing compensated, and by more than the
-    drift that simulated walks with these effects show even when they are compensated.
+    draws, by more than the share LEAST_GROWTH of its value with nothing compensated, and by more
+    than the drift that simulated walks with these effects show even when they are compensated.
 
     Args:
         cases: the logs under the declared model.

@@ -238,9 +238,9 @@ def fit(
 ) -> Fit:
     """Least squares of these keys and the nuisance parameters within their bounds.
 
-    Other candidates are held at the sizes `given`. A nuisance parameter that stands for one of the
-    keys is dropped. A column without excitation gets size zero and infinite variance. The
-    covariance is the sandwich estimator over blocks.
+    Other candidates are held at the sizes `given`. A nuisance parameter that describes the same
+    error as one of the keys is dropped. A column without excitation gets size zero and infinite
+    variance. The covariance is the sandwich estimator over blocks.
     """
     G = data.whole
     first = 1 + len(data.keys)
@@ -267,7 +267,7 @@ def fit(
         scores = data.G[:, np.array(use, dtype=int)[:, None], there] @ vector[there]
         covariance = (inverse @ (scores.T @ scores) @ inverse)[: len(keys), : len(keys)]
         covariance[dead[: len(keys)], dead[: len(keys)]] = np.inf
-        # A bias effect is known no better than the declared turn-on bias that it stands for.
+        # A bias effect is known no better than the declared turn-on bias that it replaces.
         for i, key in enumerate(keys):
             if key in data.described_by:
                 limit = data.limits[data.described_by.index(key)]

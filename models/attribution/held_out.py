@@ -27,7 +27,7 @@ class HeldOutRuns:
     Attributes:
         channels: residual of each channel over all logs.
         runs: effects of each log's own.
-        against: one sentence for each effect that makes its own channel worse on a log.
+        worsened: a sentence for each effect that makes its own channel worse on a log.
     """
 
     channels: dict[str, ChannelLevel]

@@ -63,9 +63,10 @@ class ChannelLevel:
     def worse(self) -> bool:
         """Whether compensation increases the residual on unseen data.
 
-        On the same bins, either to `refuted_ratio` of what it was and above all walks of the noise
-        floor, or, where chance is not the reason, by more than walks simulated with these effects
-        scatter and above their floor.
+        Judged on the bins that both have. Either the residual reaches `refuted_ratio` of its value
+        before and lies above all walks of the noise floor; or the increase is not by chance,
+        exceeds the scatter of walks simulated with these effects, and the residual is above their
+        floor.
         """
         before, after = self.same_bins or (self.before, self.after)
         if after > max(self.settings.refuted_ratio * before, self.highest):

@@ -70,7 +70,7 @@ class FloorWalk:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """What to simulate for a noise floor.
+    """Walks to simulate for a noise floor.
 
     Attributes:
         file: the robot's model.
@@ -166,7 +166,7 @@ class NoiseFloor:
         alike = [k for k in self._keys if k[0] == key[0] and _part(k, limbs) == _part(key, limbs)]
         free = self.walks[0].normal_equations
         if key in free.described_by:
-            # A turn-on bias is drawn anew at every start; `fit` adds that to the covariance.
+            # A turn-on bias is redrawn at every start; `fit` adds that to the covariance.
             return 0.0, 0.0
         own = self._sizes(chosen, key)
         mean, count = float(np.mean(own)), len(own)

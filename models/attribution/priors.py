@@ -20,8 +20,8 @@ class Prior:
     Attributes:
         within: bound on the magnitude for 19 of 20 machines.
         source: of that figure.
-        most: magnitude beyond which the size is implausible for any machine, so that the effect
-            must stand for another.
+        most: magnitude beyond which the size is implausible for any machine, so that another cause
+            must explain the residual.
     """
 
     within: float

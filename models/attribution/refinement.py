@@ -2,7 +2,7 @@
 
 Hardly any effect is linear in its size. A delay of the IMU, for instance, looks like an advance of
 the reference in the channels where both appear, which have by far the highest signal-to-noise
-ratio. Only the legs tell the two apart, and they matter only if interpolation errors between rows
+ratio. Only the legs distinguish the two, and they matter only if interpolation errors between rows
 do not decide the choice first.
 """
 
@@ -32,7 +32,7 @@ from surefoot.sim.robot.limbs import Limbs
 
 @dataclass(frozen=True)
 class RefinementData:
-    """What sizes are refined on.
+    """Data on which sizes are refined.
 
     Attributes:
         cases: the logs under the declared model.
@@ -94,7 +94,7 @@ def refine_sizes(data: RefinementData, chosen: Sequence[Effect], report: int) ->
 
 
 def _has_moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
-    """Whether a size has moved by this share of it; also true if there are no sizes `before`."""
+    """Whether a size has changed by this relative amount, or there are no sizes `before`."""
     pairs = zip(before, after, strict=False)
     return not before or any(abs(a.value - b.value) >= share * abs(b.value) for a, b in pairs)
 
@@ -126,7 +126,7 @@ def refine_jointly(data: RefinementData, key: Key) -> tuple[NormalEquations, lis
     """Refine a candidate together with the effects found.
 
     Needed for effects that resemble one another: while only one of them is compensated it absorbs a
-    part of the other, and linear regressors say little.
+    part of the other, and linear regressors are unreliable.
 
     Returns:
         The normal equations of the problem linearised at the refined sizes, with sizes counted from
@@ -216,9 +216,9 @@ def replace_implausible(
 ) -> list[Effect]:
     """Replace effects whose refitted size has become implausible.
 
-    Two effects at one joint may grow against each other to fit what is neither. An effect with such
-    a size is replaced by one that was nearly collinear with it when it was chosen, if that lowers
-    the total cost.
+    Two effects at one joint may grow in opposite directions to fit an error of another kind. An
+    effect with such a size is replaced by one that was nearly collinear with it when it was chosen,
+    if that lowers the total cost.
 
     Args:
         data: the evidence on which sizes are refined.
@@ -255,7 +255,7 @@ def merge_into_groups(data: RefinementData, chosen: Sequence[Effect]) -> list[Ef
     found before it.
     """
     chosen, limbs = list(chosen), data.evidence.layout.limbs
-    # BIC's price of a parameter, and of choosing it among many (`selection.judge`).
+    # BIC's price of a parameter, and of choosing it among many (`selection.evaluate_candidates`).
     price = np.log(max(2, len(np.unique(data.part)))) + 2.0 * np.log(len(data.evidence.keys))
     for name in {e.name for e in chosen}:
         kind, alike = known_effects()[name], [e for e in chosen if e.name == name]

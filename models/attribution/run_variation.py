@@ -31,7 +31,7 @@ def run_variation(
     left: np.ndarray,
     weights: RobustWeights,
 ) -> RunVariation | None:
-    """Estimate the variation between runs with `effects` compensated; None of too few runs.
+    """Estimate the variation between runs with `effects` compensated; None for too few runs.
 
     A candidate's variance is shrunk towards that of all, each in units of its noise (Smyth,
     Statistical Applications in Genetics and Molecular Biology 3, 2004).

@@ -161,8 +161,8 @@ class TraceSettings:
     positive_evidence: float = 2.0
     """Difference of -2 log p that counts as positive evidence (Kass and Raftery 1995)."""
     least_own_share: float = 0.5
-    """Share of a candidate's gain below which what remains of it means that another explains the
-    same.
+    """Share of a candidate's gain below which the remainder, beside another candidate, means that
+    both explain the same.
     """
     contender_size_ratio: float = 2.0
     """Least ratio of size to spread of a contender that earned no place."""

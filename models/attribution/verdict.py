@@ -101,8 +101,8 @@ def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
 
 
 def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:
-    """Why an effect cannot be told from noise: all of its channels are below their floors; else
-    "".
+    """Why an effect cannot be distinguished from noise, if all its channels are below their floors;
+    else "".
     """
     own = {name: channels[name] for name in one.channels_of(one.target) if name in channels}
     if not type(one).is_compensated() or not own or not all(c.below_floor for c in own.values()):

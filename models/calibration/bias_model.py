@@ -14,9 +14,9 @@ Several sequences, or long blocks of one, are independent realisations of b.
 A fitted b does not describe the difference between courses: its tau is that of changes within a
 course, and with a tau of seconds it averages out over minutes, which the mean error of a course
 need not. So b varies about a constant c, different for each course. Its variance is that of the
-measured course means, plus one further course as far off as b is within a course: a few courses say
-little about others, and the ground of one section may be all of the next course. The share of a
-course's mean that b explains is subtracted, all of it where tau is infinite.
+measured course means, plus one further course as far off as b is within a course: a few courses
+are weak evidence for others, and the ground of one section may be all of the next course. The share
+of a course's mean that b explains is subtracted, all of it where tau is infinite.
 
 The mean is zero and not estimated: what all sequences share is persistent as well. Intervals are
 likelihood-ratio intervals (Wilks): all values at which the profile likelihood is within half a

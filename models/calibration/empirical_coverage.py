@@ -66,7 +66,7 @@ class CaseCoverage:
 def coverage_by(
     log: Log, rows: np.ndarray, errors: np.ndarray, bounds: Bounds
 ) -> list[CaseCoverage]:
-    """Coverage by terrain, slip, motion and gait phase, as far as the log has the columns.
+    """Coverage by terrain, slip, motion and gait phase, where the log has the columns.
 
     errors (M, 3) at `rows` (M,) of the log, as surefoot.models.observer.predict.prediction_errors
     returns them. Returns a CaseCoverage for each case that occurs.

@@ -53,9 +53,7 @@ class Region:
 
     @property
     def box(self) -> Region:
-        """The smallest enclosing box, which the filters' update uses. It contains at least as
-        much.
-        """
+        """The smallest enclosing box, for the filters' update; it covers at least as much."""
         return Region(self.epsilon)
 
     def around(self, v_I: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,20 +18,23 @@ from scipy.optimize import nnls
 from surefoot.sim.common.errors import SurefootError
 
 LONGEST = 1 / 5
-"""Of the stretch, the longest tau: beyond it a variance rests on a handful of differences."""
+"""Longest averaging time, as a share of the record; longer ones leave only a few differences."""
 SHORTEST_REST = 64
-"""Samples: fewer give no octave whose variance is known to a third."""
+"""Least number of samples; with fewer, no octave has a variance known to a third."""
 NEIGHBOURS = 0.53, 0.88
-"""Correlation of the overlapping variances at neighbouring octaves, of white noise and of a random
-walk: of 1500 simulated records of 4096 samples each. Farther ones have its powers, or less."""
+"""Correlation of the overlapping variances at neighbouring octaves, for white noise and for a
+random walk, from 1500 simulated records of 4096 samples each. At a distance of n octaves it is at
+most its n-th power.
+"""
 Z = 1.96
-"""Deviations of a 95 % interval."""
+"""Half width of a 95 % interval, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Allan deviations sigma (M,) [unit] at averaging times tau (M,) [s], with the degrees of
-    freedom (M,) of their squares."""
+    """Allan deviations sigma (M,) [unit] at averaging times tau (M,) [s], and the degrees of
+    freedom (M,) of their squares.
+    """
 
     tau: np.ndarray
     sigma: np.ndarray
@@ -40,7 +43,7 @@ class AllanCurve:
 
 @dataclass(frozen=True)
 class Density:
-    """A noise density with its 95 % interval; from zero where the data do not show it."""
+    """A noise density and its 95 % interval, which begins at zero if it is insignificant."""
 
     value: float
     low: float
@@ -48,14 +51,19 @@ class Density:
 
     @property
     def resolved(self) -> bool:
-        """Whether the data show that it is not zero."""
+        """Whether the density differs significantly from zero."""
         return self.low > 0.0
 
 
 @dataclass(frozen=True)
 class AxisNoise:
-    """Of one axis of a sensor: its Allan deviation, white noise [unit/sqrt(Hz)] and the walk of its
-    bias [unit/s/sqrt(Hz)]."""
+    """Noise of one axis of a sensor.
+
+    Attributes:
+        curve: its Allan deviation.
+        white: density of the white noise [unit/sqrt(Hz)].
+        walk: density of the bias's random walk [unit/s/sqrt(Hz)].
+    """
 
     curve: AllanCurve
     white: Density
@@ -63,8 +71,10 @@ class AxisNoise:
 
 
 def allan_curve(x: np.ndarray, rate: float) -> AllanCurve:
-    """Overlapping Allan deviation of readings x (N,) at `rate` [Hz]. Raises SurefootError where
-    they are too few, or all the same."""
+    """Overlapping Allan deviation of readings x (N,) at `rate` [Hz].
+
+    Raises SurefootError where they are too few, or all equal.
+    """
     n = len(x)
     if n < SHORTEST_REST:
         raise SurefootError(f"noise: {n} samples at rest, at least {SHORTEST_REST} are needed")
@@ -103,8 +113,11 @@ def axis_noise(x: np.ndarray, rate: float) -> AxisNoise:
 
 
 def _density(square: float, std: float) -> Density:
-    """From the square and its deviation, which goes with the square: where it is resolved, the
-    interval is of its logarithm."""
+    """The density from its square and that square's standard deviation.
+
+    A significant one has an interval of its logarithm, since the deviation is proportional to the
+    square.
+    """
     if square > Z * std:
         factor = np.exp(0.5 * Z * std / square)
         return Density(*(float(np.sqrt(square) * f) for f in (1.0, 1.0 / factor, factor)))

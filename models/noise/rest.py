@@ -1,4 +1,4 @@
-"""Where a log rests, and the noise of its IMU and encoders there."""
+"""Detection of rest in a log, and the noise of its IMU and encoders during it."""
 
 from dataclasses import dataclass
 
@@ -9,22 +9,29 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 
 QUIET_WINDOW, QUIET_BLOCKS = 0.5, 10
-"""s of a window that is looked at, and the means that it is divided into: 50 ms take white noise
-off, and leave what a robot does."""
+"""Length of a window [s], and number of blocks that it is divided into: means over 50 ms suppress
+white noise but not a robot's motion.
+"""
 QUIET_GYRO, QUIET_ACCEL = 0.03, 0.5
-"""rad/s and m/s^2: a robot whose means spread by more in a window does not stand still."""
+"""Standard deviation of these means, in rad/s and m/s^2, up to which a robot is at rest."""
 TURNED = 0.01
-"""rad/s, and times gravity m/s^2: windows whose means differ by more are not of one rest."""
+"""Difference between the means of successive windows up to which they belong to one rest: of the
+gyro [rad/s] and, in units of 10 m/s^2, of the accelerometer.
+"""
 
 
 @dataclass(frozen=True)
 class RestNoise:
     """Noise of a log at rest.
 
-    begin, end [s] of the rest; gyro (3 axes) [rad/s] and accel (3 axes) [m/s^2]; encoder (J,)
-    [rad], deviation of single readings of each joint while the robot rests, and stance (J,), the
-    same while its foot stands, walking or not, NaN where that is not known; both empty without
-    joints.
+    Attributes:
+        begin: of the rest [s].
+        end: of the rest [s].
+        gyro: noise of each axis, in rad/s.
+        accel: noise of each axis, in m/s^2.
+        encoder: standard deviation of single readings at rest (J,) [rad]; empty without joints.
+        stance: the same while the joint's foot is in stance, also in a walk (J,) [rad]; NaN without
+            contacts, empty without joints.
     """
 
     begin: float
@@ -36,11 +43,11 @@ class RestNoise:
 
 
 def rest_of(log: Log) -> np.ndarray:
-    """Rows of the longest stretch of a log in which its IMU shows that it rests.
+    """Rows of the longest section of a log in which its IMU is at rest.
 
-    Windows of half a second are quiet where neither gyro nor accelerometer moves by more than a
-    robot that stands does; neighbours belong together if their means
-    agree. Raises SurefootError where no window is quiet.
+    Windows are quiet if gyro and accelerometer vary by less than QUIET_GYRO and QUIET_ACCEL.
+    Successive quiet windows are joined if their means agree to TURNED. Raises SurefootError where
+    no window is quiet.
     """
     log.require("imu")
     block = max(round(QUIET_WINDOW * log.rate / QUIET_BLOCKS), 1)
@@ -68,9 +75,9 @@ def rest_of(log: Log) -> np.ndarray:
 
 
 def rest_noise(log: Log) -> RestNoise:
-    """Noise of the IMU and the encoders of a log that rests somewhere.
+    """Noise of the IMU and the encoders during the longest rest of a log.
 
-    Raises SurefootError where it rests nowhere, or too shortly.
+    Raises SurefootError where there is no rest, or only too short ones.
     """
     rows = rest_of(log)
     t = log.t[rows]
@@ -86,16 +93,16 @@ def rest_noise(log: Log) -> RestNoise:
 
 
 def encoder_noise(q: np.ndarray) -> np.ndarray:
-    """Deviation (J,) of the white noise of readings q (N, J), whatever smooth motion is below it.
+    """Standard deviation (J,) of the white noise of readings q (N, J) of a smooth motion.
 
-    Third differences of white noise have the variance 1 + 9 + 9 + 1 times its own; what the joint
-    does within four samples they leave out but for its jerk.
+    Third differences of white noise have 1 + 9 + 9 + 1 times its variance; of the motion they
+    contain only the jerk.
     """
     return np.diff(q, n=3, axis=0).std(axis=0) / np.sqrt(20.0)
 
 
 def _stance_noise(log: Log) -> np.ndarray:
-    """`encoder_noise` of each joint (J,) over the rows that are of a stance."""
+    """`encoder_noise` of each joint (J,) over the rows in stance; joints in order of the legs."""
     if not log.has("contact") or len(log.joints) % len(log.legs):
         return np.full(len(log.joints), np.nan)
     each = len(log.joints) // len(log.legs)

@@ -20,7 +20,7 @@ WINDOW = 1000
 """Length of a window in steps of 10 ms, as in the paper."""
 BEGINNINGS = 1 / 8
 """Share of windows that begin where their log does. There an observer starts from the zero state,
-mostly at rest; at random, only one window in thousands would show it, and its first predictions
+mostly at rest; of random windows only one in thousands would contain it, and its first predictions
 would be off by 0.5 m/s.
 """
 

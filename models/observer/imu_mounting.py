@@ -6,8 +6,8 @@ import numpy as np
 
 
 class Mounted(Protocol):
-    """What an observer needs of a robot: its name and the mounting of its IMU frame I in its base
-    B.
+    """The properties of a robot that an observer needs: its name, and the mounting of its IMU frame
+    I in the base frame B.
     """
 
     @property

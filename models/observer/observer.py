@@ -117,7 +117,7 @@ class Observer:
 
     @property
     def name(self) -> str:
-        """The robot's name, so that an Observer can stand for a robot's mounting."""
+        """The robot's name, so that an Observer satisfies the protocol `Mounted`."""
         return self.robot
 
     @cached_property

@@ -100,7 +100,7 @@ class Loop:
         """v_I (3,) [m/s], and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
 
         The signals are those of surefoot.models.observer.observer.signals, concatenated: q, dq, tau
-        as far as the inputs need them. The filter is that of surefoot.models.observer.decimate over
+        where the inputs need them. The filter is that of surefoot.models.observer.decimate over
         the samples of the last 20 ms.
         """
         scaled = self.observer.scaled(x[None])[0]

@@ -33,7 +33,7 @@ class Samples:
 def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
     """Anti-aliased signals of a log for these inputs.
 
-    Raises ObserverError naming what the log lacks; nothing is filled in. Joint velocities that the
+    Raises ObserverError naming the missing columns; nothing is filled in. Joint velocities that the
     log declares as zero-phase derivatives look into the future, and are derived again, causally,
     from q.
     """

@@ -51,7 +51,7 @@ class Tolerance:
 
 @cache
 def tolerances() -> dict[str, Tolerance]:
-    """Quantity's name -> its tolerance, from tolerances.toml."""
+    """Name of a quantity -> its tolerance, from tolerances.toml."""
     return read_typed(
         bundled("surefoot.models.realism", "tolerances.toml"), dict[str, Tolerance], "tolerances"
     )

@@ -294,8 +294,8 @@ def mean_rate_of_change(x: np.ndarray, t: np.ndarray, motion: ReferenceMotion) -
 
 
 def angles_are_quieter(log: Log, motion: ReferenceMotion) -> bool:
-    """Whether a log's angles give less noisy accelerations than its rates, by QUIETER at most
-    joints.
+    """Whether a log's angles give less noisy accelerations than its rates, by the
+    factor LEAST_NOISE_RATIO at the median joint.
 
     Some drives log rates that jitter by tenths of a rad/s between rows. The noise is estimated from
     second differences, which have six times its variance and little of the motion.

@@ -57,7 +57,7 @@ class Layout:
         return self.of(*(name for name in self.channels if not channels()[name].evaluation_only))
 
     def of(self, *names: str) -> np.ndarray:
-        """Columns of these channels, as far as the layout has them."""
+        """Columns of those of these channels that the layout has."""
         places = [self.channels[n] for n in names if n in self]
         return np.concatenate([np.arange(p.start, p.stop) for p in (slice(0, 0), *places)])
 

@@ -40,10 +40,10 @@ def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.nda
 def stance_displacement(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarray:
     """Displacement (M, 2 L) [m] of each foot over the ground during each of its contacts.
 
-    By the leg's kinematics and the reference, negated, along the forward and lateral axes of the
-    heading: the distance by which leg odometry moves the body too far. In the bin in the middle of
-    the contact. Contacts are shortened to the time in which the foot does not move, and by the
-    delays that the model declares.
+    From the leg's kinematics and the reference, along the forward and lateral axes of the heading,
+    and negated, so that it is the distance by which leg odometry moves the body too far. Values are
+    in the middle bin of each contact. Contacts are shortened to the time in which the foot does not
+    move, and by the delays that the model declares.
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     # One more row on either side, for contacts that the model delays by a part of a row.

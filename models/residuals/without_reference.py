@@ -1,8 +1,9 @@
 """Motion of a walk whose log has no reference, from its IMU and legs alone.
 
-It is made of the readings, so they cannot be compared with it. It only gives the vertical, the
-stances, and the course for the simulated walks of a noise floor. The residuals are then contrasts
-between feet in simultaneous stance (`feet.between_feet`), and those of the joints alone.
+It is derived from the readings, which can therefore not be compared with it. It only gives the
+vertical, the stances, and the course for the simulated walks of a noise floor. The residuals are
+then contrasts between feet in simultaneous stance (`feet.between_feet`), and those of the joints
+alone.
 """
 
 from dataclasses import replace

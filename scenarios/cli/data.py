@@ -141,7 +141,7 @@ class Import:
             return
         with whole_file(self.out, self.force) as temporary:
             temporary.write_text(text, encoding="utf-8")
-        # A line "# ?" only marks an entry below its question; the head explains it in words.
+        # Lines "# ?" mark entries below a question; the first line of the text only explains this.
         asked = text.partition("\n")[2].count("# ? ")
         if asked == 0:
             what = "no questions in it; import with --map"

@@ -84,6 +84,5 @@ _LOOKED_UP = {
     "effects": _known_effect,
     "only": check_item,
 }
-"""Options that are names, some of them also files -> function that raises SurefootError if
-unknown.
+"""Option that is a name, or for some a file -> function that raises SurefootError if it is unknown.
 """

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 OPTIONAL = "(optional)"
 NEEDED = "(required)"
-"""What help says of options that may be left out, and of lists that must not be empty: tyro would
-print `(default: None)` and `(default: )`."""
+"""Texts of --help for optional options and for lists that must not be empty, instead of tyro's
+`(default: None)` and `(default: )`.
+"""
 
 Logs = Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...", help_behavior_hint=NEEDED)]
 # Each has a metavar, since tyro would print `{None}|PATH`.
@@ -113,7 +114,7 @@ def read_logs(paths: tuple[Path, ...], robot: str | None = None) -> list:
 def not_plausible(
     logs: Sequence["Log"], robot: str | Path | None = None, strict: bool = False
 ) -> dict[str, tuple[str, ...]]:
-    """Find what is implausible in these logs: lines by the log's name, also printed to stderr.
+    """Check the logs' plausibility: findings, as lines, by name of the log; also printed to stderr.
 
     `robot` is the logs' own by default. Raises SurefootError if there are any and `strict` is set.
     """

@@ -55,7 +55,7 @@ SPACE = 4_000_000
 
 @contextmanager
 def guarded(name: str, command: Any) -> Iterator[None]:
-    """Context in which the command has its output to itself and cannot overwrite its inputs.
+    """Context in which the command has exclusive use of its output and cannot overwrite its inputs.
 
     Raises SurefootError if an input is missing, an output is an input or is being written by
     another run, the disk is full, or others can write to the cache.
@@ -162,8 +162,8 @@ def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
 
 
 def plain_terminals() -> None:
-    """Print characters that a terminal does not support as question marks, without errors; nothing
-    where a stream is closed.
+    """Print characters that a terminal does not support as question marks; print nothing to closed
+    streams.
     """
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115

@@ -1,7 +1,7 @@
-"""Signals that end a process: one line and the signal's exit code, at any time.
+"""Terminating signals: the process prints one line and ends with the signal's exit code.
 
-Before a command starts there is nothing to undo, and the process ends at once. During a command
-they are raised as Interrupted. After it, its results stand, and they have no effect.
+Before a command starts the process ends immediately. During a command signals are raised as
+Interrupted. After it they are ignored, since its results are complete.
 """
 
 import os
@@ -15,8 +15,8 @@ from types import FrameType
 
 ENDING = [getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
 AGAIN = 1.0
-"""Time after the first signal from which a second one ends the process at once [s]. An earlier one
-is a repetition, as sent by `timeout` and some terminals.
+"""Time after the first signal from which a second one ends the process immediately [s]. An earlier
+one is a repetition, as sent by `timeout` and some terminals.
 """
 
 _phase = "before"

@@ -1,4 +1,4 @@
-"""Entry point of the process, in which a signal is one line from the first import to the end."""
+"""Entry point of the process, which handles signals from the first import to the end."""
 
 import gc
 import importlib
@@ -11,26 +11,26 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import with_plugins
 
 THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""Variables whose errors the libraries that read them report by a traceback."""
+"""Environment variables that are checked here, since their libraries would raise a traceback."""
 
 BACKENDS = {"MPLBACKEND": "matplotlib", "MUJOCO_GL": "mujoco"}
-"""Variables that name a way to draw -> module that fails to be imported if it has no such one."""
+"""Environment variable of a graphics backend -> module whose import fails for an unknown one."""
 
 
 COLLECTION = (10_000, 50, 100)
-"""Thresholds of Python's garbage collector. The imports and the compiled kernels leave half a
-million objects, which the usual thresholds go through again and again; cycles are rare.
+"""Thresholds of Python's garbage collector. Imports and compiled kernels leave half a million
+objects, which the default thresholds scan again and again; cycles are rare.
 """
 
 
 def entry_point() -> None:
-    """The command line; during the imports, which take a second, there is nothing to undo."""
+    """Run the command line; environment variables and plug-ins are checked first."""
     catch_signals()
     gc.set_threshold(*COLLECTION)
-    # No window is opened: MuJoCo would look for a library of them in a process of its own, whose
-    # traceback a signal would leave on the terminal.
+    # No window is opened. Otherwise MuJoCo looks for a windowing library in another process, whose
+    # traceback would appear on the terminal after a signal.
     os.environ.setdefault("MUJOCO_GL", "disable")
-    # The matrices are small: with more threads numpy only waits, an eighth of a trace's CPU time.
+    # For small matrices more threads only wait, for an eighth of a trace's CPU time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.unraisablehook = hand_over_lost
     try:
@@ -39,7 +39,8 @@ def entry_point() -> None:
             _check_date()
             _check_backends()
             arguments = with_plugins(sys.argv[1:])
-            # Only now, for the choices of options are determined when their commands are imported.
+            # Imported after the plug-ins, since importing the commands fixes the choices of
+            # options.
             from surefoot.scenarios.cli.main import main
         except SurefootError as error:
             sys.exit(f"surefoot: {error}")
@@ -49,8 +50,8 @@ def entry_point() -> None:
 
 
 def _check_threads() -> None:
-    """Raise SurefootError for a number of threads in the environment that is none; an empty one is
-    as if it were not set.
+    """Raise SurefootError for an invalid number of threads in the environment; an empty variable
+    counts as unset.
     """
     for name in THREADS:
         text = os.environ.get(name, "").strip()
@@ -59,8 +60,8 @@ def _check_threads() -> None:
 
 
 def _check_date() -> None:
-    """Raise SurefootError for a SOURCE_DATE_EPOCH that is no number of seconds; an empty one is as
-    if it were not set.
+    """Raise SurefootError for a SOURCE_DATE_EPOCH that is not a number of seconds; an empty one is
+    unset.
     """
     text = os.environ.get("SOURCE_DATE_EPOCH")
     if text is None:

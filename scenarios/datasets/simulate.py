@@ -220,7 +220,7 @@ def _jobs(
 
 
 def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force: bool) -> None:
-    """Write undeclared effects to truth.toml, and refuse a folder of logs with other effects."""
+    """Write undeclared effects to truth.toml; refuse a folder whose logs have other effects."""
     truth = out / "truth.toml"
     if truth.exists() and not hidden:
         raise SurefootError(f"{out}: holds logs with undeclared effects; give another folder")

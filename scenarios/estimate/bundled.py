@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 
 
 def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
-    # With velocity updates the accelerometer's noise is larger, since their errors are correlated
-    # over a long time, and with the noise of its data sheet the IMU would carry each of them on.
+    # Larger with velocity updates, whose errors are correlated for long: with the data sheet's
+    # noise, the IMU would propagate each of these errors.
     return (
         Parameter("accel", accel, "m/s^2/sqrt(Hz)", "noise density of the accelerometer"),
         Parameter("gyro", 3e-4, "rad/s/sqrt(Hz)", "noise density of the gyro"),

@@ -59,7 +59,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Needs:
-    """What an estimator needs.
+    """Requirements of an estimator.
 
     Attributes:
         log: groups of a log's columns (`Log.require`).

@@ -1,5 +1,4 @@
-"""User settings of noise, priors and initial state, which override those that the filters are tuned
-to.
+"""User settings of noise, priors and initial state, which override the tuned ones.
 
 A TOML file with optional entries, for the option --settings of `estimate` and `compare`; `surefoot
 noise` writes one, and --set takes single lines of it.

@@ -128,7 +128,7 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
         height.plot(part["t"], part["p_z"], **look)
     above.plot(truth["ref_x"][0], truth["ref_y"][0], "o", color=INK, markersize=6)
     above.set(xlabel="x [m]", ylabel="y [m]")
-    # Estimates that left the picture must not compress the others.
+    # Estimates with very large errors must not compress the others.
     path = truth[["ref_x", "ref_y"]].to_numpy()
     margin = 0.35 * max(np.max(np.ptp(path, axis=0)), 2.0)
     show_to_scale(above, path.min(axis=0) - margin, path.max(axis=0) + margin)
@@ -142,7 +142,7 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
 
 
 def _height_limits(series: Mapping[str, pd.DataFrame]) -> tuple[float, float]:
-    """Lowest and highest z of truth and estimates, but of none that is ten times as far off as the
+    """Lowest and highest z of truth and estimates, without those with ten times the error of the
     best.
     """
     off = {name: (part["p_z"] - part["ref_z"]).abs().max() for name, part in series.items()}

@@ -50,7 +50,7 @@ figcaption { font-size: .9rem; color: #444; max-width: 46rem; margin-top: .3rem;
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure (or the bytes of a PNG), and a caption that says what it shows."""
+    """A figure (or the bytes of a PNG), and its caption."""
 
     figure: Figure | bytes
     caption: str

@@ -94,7 +94,7 @@ def limit_to_errors(ax: Axes, largest: float) -> None:
     """Let y begin at 0 and end at six times the largest error, or where the highest curve does.
 
     A wide 3σ would otherwise flatten the errors; where it leaves the axes, a note in the corner
-    says how far it goes.
+    states its maximum.
     """
     highest = ax.dataLim.y1
     room = 6.0 * largest

@@ -174,7 +174,7 @@ def _trained_and_tested(
     errors = {name: prediction_errors(observer, logs[name])[1] for name in suite.tests}
     for name, e in errors.items():
         row |= {f"{name} {axis}": value for axis, value in zip(DIRECTIONS, _rmse(e), strict=True)}
-    # Courses count alike, long or short.
+    # Long and short courses have equal weight.
     pooled = np.sqrt(np.mean([_rmse(e) ** 2 for e in errors.values()], axis=0))
     return row | dict(zip(DIRECTIONS, pooled.tolist(), strict=True))
 

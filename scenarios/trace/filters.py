@@ -90,7 +90,7 @@ def before_and_after(
             doubts(name, compensated_part, corrected, after),
         )
         done.append(replace(_compared(name, plain_part, truth, before, after), lost=lost))
-    # Leg filters first: a better model of the legs shows in them.
+    # Leg filters first, since a better model of the legs affects them most.
     of_filter = {one.filter: traits(one.filter) for one in done}
     done.sort(key=lambda one: of_filter[one.filter].variant or not of_filter[one.filter].of_legs)
     if all(plain_part.has(group) for group in ("q", "contact")) and plain_part.contact.any():

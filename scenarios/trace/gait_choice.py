@@ -21,8 +21,10 @@ from surefoot.sim.robot import Robot
 class GaitChoice:
     """A choice between the two gaits.
 
-    walked: whether the measured gait was chosen; words: the reason; rows: of the chosen gait's
-        realism card, empty if the log is too short for a card.
+    Attributes:
+        walked: whether the measured gait was chosen.
+        words: the reason.
+        rows: of the chosen gait's realism card; empty if the log is too short for one.
     """
 
     walked: bool

@@ -71,12 +71,12 @@ def loop(
     holdout: Sequence[Log] = (),
     page: Path | None = None,
 ) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
-    """Close the loop on one log and write the results into `out`; a killed run resumes.
+    """Close the loop on one log and write the results into `out`; an interrupted run is resumed.
 
     Returns the table, with one row per filter and each metric in each world, and the worlds: only
-        `before` if no effect was found and the plain gait is better. Raises LogError if the log
-        lacks IMU, joints or reference, and SurefootError if `out` has files of another loop and
-        `force` is not given.
+    `before` if no effect was found and the plain gait is better. Raises LogError if the log lacks
+    IMU, joints or reference, and SurefootError if `out` has files of another loop and `force` is
+    not given.
 
     Args:
         log: the measured log.
@@ -86,7 +86,7 @@ def loop(
         force: whether the files of another loop may be replaced.
         plan: amount of walks and training.
         declared: effects that belong to the model, beyond those that the log declares; the trace
-            then asks what has changed since (see `trace`).
+            then looks for what has changed since (see `trace`).
         holdout: logs of the same machine, on which the effects found are evaluated and nothing is
             fitted.
         page: page of results (Markdown) to write too.

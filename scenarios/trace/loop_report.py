@@ -50,9 +50,12 @@ LOOP_METRICS = {
 class LoopWorld:
     """One simulated world of the loop, and the estimates of the measured log with its observers.
 
-    name: "before", "effects" or "after"; effects: of the simulated robot; learnt: observers and
-        bounds from its walks; comparison: every filter on the measured log; simulated: parts of the
-        observer's errors on a simulated walk that it was not trained on.
+    Attributes:
+        name: "before", "effects" or "after".
+        effects: of the simulated robot.
+        learnt: observers and bounds from its walks.
+        comparison: every filter on the measured log.
+        simulated: parts of the observer's errors on a simulated walk not used for training.
     """
 
     name: str

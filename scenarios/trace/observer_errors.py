@@ -35,7 +35,7 @@ ERROR_PARTS = {
     "from stride to stride": f"a running mean over {_FAST:g} s of what is left then",
     "fast": "the rest",
 }
-"""Parts of the errors while the robot moves, each of what the parts before it leave."""
+"""Parts of the errors while the robot moves, each fitted to the remainder of those before it."""
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ def learnt_from_measured(
 ) -> list[float]:
     """Cross-validated RMS errors (3,) [m/s] of observers trained on the measured walk itself.
 
-    One observer is trained on each half of the log and judged on the other, while the robot moves:
-    about the accuracy that this much real walking can teach.
+    One observer is trained on each half of the log and evaluated on the other, while the robot
+    moves: about the accuracy attainable from this amount of real walking.
 
     Args:
         log: the measured log.

@@ -22,7 +22,7 @@ WITHIN = 0.15
 
 @dataclass(frozen=True)
 class Drift:
-    """The filter's RPE over 1 m [m/m] with one model of the feet; NaN where it diverged."""
+    """RPE of the leg filter over 1 m [m/m] with one model of the feet; NaN where it diverged."""
 
     feet: str  # whose radius the model has, and the radius
     measured: float
@@ -35,7 +35,7 @@ class Drift:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the ratio over the seeds of the walks (Student's t); NaN of one walk."""
+        """95 % interval of the ratio over the walks' seeds (Student's t); NaN for one walk."""
         n = len(self.simulated)
         if n < 2:
             return np.nan, np.nan

@@ -56,8 +56,8 @@ def trace(
         progress: called with the share done, 0 to 1.
         force: overwrite these files.
         declared: effects that belong to the model and are compensated first. With any sequence,
-            even an empty one, the question is what has *changed*: encoder zeros, biases and clocks
-            are then fitted to each log separately and are no effects. The same holds for several
+            even an empty one, the trace looks for what has *changed*: encoder zeros, biases and
+            clocks are fitted to each log separately and are not effects. The same holds for several
             logs.
         learnt: observers and bounds for the filters that need them.
         settings: thresholds and constants, with defaults.

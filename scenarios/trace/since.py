@@ -12,8 +12,8 @@ from surefoot.sim.effects import Effect
 
 
 def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> RunVariation | None:
-    """Read it from the trace.json beside a file of effects, if that trace found these and had
-    enough runs.
+    """Variation read from the trace.json beside a file of effects, if that trace found these
+    effects and had enough runs; else None.
 
     Raises SurefootError where the trace.json is damaged.
     """

@@ -1,8 +1,8 @@
 """Simulated walks in the style of a measured one, to train and calibrate observers.
 
-Sizes that were found on a measured log are known to within an interval only. Each walk has sizes
-drawn from it, and all are compensated by the sizes that were found, as the measured log is: so
-observers learn, and bounds hold, what an error of a size does.
+Sizes found on a measured log have confidence intervals. Each walk is simulated with sizes drawn
+from them, and compensated by the sizes found, like the measured log. Observers and bounds thus
+include the influence of errors of the sizes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -122,7 +122,7 @@ def drawn_sizes(
 def rates_as_of(log: Log, measured: Log) -> Log:
     """Give a simulated log joint rates of the same origin as the measured log's.
 
-    If that logs none, a filter derives them from past angles; so they are derived here too.
+    If that logs none, filters derive them from past angles, and so does this function.
     """
     if measured.has("dq"):
         return log

@@ -105,7 +105,7 @@ def write_recording(
     records = {name: estimate.updates for name, estimate in trajectories.items()}
     records = {n: r for n, r in records.items() if r is not None and r.pi is not None}
     with whole_file(path, force) as temporary:
-        # Kept in memory until it is whole: where a disk fills up, rerun's own files wait for ever.
+        # Kept in memory until complete, since rerun's own files wait forever if the disk is full.
         whole = stream.memory_recording()
         blueprint = _layout(log, robot, tuple(trajectories), bool(records), tab)
         stream.send_blueprint(blueprint, make_active=False)

@@ -131,7 +131,7 @@ def refuse_overwrite(path: str | Path, force: bool) -> None:
 
 
 def force_option() -> str:
-    """How to ask for overwriting: on the command line, or in Python."""
+    """The option for overwriting, as named on the command line or in Python."""
     return "--force" if _run is not None else "force=True"
 
 
@@ -272,8 +272,8 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
 
 
 def _list_replaced(path: Path, temporary: Path) -> None:
-    """List a file in the manifest before it is renamed, so that a kill in between leaves no
-    unlisted file.
+    """List a file in the manifest before it is renamed, so that an interruption in between leaves
+    no unlisted file.
 
     A file that a program writes over a command's output remains listed as that command's.
     """

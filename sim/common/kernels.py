@@ -34,7 +34,7 @@ objects and hardly any garbage: with the usual thresholds, collecting took an ei
 """
 
 QUIET_TIME = 3.0
-"""Time of compiling after which also a file or a pipe is told [s]."""
+"""Compilation time after which the notice is also printed to a file or pipe [s]."""
 
 _lock = Lock()
 _swept: set[Path] = set()
@@ -55,7 +55,7 @@ def kernel(function: Any = None, **options: Any) -> Any:
     compiler: Any = njit
     with _lock:
         kept = config.CACHE_DIR
-        # numba decides where a kernel's code lies when it is decorated.
+        # numba reads the cache folder when a kernel is decorated.
         config.CACHE_DIR = str(_folder(function))
         try:
             # No kernel is called through a pointer of C, so the wrapper for that is left out.

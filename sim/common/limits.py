@@ -18,7 +18,7 @@ from surefoot.sim.common.errors import SurefootError
 
 VARIABLE = "SUREFOOT_LIMITS"
 _SMALL = 256e6
-"""Bytes in memory that a packed file may have whatever its size."""
+"""Bytes in memory that are allowed for a packed file of any size."""
 _DOTTED = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){65}")
 
 

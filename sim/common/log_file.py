@@ -1,4 +1,4 @@
-"""The first bytes of a log's file, which tell it from a recording without slow imports."""
+"""Check of the first bytes of a log's file, without slow imports."""
 
 from pathlib import Path
 

@@ -49,7 +49,11 @@ def recursion(x, gain, keep, state):
 
 
 def without_low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
-    """The readings before `low_pass` made x (N, K) of them. Noise that came after it grows."""
+    """Inverse of `low_pass`, for filtered readings x (N, K); amplifies noise added after the
+    filter.
+
+    time: time constant [s]; rate: sampling rate [Hz].
+    """
     if not time > 0.0:
         return x
     keep = np.exp(-1.0 / (time * rate))

@@ -1,6 +1,4 @@
-"""Conversion between unit quaternions (w, x, y, z) and rotation matrices; the only place that does
-it.
-"""
+"""Conversion between unit quaternions (w, x, y, z) and rotation matrices."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,7 +36,7 @@ def slerp(t: np.ndarray, q: np.ndarray, then: np.ndarray) -> np.ndarray:
     share = (then - t[at]) / (t[at + 1] - t[at])
     here, ahead = q[at], q[at + 1]
     ahead = np.where(np.sum(here * ahead, axis=1, keepdims=True) < 0.0, -ahead, ahead)
-    # The angle between them over pi, as `sinc` has it, by the chord: exact where they are close.
+    # Angle over pi, as `sinc` expects, from the chord, which is accurate for small angles.
     angle = 2.0 / np.pi * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(ahead - here, axis=1)))
 
     def weight(share: np.ndarray) -> np.ndarray:

@@ -145,7 +145,7 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 imports.append((0, alias.name, ()))
-                # Any name of what is bound may be asked for later.
+                # Any attribute of the bound module may be used later.
                 bound = alias.name if alias.asname else alias.name.partition(".")[0]
                 imports.append((0, bound, ("*",)))
         elif isinstance(node, ast.ImportFrom):

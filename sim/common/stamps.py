@@ -8,5 +8,5 @@ def rows_every(t: np.ndarray, period: float) -> np.ndarray:
     or after it.
     """
     rows = np.searchsorted(t, np.arange(t[0], t[-1], period))
-    # Rounding may put the last time behind the last row.
+    # Rounding may put the last time after the last row.
     return np.unique(np.minimum(rows, len(t) - 1))

@@ -127,7 +127,7 @@ def _leaf(value: Any, kind: Any, arms: tuple[Any, ...], place: _Place) -> Any:
     except msgspec.ValidationError as error:
         expected = _expected(str(error), arms)
         raise SurefootError(f"{_key(place)} must be {expected}, is {_shown(value)}") from None
-    # TOML has NaN and infinity; no file of ours means them.
+    # TOML allows NaN and infinity, which no key accepts.
     if any(isinstance(v, float) and not np.isfinite(v) for v in np.atleast_1d(found)):
         raise SurefootError(f"{_key(place)} must be a number, is {_shown(value)}")
     return found

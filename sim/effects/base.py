@@ -1,9 +1,9 @@
 """Base class of the effects that a real robot has and a model may lack.
 
 An effect defines two things independently: how it is injected into a simulation (MjSpec, ground,
-sensors or their streams), and how a model that knows of it compensates it on a log (`compensate`).
-Its influence on the residual of a log follows from the latter by finite differences; `chain_rule`
-declares a shortcut.
+sensors or their streams), and how a model that includes it compensates it in a log (`compensate`).
+Its influence on the residual of a log follows from `compensate` by finite differences; `chain_rule`
+declares a faster way.
 """
 
 from collections.abc import Mapping
@@ -78,9 +78,9 @@ class Effect:
     """
 
     unseen_by: ClassVar[tuple[str, ...]] = ()
-    """Residual channels that take the readings without `compensate`. For a spring it turns the
-    encoders' angles into those by which the feet are where they are; motors, and also links where
-    only the feet yield, stay where the encoders say.
+    """Residual channels whose readings are not compensated. A spring's compensation replaces the
+    encoders' angles by those of a rigid leg with the feet at their actual positions; the motors,
+    and the links if only the feet yield, remain at the encoders' angles.
     """
 
     def __post_init__(self):
@@ -140,8 +140,8 @@ class Effect:
         """Inject the effect into the simulated world."""
 
     def alter_ground(self, ground: Ground) -> Ground:
-        """Inject the effect into the ground's contacts; its shape must stay, as the controller
-        knows it.
+        """Inject the effect into the ground's contacts. The shape must not change, since the
+        controller knows it.
         """
         return ground
 
@@ -158,10 +158,10 @@ class Effect:
         return streams
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        """Compensate the effect: the log and the robot as a model sees them that knows of it.
+        """The log and the robot with the effect compensated.
 
         A change of the readings is undone in the log; a change of the robot is added to its
-        declared model.
+        declared model. Raises NotImplementedError if no model can compensate the effect.
         """
         raise NotImplementedError(f"effect {self.name} is only for simulation")
 
@@ -172,7 +172,7 @@ class Effect:
 
     @classmethod
     def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
-        """Initial sizes for a search on this log: `starts`, or else a small one."""
+        """Initial sizes for a search on this log: `starts`, by default one step."""
         return cls.starts or (cls.step_of(target),)
 
     @classmethod

@@ -42,7 +42,7 @@ ON_FEET = ("foot_rolling",)
 
 @dataclass(frozen=True)
 class BodyScale:
-    """Scales of a robot that make the sizes of its effects dimensionless."""
+    """Scales of a robot by which the sizes of its effects become dimensionless."""
 
     weight: float  # N
     leg_length: float  # m

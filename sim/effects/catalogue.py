@@ -153,7 +153,7 @@ def declared_effects(log: Log) -> list[Effect]:
 
 
 def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
-    """Compensate all `effects`: the log and robot as a model sees them that knows of these.
+    """The log and the robot with all `effects` compensated.
 
     Effects that no model can compensate (`Effect.is_compensated`) stay in the log; those that take
     loads from the log come last (`Effect.uses_loads`). The machine may have a fixed base if no

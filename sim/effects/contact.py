@@ -179,9 +179,9 @@ def _rate(log: Log, joint: str) -> np.ndarray:
 def _less_torque(
     log: Log, robot: Robot, one: Effect, taken: Callable[[np.ndarray], np.ndarray]
 ) -> Log:
-    """Subtract the torque that the drives take, a function of their rates (N,) for a unit size.
+    """Subtract the torque lost in the drives: `taken` gives it for a unit size from a rate (N,).
 
-    The commanded torque is reduced as well: a motor in a stiff drive delivers what it is asked for.
+    The commanded torque is reduced as well, since a motor delivers its command before the losses.
     """
     columns, asked = {}, log.has("tau_ff") or log.has("q_des")
     for joint in one.members(robot.limbs):

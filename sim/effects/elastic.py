@@ -121,8 +121,8 @@ class Deflection(NamedTuple):
 
 
 def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> np.ndarray:
-    """Change of the joints' angles (N, J) [rad] that moves the feet of a stiff leg as far as the
-    load moves feet that yield by 1 m/N along these axes of the base.
+    """Change of the joints' angles (N, J) [rad] of a stiff leg that moves the feet like their load
+    does with a compliance of 1 m/N along these axes of the base.
     """
     force_B, along = foot_loads_B(log, robot), np.eye(3)[list(axes)]
     rows, legs = np.nonzero(force_B.any(axis=2))

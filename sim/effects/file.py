@@ -60,7 +60,7 @@ def save_effects(
 
 
 def to_toml(effects: Sequence[Effect], limbs: Limbs | None = None) -> str:
-    """Text of an effects file; one without effects says so in a comment."""
+    """Text of an effects file; without effects, a comment."""
     if not effects:
         return "# no effects\n"
     return "\n".join(

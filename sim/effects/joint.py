@@ -16,7 +16,8 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
 TORQUE_WINDOW = 0.03
-"""Averaging time of a measured torque that determines a joint's position in its play [s]."""
+"""Four times the averaging time of the torque whose sign gives a joint's position in its play [s].
+"""
 
 
 class EncoderOffset(Effect):

@@ -2,7 +2,7 @@
 
 Tan et al., "Sim-to-Real: Learning Agile Locomotion for Quadruped Robots", RSS 2018, draw latencies
 of 0 to 40 ms for their robot; Haarnoja et al., "Learning Agile Soccer Skills for a Bipedal Robot",
-Science Robotics 2024, 10 to 50 ms. The bounds follow them; wider ones were chosen.
+Science Robotics 2024, 10 to 50 ms. The bounds include these ranges.
 """
 
 import operator
@@ -477,7 +477,7 @@ def _spline(t: np.ndarray, kind: str, columns: list[np.ndarray]) -> CubicSpline:
 
 
 def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:
-    """Index of the row nearest to each time of `then` (N,) [s]."""
+    """Index of the row nearest to each time in `then` (N,) [s]."""
     return np.searchsorted(0.5 * (t[1:] + t[:-1]), then)
 
 

@@ -1,4 +1,4 @@
-"""Legs in stance: the wrench that carries the body, and the foot forces that produce it."""
+"""Legs in stance: the wrench on the body, and the foot forces that produce it."""
 
 import numpy as np
 

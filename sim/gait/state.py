@@ -49,7 +49,7 @@ class Gait(NamedTuple):
 
 
 class LegMemory(NamedTuple):
-    """What the controller stores for each leg between ticks."""
+    """State of the controller between ticks, most of it for each leg."""
 
     mode: np.ndarray  # (4,) SWING or STANCE
     touched: np.ndarray  # (4,) bool, whether the foot has been loaded since its stance began
@@ -82,7 +82,7 @@ def standing() -> LegMemory:
 
 
 class RobotState(NamedTuple):
-    """What the controller knows of the robot at a tick."""
+    """State of the robot at a tick, as the controller knows it."""
 
     t: float  # s
     base: BaseMotion

@@ -1,4 +1,4 @@
-"""Ground from a user's file: a grid of heights, or a mesh of which the upper surface counts.
+"""Ground from a user's file: a grid of heights, or a mesh, of which the upper surface is used.
 
 Either becomes a `HeightField`, which is used for collision, by the controller, and for the truth in
 the log. MuJoCo collides a mesh as its convex hull, which is unsuitable as ground.
@@ -125,7 +125,7 @@ def _obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
                     raise SurefootError(f"a vertex needs three numbers: '{line.strip()[:40]}'")
                 vertices.extend(map(float, words[:3]))
             elif key == "f":
-                # From one; from the last one back where negative.
+                # Indices start at 1; negative ones count from the last vertex.
                 own = [int(word.partition("/")[0]) for word in words]
                 own = [k - 1 if k > 0 else len(vertices) // 3 + k for k in own]
                 for b, c in pairwise(own[1:]):

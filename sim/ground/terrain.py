@@ -56,8 +56,8 @@ class Strip:
 
     Its surface is a plane from the first height to the second, or has `steps` equal risers; the
     tread at the upper end has the upper height. With `rough` > 0, the plane has bumps of up to that
-    height, drawn by the seed (`roughened`). `mu` None is the floor's. Raises SurefootError for an
-    impossible strip.
+    height, drawn by the seed (`roughened`). `mu` is None for the floor's. Raises SurefootError for
+    an impossible strip.
     """
 
     start: tuple[float, float]  # m

@@ -14,7 +14,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Extent, Ground, Layer
 
 THICKNESS = 0.5  # m, of a tile below the walking surface
-# The ground decides how a foot touches it: MuJoCo takes these from the geom of higher priority.
+# MuJoCo takes contact parameters from the geom of higher priority: here, from the ground.
 PRIORITY = 3
 SOLREF = (0.004, 1.0)
 SOLIMP = (0.98, 0.995, 0.0005, 0.5, 2.0)
@@ -41,7 +41,7 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
         for rectangle, z_low, z_high in layer.facets():
             snap = layer.on_lattice if layer.on_grid else None
             for tile, tile_mu in _cut(rectangle, mu, hidden, patches, snap):
-                # All that the robot's own default for geoms could spoil is said here.
+                # Set every attribute that the robot's default for geoms could change.
                 geom = {
                     "contype": ANYTHING,
                     "conaffinity": ANYTHING,
@@ -71,8 +71,8 @@ def _add_box(
 ) -> None:
     """Add a box whose upper face is one tile of a facet.
 
-    The box of a slope is tilted, so its upper end needs a neighbour of the same height to overlap
-    with.
+    The box of a slope is tilted, so its upper end must overlap a neighbour of the same
+    height.
 
     Args:
         spec: of the world, edited.
@@ -141,7 +141,7 @@ def _cut(
     Args:
         rectangle: (x0, x1, y0, y1) in G [m].
         mu: friction outside the patches.
-        hidden: rectangles that others cover.
+        hidden: rectangles covered by others.
         patches: rectangles with their own friction; the last one counts.
         snap: function to the lattice line nearest to an edge, for a layer of heights.
     """

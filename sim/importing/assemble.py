@@ -135,7 +135,9 @@ def _rate(t: np.ndarray) -> float:
 
 
 def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
-    """Interpolate held columns and resample to an even rate; also returns what was derived."""
+    """Interpolate held columns and resample to an even rate; also returns the names of derived
+    ones.
+    """
     kinds = {column_kind(name) for name in main}
     for key, named, known in (("held", even.held, kinds), ("late", even.late, {*kinds, *main})):
         for kind in named:

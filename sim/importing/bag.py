@@ -160,7 +160,7 @@ def _item(parent: Any, values: Any, index: str) -> Any:
 
 
 def _nanoseconds(stamp: Any) -> int | None:
-    """A ROS time in ns; None for anything else."""
+    """A ROS time [ns]; None for anything else."""
     if not hasattr(stamp, "sec") or not hasattr(stamp, "nanosec"):
         return None
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

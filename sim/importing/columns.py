@@ -38,7 +38,7 @@ _KINDS = {"q_des": "q", "dq_des": "dq", "tau_ff": "tau"} | dict.fromkeys(EULER, 
 
 @dataclass(frozen=True)
 class MapColumn:
-    """How a column of the log is read.
+    """Source and conversion of a column of the log.
 
     Attributes:
         theirs: name in the recording.

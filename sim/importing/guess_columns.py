@@ -127,7 +127,7 @@ def _joint_entries(
     swapped = _sides_doubt(file, joints.get("q", {}), imu)
     legs: Sequence[str] = LEGS
     if swapped and any(one.assumed for of in joints.values() for one in of.values()):
-        # Some robots count their legs from the left, others from the right; the strides tell which.
+        # Some robots count their legs from the left, others from the right; strides show which.
         legs, swapped = _OTHER_SIDE_FIRST, ""
         doubt = _legs_doubt(legs)
         joints = {
@@ -230,8 +230,8 @@ def _sides_doubt(
 def _entries_of_kind(
     file: RecordedFile, kind: str, joints: _Joints, swapped: str
 ) -> tuple[list[Entry], float | None]:
-    """Entries of one kind of joint columns, and the rate of the rows [Hz] where joint rates tell
-    it.
+    """Entries of one kind of joint columns, and the rate of the rows [Hz] where joint rates
+    determine it.
 
     swapped: a doubt about left and right, for columns without another.
     """

@@ -12,7 +12,7 @@ from surefoot.sim.importing.table import RecordedTable
 
 _DEEPEST = 20
 _SWOLLEN = 25.0
-"""Memory per byte of a text of empty lists and records [bytes]."""
+"""Memory per byte of text, for a text of empty lists and records [bytes]."""
 
 
 def read_json(path: Path) -> RecordedTable:

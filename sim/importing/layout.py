@@ -14,8 +14,8 @@ _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
 def encoding_of(path: Path) -> str:
-    """Encoding of a text: UTF-8, or what spreadsheets write: UTF-16 with a mark or, without zero
-    bytes and not valid UTF-8, Windows-1252.
+    """Encoding of a text: UTF-8, UTF-16 with a byte order mark or, without zero bytes and not valid
+    UTF-8, Windows-1252 (the latter two are written by spreadsheets).
     """
     decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as stream:

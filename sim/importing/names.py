@@ -33,7 +33,7 @@ _COMMANDED = _words(
 )
 _FILTERED = _words("filt filtered smooth smoothed lp lpf lowpass")
 _NOT_READ = _words("fric friction err error")
-"""Of a joint, but neither a reading nor a command: a friction that was compensated, an error."""
+"""Words of joint columns that are neither readings nor commands, such as compensated friction."""
 _REFERENCE = _words(
     "ref reference vicon mocap gt truth groundtruth optitrack opti motive qualisys base pose"
 )
@@ -60,8 +60,8 @@ _OF_A_LEG = {
     **{f"hip_{word}": "thigh" for word in ("flexion", "extension")},
     **dict.fromkeys(_words("calf knee kfe kn shank shin lower tibia knee_fe knee_pitch"), "calf"),
 }
-"""Name of a quadruped's hinge in our convention. Where a leg has an abduction joint, "hip" is our
-thigh (`by_their_legs`).
+"""Word -> hinge of a quadruped in our convention. If a leg also has an abduction joint, "hip" means
+our thigh (`by_their_legs`).
 """
 _UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s")
 _OF_A_SECOND = {"dps": "deg/s", "degs": "deg/s", "rads": "rad/s"}
@@ -72,7 +72,7 @@ _FILLER = _words(
 )
 _QUALIFIERS = _COMMANDED | _FILTERED | _NOT_READ
 _NO_PART = _QUALIFIERS | _FILLER
-"""Words that are no part of a joint's name."""
+"""Words that do not belong to a joint's name."""
 _TURNING = _words("ang rot rotational imu body")
 _RATES = _words("vel velocity rate rates speed")
 _KINDS_OF_VECTORS = {
@@ -144,7 +144,7 @@ def read_name(name: str) -> Named:
     words = words_of(name)
     kind, leg, written, axis, unit, place, limb = "", "", "", "", "", None, None
     part: list[str] = []
-    # A vector's letter needs an axis or index; without, as in "motor 0A", it is a count.
+    # A vector's letter needs an axis or index; without one, as in "motor 0A", it is not a vector.
     vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore

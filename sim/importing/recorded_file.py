@@ -194,9 +194,9 @@ def _plain(text: str) -> str:
 
 
 def _read(name: str, machine: Machine | None) -> Named:
-    """Interpret a name in which a joint of the robot's file may occur.
+    """Interpret a name that may contain a joint's name from the robot's file.
 
-    Words of the joint's own name say nothing about the column: "wrist_rotation_joint_effort".
+    Words of the joint's name are ignored for the kind of the column: "wrist_rotation_joint_effort".
     """
     for joint in sorted(machine.limbs.joints if machine else (), key=len, reverse=True):
         alone = _alone(joint)
@@ -208,7 +208,7 @@ def _read(name: str, machine: Machine | None) -> Named:
 
 
 def _alone(word: str) -> str:
-    """A pattern for a word that is not a part of another."""
+    """A pattern that matches whole words only."""
     return rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])"
 
 

@@ -10,20 +10,20 @@ from surefoot.sim.importing.reference import MAX_GAP
 from surefoot.sim.log.reference import Poses
 
 _MISCOUNTED = {1: (2.0,), 2: (1 / 2, 3 / 2), 3: (2 / 3,)}
-"""Speed of a step relative to its neighbours', by the frames that its stamps count, if these are
-one too many or too few. Only these can be told from a gait: even stamps of a body that moves in
-jerks have every other ratio too, and so have steps of more frames.
+"""Number of frames of a step by its stamps -> its speeds relative to the surrounding ones if that
+number is off by one. Other ratios, and steps of more frames, also occur in a jerky gait with
+correct stamps.
 """
 _RATIO_TOLERANCE = 0.12
-"""Tolerance of such a ratio: less than half of the distance between two of them."""
+"""Relative tolerance of such a ratio, less than half of the distance between two of them."""
 _NEIGHBOURS = 3
-"""Number of steps on either side whose median is the surrounding speed; a step of the gait is much
-longer.
+"""Number of steps on either side whose median is the surrounding speed; a step of the gait lasts
+much longer.
 """
 _STEADY = 0.1
 """Relative spread (median deviation) of the surrounding speeds up to which a step can be judged."""
 _SLOWEST = 0.1
-"""Speed below which millimetres of noise change a speed as much as a frame does [m/s]."""
+"""Speed below which noise of millimetres changes a step's speed as much as a frame does [m/s]."""
 _JUMP_ACCEL = 150.0
 """Acceleration from the surrounding speed that is a jump [m/s^2]: legs cause less than a third of
 it; a jump of 15 mm between samples at 100 Hz has as much.
@@ -35,7 +35,7 @@ _LEAST_JUMP, _LEAST_TURN = 0.005, 0.02
 velocity by 1 m/s, or 5 rad/s, within a millisecond.
 """
 _FEW_DOUBTFUL = 0.03
-"""Share of doubtful stamps that chance and gait explain."""
+"""Share of doubtful stamps up to which chance and gait explain them."""
 _SHOWN_DOUBTFUL = 5e-4
 """Share below which doubtful stamps are not reported, as it would print as 0.0 %."""
 _JUMP_RATIO = 8.0
@@ -74,11 +74,11 @@ class ReferenceCheck:
     Attributes:
         samples: number of samples.
         rate: [Hz].
-        judged: steps at a steady speed, at which frames can be counted.
-        miscounted: those of them that are off by a frame.
-        jumps: steps between samples that jump.
-        held: steps that repeat the pose exactly while the body moves.
-        gaps: intervals over MAX_GAP.
+        judged: number of steps at a steady speed, whose frames can be counted.
+        miscounted: number of these that are off by a frame.
+        jumps: number of steps that jump.
+        held: number of steps that repeat the pose exactly while the body moves.
+        gaps: number of intervals over MAX_GAP.
         longest_gap: [s].
         largest: of the jumps.
     """
@@ -244,7 +244,7 @@ def _speeds(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _median_around(x: np.ndarray) -> np.ndarray:
-    """Median (M,) of the _AROUND values on either side of each of x (M,), without itself."""
+    """Median (M,) of the _NEIGHBOURS values on either side of each of x (M,), without itself."""
     padded = np.pad(x, _NEIGHBOURS, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
     return np.nanmedian(np.delete(windows, _NEIGHBOURS, axis=1), axis=1)

@@ -17,11 +17,10 @@ few samples of motion capture, short enough that bias and tilt change it by cent
 only.
 """
 _LEAST = 0.25
-"""Change of velocity that noise of no reference of a legged robot causes [m/s]: 25 mm in the
-window.
+"""Least contradiction [m/s], 25 mm in the window: beyond the noise of a legged robot's reference.
 """
 _OUTLYING = 8.0
-"""Ratio to the usual change from which it is no noise."""
+"""Ratio to the usual change beyond which a change is not noise."""
 _MOST = 0.05
 """Share of samples above which reference and IMU do not match at all: another clock, axes or
 position, which `surefoot align` estimates.

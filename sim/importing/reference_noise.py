@@ -41,8 +41,8 @@ _TURN_WINDOW = 0.08
 long.
 """
 MOST_MISSED_ROTATION = 0.5
-"""Share of the gyro's rotation that a reference may miss; beyond it, it is of another body or
-clock. Noise of a walking robot's motion capture leaves a few hundredths.
+"""Share of the gyro's rotation that a reference may miss; beyond it, it belongs to another body
+or clock. Noise of a walking robot's motion capture leaves a few hundredths.
 """
 
 
@@ -103,8 +103,8 @@ def reference_noise(
     tables += (np.ascontiguousarray(beside.R_GI), velocity)
 
     def unlikely(log_sizes: np.ndarray) -> float:
-        # A reference without noise has no best size: below the limits the likelihood is constant,
-        # so that the search ends.
+        # Without noise the likelihood has no maximum; constant below the limits, it lets the
+        # search end.
         return _filtered(*tables, *np.maximum(np.exp(log_sizes), _SMALLEST))[0]
 
     enough = {"xatol": 0.03, "fatol": 0.1}

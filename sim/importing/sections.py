@@ -18,7 +18,7 @@ between points a metre apart, taken as three standard deviations. A log simulate
 evenness = 0.
 """
 _FARTHEST = 100.0
-"""Distance of a sensor or a tracked body from the robot's base beyond which a map errs [m]."""
+"""Distance of a sensor or a tracked body from the robot's base beyond which a map is wrong [m]."""
 FootRadius = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
 Debounce = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
 OneCharacter = Annotated[str, msgspec.Meta(pattern=r"^[^\r\n\"]\Z")]
@@ -232,7 +232,7 @@ def check_unit(key: str, q: tuple[float, ...]) -> None:
 
 
 def _check_near(key: str, position: tuple[float, ...]) -> None:
-    """Raise SurefootError where a position on the robot is far away from it."""
+    """Raise SurefootError where a position on the robot is beyond _FARTHEST from it."""
     if math.hypot(*position) > _FARTHEST:
         raise SurefootError(f"{key} is {math.hypot(*position):.3g} m away, {_FARTHEST:g} m at most")
 

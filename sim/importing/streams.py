@@ -31,7 +31,7 @@ _FEWEST_ROWS = 10
 _LATEST = 0.05
 """Largest delay that is searched for [s], as for the effects of timing."""
 _LATEST_REFERENCE = 0.3
-"""The same for a reference's velocity, which a tracker's filter delays [s]."""
+"""Largest delay of a reference's velocity, which a tracker may filter [s]."""
 _LEAST_DELAY = 2e-3
 """Smallest delay that is reported [s]; at least a quarter of a row."""
 _ALIKE = 0.5

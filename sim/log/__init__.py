@@ -1,4 +1,4 @@
-"""The Log, the only data passed between the packages: file, schema and checks."""
+"""The Log, the only data passed between the packages: its file, schema and checks."""
 
 from surefoot.sim.log.derived import joint_velocity, reference_velocity, with_velocities
 from surefoot.sim.log.log import Log, LogError, LogReader, LogWriter

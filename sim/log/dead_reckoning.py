@@ -3,7 +3,7 @@
 The integrated gyro gives the attitude up to an initial value and a drift; the specific force,
 rotated by it and with gravity added, gives the path up to an initial position, a velocity and a
 drift. The difference of the poses from both varies slowly if IMU and reference match. It reveals a
-clock offset, another position of the tracked point, a bias, and the noise of each sample.
+clock offset, a displacement of the tracked point, a bias, and the noise of each sample.
 """
 
 from dataclasses import dataclass

@@ -37,8 +37,8 @@ def local_quadratic(
     (3, N, D).
 
     At each of t (N,) [s], from the rows within `window` seconds, centred on t[k] or, if `causal`,
-    ending there. A window has at least three rows if the log has them; with two, the fit is a line,
-    and a row without a past (causal, k = 0, or after a gap of 600 000 rows) is at rest.
+    ending there. A window has at least three rows if the log has them; with two, the fit is a line.
+    A row without a past (causal, at k = 0 or after a gap of 600 000 sample intervals) has no slope.
     """
     n = len(t)
     ahead = 0.0 if causal else 0.5 * window

@@ -50,13 +50,12 @@ class LogError(SurefootError):
 
 @dataclass(frozen=True)
 class Log:
-    """One walk: `frame` has one float64 column each (`t`, `gyro_x`, `q_FL_hip` ...) and one row per
-    sample.
+    """One walk: `frame` has float64 columns (`t`, `gyro_x`, `q_FL_hip` ...) and one row per sample.
 
     The properties return new contiguous arrays in SI units, unless the log caches them (`caching`);
-    each raises LogError where its columns are missing. J joints and L legs are those that the
-    columns name. A quadruped's are in canonical order (leg-major over FL, FR, RL, RR), so that its
-    `q.reshape(N, 4, 3)` is (row, leg, joint).
+    each raises LogError where its columns are missing. J and L are the numbers of joints and legs
+    that the columns name. A quadruped's are in canonical order (leg by leg over FL, FR, RL, RR), so
+    that `q.reshape(N, 4, 3)` is (row, leg, joint).
     """
 
     frame: pd.DataFrame
@@ -312,8 +311,8 @@ class _WithColumns(Log):
 
 
 class LogWriter:
-    """Writes a log in pieces, using the memory of one; the bytes are the same as for a log written
-    whole.
+    """Writes a log in pieces, using the memory of one; the file is the same as of a log written at
+    once.
     """
 
     def __init__(self, path: Path, meta: Meta):
@@ -364,7 +363,7 @@ class LogWriter:
 
 
 FEWEST_ROWS = 3
-"""Least number of rows of a log: two give a speed, three its change."""
+"""Least number of rows of a log, for a second derivative."""
 
 
 class LogReader:
@@ -397,8 +396,8 @@ class LogReader:
             check_limit("piece", most, "bytes of a row group in memory")
 
     def chunks(self, seconds: float = np.inf) -> Iterator[Log]:
-        """The log in pieces of about `seconds` at its rate, by default all rows in one; the last
-        may be shorter.
+        """The log in pieces of about `seconds`, by default all rows in one; the last may be
+        shorter.
 
         Raises LogError, one line with file, column and row, at the first fault.
         """

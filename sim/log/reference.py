@@ -42,8 +42,8 @@ class Poses:
 def reference_poses(log: Log) -> Poses:
     """Recover the samples of a log's reference. Raises LogError where it has none.
 
-    Where the path has hardly any kink, or mostly in runs of more than _RUN rows, the samples are
-    the measured rows (`ref_ok`).
+    If the path has fewer than three kinks, or most are in runs of more than _KINK_ROWS rows, the
+    samples are the measured rows (`ref_ok`).
     """
     t, p, q = log.t, log.ref_p, log.ref_q
     slope = np.diff(p, axis=0) / np.diff(t)[:, None]

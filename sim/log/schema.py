@@ -29,7 +29,8 @@ JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "c
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
 SLOWEST_STAMPS = 0.01
-"""Rate below which stamps must be in a wrong unit [Hz]: 20 Hz in ms is 0.02, in us 2e-5."""
+"""Rate below which stamps must be in another unit [Hz]: 20 Hz in ms reads as 0.02, in us as 2e-5.
+"""
 
 
 def _axes(name: str, axes: str = "xyz") -> tuple[str, ...]:
@@ -53,7 +54,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "ref_v": _axes("ref_v"),
     "truth": ("slip_<leg>", "mu_<leg>"),
 }
-"""Columns by group; <joint> or <leg> stands for one column of each."""
+"""Columns by group; a name with <joint> or <leg> means one column for each."""
 _PLAIN = {name for names in GROUPS.values() for name in names if "<" not in name} | {"t", "ref_ok"}
 
 
@@ -152,7 +153,7 @@ class Meta:
         versions: of the software.
         model: properties of the robot from an import map, which override the MJCF (p_BI in m, q_BI
             as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
-            (ground_evenness in m); `file`, the model's own file if no name stands for it
+            (ground_evenness in m); `file`, the model's file if it has no known name
             (`sim.robot.model_of_log`); `ground`, if it includes height fields from a file
             (`sim.ground.ground_metadata`).
         warnings: about what was not plausible on import, one line each (`sim.plausibility`).

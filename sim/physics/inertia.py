@@ -11,7 +11,7 @@ from surefoot.sim.common.quaternion import matrix_from_quaternion
 
 
 class LinkChange(NamedTuple):
-    """Deviation of the link that a joint moves from its file."""
+    """Deviation of a joint's link from the model's file."""
 
     joint: int  # index
     mass: float = 0.0  # kg, at the link's centre of mass

@@ -1,9 +1,9 @@
 """Inverse dynamics of a robot over many rows: the joint torques and base wrench of a motion.
 
 MuJoCo's `mj_inverse` in one compiled loop, without contacts, joint limits, equality constraints,
-and inertia and dry friction of tendons. Of its steps only those are taken that the result needs,
-which is twice as fast: no mass matrix, and dry friction in closed form. A floating base is held at
-the origin with its axes along the world's, so that its force and moment result in B.
+and inertia and dry friction of tendons. It omits steps that the result does not need, which makes
+it twice as fast: there is no mass matrix, and dry friction has a closed form. A floating base is
+held at the origin with its axes along the world's, so that force and moment are in B.
 """
 
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ _CHANGED_FIELDS = (
 
 
 class BodyChanges(NamedTuple):
-    """Deviation of a robot from its file: frames of its joints, each with all that hangs on it, and
+    """Deviation of a robot from its file: frames of its joints, each with everything attached, and
     links.
 
     All frames are relative to the joint before, or the base; None where they are as in the file.
@@ -170,7 +170,7 @@ class Dynamics:
             assert changes.placed is not None
             frames = zip(self.hung, changes.drawn, changes.placed, changes.turn, strict=True)
             for body, drawn, placed, turn in frames:
-                # Whatever is between this body and the joint rotates with it.
+                # All bodies between this one and the joint rotate with it.
                 model.body_pos[body] = placed - turn @ (drawn - model.body_pos[body])
                 quat, before = np.empty(4), model.body_quat[body].copy()
                 mujoco.mju_mat2Quat(quat, turn.ravel())
@@ -191,7 +191,7 @@ class Dynamics:
 
 
 class _Memory(NamedTuple):
-    """What a sweep reads and writes.
+    """Arrays that a sweep reads and writes.
 
     Attributes:
         model: address of MuJoCo's model.
@@ -204,7 +204,7 @@ class _Memory(NamedTuple):
         rotor: inertia of the rotors (nv,).
         dry: dry friction (nv,).
         stiff: dry friction per acceleration (nv,), below its limit.
-        lead: acceleration that counts as much as a velocity of one (nv,) [1/s].
+        lead: acceleration with the same friction as a velocity of one (nv,) [1/s].
     """
 
     model: int
@@ -306,7 +306,7 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
         _take_positions(memory)
         _take_velocities(memory)
         _fill_forces(memory, here)
-        # From the least recomputation to the most.
+        # In order of increasing recomputation.
         for j in range(len(dof_adr)):
             qacc[dof_adr[j]] += step
             _fill_forces(memory, there)

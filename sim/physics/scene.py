@@ -52,7 +52,7 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
         spec.delete(part)
     for floor in spec.worldbody.geoms:  # of a file that brings a whole scene
         spec.delete(floor)
-    # With a margin, a sole would hover over the ground and roll on a larger radius than its own.
+    # With a margin, a sole would float above the ground and roll on too large a radius.
     for geom in spec.geoms:
         geom.margin = geom.gap = 0.0
     for name, joint, limit in zip(JOINTS, robot.joint_names, robot.torque_limit, strict=True):
@@ -141,8 +141,8 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
 
 
 def _refuse_untouching_feet(model: mujoco.MjModel, robot: Robot) -> None:
-    """Raise SurefootError for a foot that would fall through the ground, as where only the pairs of
-    a scene declare its contacts.
+    """Raise SurefootError for a foot that would fall through the ground, for example because its
+    contacts are only declared as pairs of a scene.
     """
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     touching = set(model.body_weldid[model.geom_bodyid[collides]].tolist())

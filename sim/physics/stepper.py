@@ -41,7 +41,7 @@ _C_TYPES = {types.intc: ctypes.c_int, types.uintp: ctypes.c_void_p}
 class Fallen(SurefootError):
     """The robot fell at `time` [s] of the simulation.
 
-    `how` says where and why in words; `motion` is the motion until then.
+    `how` describes where and why; `motion` is the motion until then.
     """
 
     def __init__(

@@ -132,7 +132,7 @@ def leaps(view: LogView) -> Iterator[Finding]:
     if not streams or not view.comparable:
         return
     x = np.column_stack(streams)
-    # Of two rows close together, the second was late or the first early; no joint jumped.
+    # Rows very close together have a late or an early stamp; no joint jumped.
     step = np.diff(view.t)
     rate = np.abs(np.diff(x, axis=0)) / np.maximum(step, 0.5 * np.median(step))[:, None]
     fast = np.quantile(rate, 0.99, axis=0)

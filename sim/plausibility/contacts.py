@@ -149,7 +149,7 @@ def inverted(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
         higher = 1e3 * np.diag(difference)[wrong].mean()
         told = f"feet are {higher:.0f} mm higher in contact than lifted"
-        # In a trot, the diagonal legs stand while these swing.
+        # In a trot, one diagonal stands while the other swings.
         all_of_them = "inverted: 1 means lifted, or left and right are swapped"
         cause = all_of_them if len(wrong) > 1 else "inverted, or another leg's"
         yield Finding(columns, told, cause)

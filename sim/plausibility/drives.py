@@ -70,7 +70,7 @@ class _Torque:
 
     @property
     def beside_friction(self) -> float:
-        """Correlation of torque and model where friction is taken off both."""
+        """Correlation of torque and model after subtracting friction from both."""
         terms = np.column_stack([self.friction, np.ones(len(self.tau))])
         both = np.column_stack([self.tau, self.rigid])
         tau, rigid = (both - terms @ np.linalg.lstsq(terms, both, rcond=None)[0]).T
@@ -107,7 +107,7 @@ def driving(view: LogView) -> Iterator[Finding]:
             yield Finding((column,), told, "a sensor that hangs")
             continue
         alike, (fitted, scale) = _correlation(one.tau, one.rigid), one.fitted(everywhere)
-        # The model alone says little about a machine that pushes against something.
+        # The model alone is inconclusive for a machine that pushes against something.
         told_by_model = _correlation(one.tau, fitted) > TOLD
         when = sign_change(view.at, one.tau, one.rigid, TOLD)
         if when is not None:
@@ -131,7 +131,7 @@ def _hangs(view: LogView, column: str, one: _Torque) -> tuple[float, float] | No
     """Start and end [s] of a constant torque while the motion requires another; None where there is
     none.
 
-    Drives at their limit or switched off are no such case.
+    Drives at their limit or switched off are excluded.
     """
     for first, last in stretches_without_change(view.t, view.log.frame[column].to_numpy(), LIMITED):
         during = (view.at > view.t[first]) & (view.at < view.t[last])

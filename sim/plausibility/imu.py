@@ -195,7 +195,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     in_body = match_axes(accel, felt)
     late, shifted = lag_of(accel, felt, STEP, LATEST_ACCEL)
-    # Strides repeat: half of one later, an axis that sways is its negative.
+    # Motion is periodic: half a stride later, a swaying axis is its own negative.
     in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
     fits = max(in_body.own.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
     delayed = abs(late) > LATE_ACCEL and shifted > max(0.6, fits)
@@ -214,7 +214,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         told = f"has {size:.2f} of the accelerations of the reference's motion"
         yield Finding(_AXES_ACCEL, told, "filtered, or gravity alone")
         return
-    # If gravity shows that z is upright, it is the reference's that is not.
+    # If gravity shows that the IMU's z is upright, the reference's is at fault.
     if _shakes(view, in_world) and (
         in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
     ):

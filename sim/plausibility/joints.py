@@ -30,8 +30,8 @@ TOO_STRONG = 1.5
 """Ratio of the 99 % quantile to the model's largest torque; peak torques are rated for seconds."""
 ZERO_OFF = {"hip": 0.15, "thigh": 0.25, "calf": 0.25}
 """Difference of the medians of a left joint and its mirrored right one [rad], if the other pair
-agrees to half of it: turning, or crossing a slope, affects both pairs alike. Hips differ by 0.04 on
-a measured Go1.
+agrees to within half of it: turning, or crossing a slope, affects both pairs alike. Hips differ by
+0.04 on a measured Go1.
 """
 _SEVERAL = 6
 """Number of joints from which some torques are negative in any motion."""
@@ -47,7 +47,8 @@ _SURELY = 0.95
 """Correlation from which the scale of a slowly moving joint is compared."""
 _INVERTED = 0.5
 """Scale, relative to the other rates', below which a rate of the opposite sign is a vibration that
-a filter inverts: a moving average passes 0.22 of it at most."""
+a filter inverts: a moving average passes 0.22 of it at most.
+"""
 _TURNED, _ALWAYS = 0.1, 0.9
 """For a rate whose sign changes: least correlation before and after, and least sum of the two."""
 
@@ -252,7 +253,7 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
 
 
 def zeros(view: LogView) -> Iterator[Finding]:
-    """Check that left and right legs are held alike; a single joint that differs has another
+    """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
     """
     log, robot = view.log, view.robot

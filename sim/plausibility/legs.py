@@ -25,8 +25,8 @@ measured Go1, each wrong one has at least 1.66 times as much as the right one.
 MENDED_JOINTS = 0.5
 """The same for signs and order of joints, with more alternatives: 2.2 times."""
 FAIR, AS_GOOD = 0.1, 3.0
-"""Misfit of a leg of which nothing is wrong, and largest ratio of a corrected leg's misfit to that
-of the worst of these; where there is none, any correction is accepted.
+"""Largest misfit of a correct leg, and largest ratio of a corrected leg's misfit to that of the
+worst correct one; without correct legs, any correction is accepted.
 """
 CLEARER = 0.9
 """Improvement required over an alternative that exchanges fewer legs, which is tried first."""
@@ -110,7 +110,7 @@ class Moving:
             count = np.maximum(on.sum(axis=1, keepdims=True), 1)
             truth = np.sum(np.where(on[:, :, None], u, 0.0), axis=1) / count
         on = on & (np.linalg.norm(truth, axis=1) > _MOVES)[:, None]
-        # Feet of a leg that swings move together, too: without a truth it takes some strides.
+        # Swinging feet also move together, so that without a truth some strides are needed.
         if on.sum() < _FEWEST * (1 if self.truth is not None else 2):
             return float("nan")
         missed = np.sort(np.sum((u - truth[:, None]) ** 2, axis=2)[on])[: int(0.9 * on.sum())]
@@ -197,7 +197,8 @@ def _late(view: LogView, legs: Stance, moving: Moving) -> Finding | None:
 
 def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
     """Find a delay of contacts relative to joints, of all or of one, and of single legs relative to
-    the others."""
+    the others.
+    """
     u, names = legs.body_velocity(moving.gyro), view.log.legs
     every = list(range(len(names)))
 

@@ -56,7 +56,7 @@ def point(view: LogView) -> Iterator[Finding]:
 
 
 def of_another_point(view: LogView) -> bool:
-    """Whether another point explains what accelerometer and trusted reference differ by."""
+    """Whether another tracked point explains how accelerometer and trusted reference differ."""
     return _is_elsewhere(*_tracked_point(view))
 
 

@@ -63,8 +63,8 @@ class Stance:
             robot: the robot.
             q: (N, J) angles of the log [rad].
             columns: that angles are read from (J,); their own by default.
-            sign: (J,) of what is read.
-            offset: (J,) [rad] added to it.
+            sign: (J,) of the angles read.
+            offset: (J,) [rad] added to them.
         """
         which = np.arange(q.shape[1]) if columns is None else columns
 

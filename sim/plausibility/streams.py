@@ -71,7 +71,7 @@ SEVERAL = 10
 DROPS = 5
 """Rows of exactly 0 between other values from which they are drop-outs."""
 STRAIGHT = 0.6
-"""Share of moving rows that continue the last step to a millionth; no sensor has such rows."""
+"""Share of moving rows whose step equals the last one to a millionth; no sensor has such rows."""
 SLOWEST_REFERENCE = 20.0
 """Rate of a reference that is interpolated [Hz], ten samples per stride."""
 _READ = ("gyro", "accel", "q", "dq", "tau", "foot")
@@ -299,7 +299,7 @@ def coarse(view: LogView) -> Iterator[Finding]:
 
 
 def overflows(view: LogView) -> Iterator[Finding]:
-    """Check that readings do not go on at the other end of their range."""
+    """Check that readings do not wrap around at the ends of their range."""
     even = np.diff(view.t) < 2.0 * np.median(np.diff(view.t)) if len(view.t) > 2 else False
     for kind, columns in _kinds(view, tuple(OVERFLOWS)).items():
         for name in columns:
@@ -378,8 +378,8 @@ def spikes(view: LogView) -> Iterator[Finding]:
 
 
 def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> np.ndarray:
-    """Whether a joint's angle changes from or to each row as its rate there says: a leg that
-    chatters on the ground leaps indeed.
+    """Whether a joint's angle changes from or to each row in accordance with its rate there, as for
+    a leg that chatters on the ground.
 
     Args:
         view: of the log.

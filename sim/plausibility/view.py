@@ -162,7 +162,7 @@ class LogView:
 
     @property
     def trusts_reference(self) -> bool:
-        """Whether the reference's attitudes are those of the IMU, as far as can be determined."""
+        """Whether no fault of the reference's attitudes was found."""
         return self.compares_turning and self.attitude is None and self.gyro_match.alike
 
     @cached_property

@@ -27,7 +27,7 @@ class FixedBase:
         name: of its file.
         file: MJCF or URDF.
         joint_names: as in the file.
-        extras: what a log's map declares.
+        extras: properties beyond the file, from a log's map or effects.
         legless: why no legs were found in a URDF, which may be of a robot with legs; empty where
             the file says that the base is fixed.
     """

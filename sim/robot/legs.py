@@ -28,7 +28,7 @@ SHORTEST_LINK = 0.01
 POINT_HINGES = 3
 """Hinges of a leg that can position a point but not level a sole."""
 ROUND = 0.1
-"""Share of its radius by which a wheel may be oval, or off its axle."""
+"""Largest deviation of a wheel from a circle, or from its axle, as a share of its radius."""
 _SPHERE, _MESH = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_MESH)
 _FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), _MESH)
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -280,7 +280,7 @@ def _foot_of_rods(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int], shapes: list[int]
 ) -> _Foot | None:
     """The underside of lying rods if the leg can level it, else the far end of a capsule; None if
-    there is neither. An upright cylinder, or one about a hinge, may be a wheel.
+    there is neither. An upright cylinder, or one on a hinge's axis, may be a wheel.
 
     Args:
         model: compiled.
@@ -426,9 +426,9 @@ def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
 
 
 def _collides(model: mujoco.MjModel) -> np.ndarray:
-    """Whether each shape (G,) touches others, in general or as one of a pair.
+    """Whether each shape (G,) collides, in general or as one of a pair.
 
-    Without any that does, as in a robot whose contacts its scenes declare, each that is no mesh.
+    If none does, as in a robot whose scenes declare its contacts: whether it is not a mesh.
     """
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     collides[model.pair_geom1] = collides[model.pair_geom2] = True
@@ -499,7 +499,7 @@ def _named_by_place(
 
 def _two_sides(model: mujoco.MjModel, chains: list[list[int]], y: np.ndarray) -> list[int]:
     """The left and the right leg, by the names of their joints, since not every base's x axis
-    points forward, else by position; empty if neither tells.
+    points forward, else by position; empty if neither is conclusive.
     """
     marks = []
     for chain in chains:

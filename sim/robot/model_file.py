@@ -16,12 +16,12 @@ from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 mujoco.set_mju_user_warning(lambda message: None)
 
 _NO_MASS, _NO_INERTIA = 1e-6, 1e-12
-"""Mass [kg] and moment of inertia [kg m^2] below which a URDF's link is a mere frame, of a sensor
-say: those of a milligram a millimetre across. MuJoCo refuses such moments.
+"""Mass [kg] and moment of inertia [kg m^2] below which a URDF's link is only a frame, such as a
+sensor's: those of a milligram of 1 mm in size. MuJoCo refuses such moments.
 """
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-10
 """Mass [kg] and moment of inertia [kg m^2] of a URDF's link that turns on a joint but has neither,
-such as the middle of a universal joint: a milligram a centimetre across.
+such as the middle of a universal joint: a milligram of 1 cm in size.
 """
 
 
@@ -33,13 +33,13 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     separate bodies, so that a sole or a sensor's frame is found by its name. Textures, and meshes
     that neither collide nor have mass, are left out of an MJCF where their files are missing.
     Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
-    mended, since other readers of URDF take them; `changes_on_reading` names them.
+    corrected, since other readers of URDF accept them; `changes_on_reading` names them.
     """
     return _spec(file)[0]
 
 
 def changes_on_reading(file: Path) -> tuple[str, ...]:
-    """What the model that is read has otherwise than its file, in words.
+    """Differences between the model as read and its file, in words.
 
     Raises SurefootError in one clear line.
     """
@@ -129,7 +129,7 @@ def _unreadable(file: Path, error: Exception) -> SurefootError:
 
 
 def _is_a_frame(inertial: ElementTree.Element) -> bool:
-    """Whether a link's mass and inertia are there for a simulator's sake only."""
+    """Whether a link's mass and inertia are negligible, so that it is only a frame."""
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     if mass is None or inertia is None:
         return False
@@ -138,7 +138,7 @@ def _is_a_frame(inertial: ElementTree.Element) -> bool:
 
 
 def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The MjSpec of a URDF with a floating root, and what was mended of its inertias."""
+    """The MjSpec of a URDF with a floating root, and the corrections of its inertias, in words."""
     robot, changes = ElementTree.parse(file).getroot(), []
     for mass in robot.findall("link/inertial/mass"):
         if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide

@@ -17,7 +17,7 @@ from surefoot.sim.common.files import is_there, protect
 from surefoot.sim.common.limits import admitted, check_limit
 
 DEEPEST = 100
-"""Maximum depth of elements; a centipede of fifty segments has some."""
+"""Maximum depth of elements, enough for a centipede of fifty segments."""
 ATTRIBUTES = 1000
 """Maximum number of attributes of an element; MuJoCo's parser takes quadratic time in them."""
 INCLUDES = 100
@@ -38,7 +38,7 @@ _PARTS = {
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _SIZES = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
 _COUNTS = {"nkey"}
-"""Sizes whose units take more than a byte; also those that begin with nuser."""
+"""Sizes that count items of more than a byte; so do those that begin with nuser."""
 _NAMES = {"name", "class", "childclass", "file", "model", "joint", "body", "link", "site"}
 _NUMBERS = {"mass", "density", "pos", "size", "friction", "diaginertia", "fullinertia", "armature"}
 
@@ -84,7 +84,7 @@ class _Scan:
         self.parts = 0.0
 
     def read(self, file: Path, times: float) -> None:
-        """Scan one of its files, whose contents count `times`."""
+        """Scan one of its files, whose contents are repeated `times` times."""
         self.files += 1
         if self.files > INCLUDES:
             self.refuse(f"includes more than {INCLUDES} files, or itself")

@@ -29,7 +29,7 @@ IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
 @dataclass(frozen=True)
 class DeclaredExtras:
-    """Properties of a robot's declared model beyond its file: effects that were added to it."""
+    """Properties of a robot's declared model beyond its file: the effects added to it."""
 
     payload: float = 0.0  # kg at the base's origin
     com_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m, of the base's own, in B

@@ -3,7 +3,7 @@
 import numpy as np
 
 SHORTEST_FLIGHT = 0.05
-"""Time in the air from which a foot has swung [s]; after less it has only bounced."""
+"""Shortest swing of a foot [s]; a shorter time in the air is a bounce."""
 
 
 def contact_from_force(
@@ -25,7 +25,7 @@ def contact_from_force(
     # The start of the run of rows above `on` that each row belongs to.
     starts = above & ~np.concatenate(([False], above[:-1]))
     since = np.maximum.accumulate(np.where(starts, np.arange(len(t)), 0))
-    # Half a microsecond forgives stamps that were rounded.
+    # The tolerance of half a microsecond allows for rounded stamps.
     landed = above & ((t - t[since] >= debounce - 5e-7) | (since == 0))
     lifted = force < off
     # The last event decides; before any, the foot is in the air.

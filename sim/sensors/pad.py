@@ -1,9 +1,9 @@
 """A foot's pad and contact switch, whose contacts begin or end late, or begin early.
 
-A contact begins late because the pad must be compressed first: the load must have given it an
-impulse. It ends late because the unloaded pad recovers slowly: the reading falls with a first-order
-lag down to the threshold. It begins early if a long, soft pad touches the ground before the foot is
-loaded. The delay thus varies from step to step.
+A contact begins late because the load must first compress the pad by a certain impulse. It ends
+late because the unloaded pad recovers slowly: the reading falls with a first-order lag down to the
+threshold. It begins early if a long, soft pad touches the ground before the foot is loaded. The
+delay thus varies from step to step.
 """
 
 from collections.abc import Callable
@@ -102,8 +102,8 @@ def _first(stands: np.ndarray, rows: np.ndarray, what: bool) -> np.ndarray:
 
 @kernel
 def _squeezed(force, dt, threshold, impulse, keep):
-    """The loads (N, L) of feet whose pads have received their impulse, zero of the others. Feet
-    that stand in the first row have received theirs.
+    """The loads (N, L) of feet whose pads are compressed, zero for the others. Feet that stand in
+    the first row are compressed.
 
     Args:
         force: (N, L) [N].
@@ -127,8 +127,8 @@ def _squeezed(force, dt, threshold, impulse, keep):
 
 @kernel
 def _springs_back(force, keep):
-    """The loads (N, L), followed immediately where they rise, and with a first-order lag where they
-    fall; `keep` of the difference remains after a row.
+    """The loads (N, L), with a first-order lag where they fall: a share `keep` of the difference
+    remains after each row.
     """
     out = force.copy()
     for leg in range(force.shape[1]):

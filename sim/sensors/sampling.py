@@ -22,7 +22,7 @@ def sampled(frame: pd.DataFrame, rate: float, averages: bool) -> pd.DataFrame:
         if name.startswith("contact_"):
             columns[name] = x[held]
         elif averages and name.startswith(("gyro_", "accel_")):
-            # A row is the mean since the one before it: its integral is exact at the rows.
+            # A row is the mean since the one before it, so the integral is exact at the rows.
             integral = np.append(0.0, np.cumsum(x * np.diff(first)))
             columns[name] = np.diff(np.interp(edges, first, integral)) * rate
         else:

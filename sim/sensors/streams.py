@@ -27,18 +27,18 @@ class Sensors:
 
     IMU: VectorNav VN-100, product brief and https://www.vectornav.com/products/detail/vn-100
     (accelerometer 0.14 mg/rtHz, < 0.04 mg in-run bias, +-15 g; gyro 0.0035 deg/s/rtHz, 5 deg/h
-    in-run bias, +-2000 deg/s; 16 bits). It gives no turn-on bias: Xsens gives its gyros +-0.5 deg/s
-    from one turn-on to another within a year (https://base.xsens.com/hc/en-us/articles/203307252);
-    a sixth of it, and 3 mg, were chosen as what is left once a robot has stood still. Nor does it
-    give the in-run bias a correlation time: 300 s was chosen.
-    Encoders: ams AS5047P data sheet, 14 bits; their integral nonlinearity is calibrated out.
-    Joint velocity: such an encoder on the motor's side of a gear of 8, differenced over 2 ms, is
-    out by sqrt(1/6) 3.83e-4 rad / 8 / 2 ms = 0.01 rad/s.
+    in-run bias, +-2000 deg/s; 16 bits). It states no turn-on bias: Xsens states +-0.5 deg/s for its
+    gyros between turn-ons within a year (https://base.xsens.com/hc/en-us/articles/203307252); a
+    sixth of that, and 3 mg, were chosen for the rest after a robot has stood still. It states no
+    correlation time of the in-run bias either: 300 s was chosen.
+    Encoders: ams AS5047P data sheet, 14 bits; integral nonlinearity is assumed to be calibrated.
+    Joint velocity: such an encoder on the motor's side of a gear of 8, differenced over 2 ms, has
+    an error of sqrt(1/6) 3.83e-4 rad / 8 / 2 ms = 0.01 rad/s.
     Torque and foot force: no published figure was found; chosen as some 0.2 % of the largest torque
-    and 0.5 % of the weight of a robot of 40 kg. So was the threshold of contact, of the weight.
-    An IMU without a bandwidth of its own averages over each row (VN-100 manual: coning and sculling
-    integrals); with one it is filtered and then sampled, and what lies above half the rate folds
-    back (VN-100: 256 Hz gyro, 260 Hz accelerometer).
+    and 0.5 % of the weight of a robot of 40 kg. The threshold of contact was chosen, too.
+    An IMU without a bandwidth averages over each row (VN-100 manual: coning and sculling
+    integrals); with one it is filtered and then sampled, with aliasing from above half the rate
+    (VN-100: 256 Hz gyro, 260 Hz accelerometer).
     """
 
     gyro_noise: float = 6.1e-5  # rad/s/rtHz
@@ -273,9 +273,9 @@ class _ImuErrors:
             n: number of rows.
             rate: sampling rate [Hz].
             sensors: bandwidth, and the correlation time of the bias.
-            sizes: density of the white noise [unit/sqrt(Hz)], standard deviations of the turn-on
-                bias and
-                of its Gauss-Markov part, and range, to 16 bits, in the reading's unit.
+            sizes: density of the white noise [unit/sqrt(Hz)]; standard deviations of the turn-on
+                bias and of its Gauss-Markov part, and range, which has 16 bits, in the reading's
+                unit.
         """
         density, turn_on, instability, self._range = sizes
         self._turn_on = rng.normal(0.0, turn_on, 3)

@@ -1,4 +1,4 @@
-"""Many walks at once, each on its own thread, in compiled code that releases Python's lock.
+"""Many walks at once, each on its own thread, in compiled code that releases the GIL.
 
 Walks share nothing, so robots, grounds and courses may differ within a batch, and each walk is
 equal, bit for bit, to the same walk alone.

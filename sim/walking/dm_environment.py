@@ -1,4 +1,4 @@
-"""The walking robot as a `dm_env` environment: your controller drives it, and the same Log is left.
+"""The walking robot as a `dm_env` environment: your controller drives it, and the result is a Log.
 
 env = WalkingEnvironment(Scenario.load("course.toml"), Robot.load("spot_class"), seed=0)
 step = env.reset()
@@ -59,13 +59,13 @@ class WalkingEnvironment(dm_env.Environment):
 
     actions: "torque", joint torques (12,) [N m]; or "position", joint targets (12,) [rad] that a
     motor law kp (target - q) - kd dq follows at every timestep of 2 ms, kp [N m/rad] and kd
-    [N m s/rad] a number or (12,) (by default, what suits the robot's size). Both are cut at their
-    limits. Observations are true values in SI units, those that `sim.gait.controller.tick` has: see
-    `observation_spec`. The reward, from 0 to 1, measures how near the base's velocity is to the
-    command's; the episode ends with the course, or with discount 0 in a fall.
+    [N m s/rad] a number or (12,) (by default, scaled to the robot's size). Both are clipped to
+    their limits. Observations are true values in SI units, the inputs of `sim.gait.controller.tick`
+    (see `observation_spec`). The reward, from 0 to 1, measures how near the base's velocity is to
+    the command's; the episode ends with the course, or with discount 0 in a fall.
 
-    A robot is handed over standing still, as `sim.walk.walk` begins its log. The same scenario,
-    robot, seed, effects and actions give the same Log, bit for bit.
+    An episode begins with the robot standing still, as the log of `sim.walk.walk` does. The same
+    scenario, robot, seed, effects and actions give the same Log, bit for bit.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class WalkingEnvironment(dm_env.Environment):
         return self._physics
 
     def reset(self, seed: int | None = None) -> dm_env.TimeStep:
-        """Set the robot on its feet at the start of the course; another `seed` draws another."""
+        """Start an episode with the robot standing, on the course drawn with `seed` if given."""
         if seed is not None and seed != self._plan.seed:
             self._plan_for(seed)
         made, data = self._plan, self._physics.data.ptr
@@ -119,7 +119,7 @@ class WalkingEnvironment(dm_env.Environment):
         return dm_env.restart(self._observation())
 
     def step(self, action: np.ndarray) -> dm_env.TimeStep:
-        """Drive the joints for one control period. After an episode's end it begins the next."""
+        """Drive the joints for one control period; after an episode's end, begin the next one."""
         if self._over:
             return self.reset()
         wanted = np.asarray(action, dtype=float)
@@ -145,7 +145,7 @@ class WalkingEnvironment(dm_env.Environment):
         return dm_env.transition(reward, observation)
 
     def log(self) -> Log:
-        """The Log of the episode so far. Commanded positions are in it, with their motor law.
+        """The Log of the episode so far, with commanded positions and their motor law if any.
 
         Raises SurefootError before the first step.
         """
@@ -173,7 +173,7 @@ class WalkingEnvironment(dm_env.Environment):
         return specs.BoundedArray((12,), float, -limit, limit, "joint_torque")
 
     def observation_spec(self) -> Any:
-        """An OrderedDict of arrays, in SI units: `_observation` says what each is."""
+        """An OrderedDict of array specs, in SI units; `_observation` gives the meaning of each."""
         sizes = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}
         sizes |= {"joint_position": 12, "joint_velocity": 12, "foot_force": 4}
         shapes = {"time": ()} | {n: (size,) for n, size in sizes.items()}
@@ -217,7 +217,7 @@ class _Motors(NamedTuple):
 
 @kernel(nogil=True)
 def _drive(body, trace, k, torque, target, motors):
-    """A control period of torques plus the motor law's, cut at the motors' limits.
+    """One control period of torques plus those of the motor law, clipped to the motors' limits.
 
     Args:
         body: MjViews.

@@ -98,8 +98,8 @@ def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Rob
     """A walk in the style of a measured one, with its pieces in their own order and nothing varied.
 
     It lasts from the first moving piece to the last: before and after, the measured robot stands,
-        while the simulated one would step in place. Returns the scenario, and the robot in the
-        measured posture.
+    while the simulated one would step in place. Returns the scenario, and the robot in the measured
+    posture.
     """
     moves = np.flatnonzero(np.hypot(*style.twists[:, :2].T) > MOVING)
     walks = style.twists[moves[0] : moves[-1] + 1] if len(moves) else style.twists

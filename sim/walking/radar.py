@@ -1,11 +1,10 @@
 """A simulated 4-D radar on a walk: rays into the scenario's ground, a Doppler for each return.
 
-Returns do not fit a log's one row a sample, and nothing proprioceptive may see them: they are made
-on demand beside a simulated log, from its reference motion, the scenario and its seed, always the
-same ones. The scenes are the courses' own ground. They have no walls, furniture or people, so
-returns come from the floor, its steps and its slopes alone; a real radar sees more, higher up.
-A frame is a snapshot at a row of the log, as if its chirps took no time, and the robot's own legs
-are not in view.
+A log has no columns for returns, which vary in number and are hidden from proprioceptive filters.
+They are computed on demand from a simulated log's reference motion, its scenario and its seed, with
+the same result each time. Only the ground of the course reflects, with its steps and slopes; a real
+radar also sees walls, furniture and people. A frame is a snapshot at a row of the log, and the
+robot's own legs are not in view.
 """
 
 from dataclasses import dataclass, fields
@@ -30,11 +29,11 @@ class RadarSensor:
     Frame period, range and Doppler: TI, People Tracking and Counting Reference Design Using mmWave
     Radar Sensor (IWR6843), TIDUE71D, table 2: 8.1 m, 8.4 cm, 16.2 km/h, 0.324 km/h, 55 ms. Field of
     view and resolution of angles: TI Radar Toolbox 2.0, reference designs overview, the design
-    with two-dimensional angles: +-60 and +-60 degrees, 19 and 58 degrees. Angles err by a tenth
-    of these; the tenth was chosen. So were what Doppler noise comes on top of its step, the rays of
-    a frame (tens of returns are usual), the share that is detected, the share of ghosts and their
-    Dopplers, and the mounting: between the front hips, tilted down by 15 degrees, since floors are
-    all that there is to see.
+    with two-dimensional angles: +-60 and +-60 degrees, 19 and 58 degrees. The following were
+    chosen: angle errors of a tenth of the resolution, the Doppler noise beyond quantisation, the
+    rays of a frame (tens of returns are usual), the share detected, the share of ghosts and their
+    Dopplers, and the mounting, between the front hips and tilted down by 15 degrees towards the
+    floor.
     """
 
     period: float = 0.055  # s
@@ -79,7 +78,7 @@ class Radar:
 
 
 def radar(log: Log, scenario: Scenario, robot: Robot, sensor: RadarSensor | None = None) -> Radar:
-    """What a radar on the robot would have returned during a simulated log.
+    """Returns of a radar on the robot during a simulated log.
 
     The ground is the scenario's as the log's seed drew it; the radar's own noise comes from the
     same seed. Raises SurefootError where the log has no seed or no reference, or is of another

@@ -54,8 +54,7 @@ def _soles(legs, height_map, radius, bases, q, dq, slid, slid_rate):
         bases: a BaseMotion of N rows.
         q, dq: (N, 12) rad, rad/s.
         slid, slid_rate: displacement of the feet relative to their links, in the links' frames, and
-            its
-            rate (N, 4, 3) [m, m/s]; empty if they are fixed.
+            its rate (N, 4, 3) [m, m/s]; empty if they are fixed.
     """
     p, R, v, w = bases
     n = len(p)

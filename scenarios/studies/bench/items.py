@@ -1,6 +1,4 @@
-"""Names of what `surefoot bench` measures; the functions, which are slow to import, are in
-`run`.
-"""
+"""Names of the items of `surefoot bench`; their functions, slow to import, are in `run`."""
 
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 

@@ -53,7 +53,7 @@ def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
         robot, _ = walks[len(found) % len(walks)]
         return _draw_effect(name, sizes, rng, study_robot(robot), of_group)
 
-    # Interleaved, so that a study stopped early has covered all kinds alike.
+    # Interleaved, so that an interrupted study has covered all kinds equally.
     for turn in range(plan["each"]):
         for name in known:
             add("single", [drawn(name, plan["sizes"][name], turn in plan["group_turns"])])

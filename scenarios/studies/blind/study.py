@@ -1,7 +1,7 @@
 """The blind study of `trace`: logs with undeclared effects, and the effects that it finds.
 
-`study.toml` is the plan. A finished case is stored, so a stopped study resumes. Run it, and write
-its report, by `python -m surefoot.scenarios.studies.blind.study -o DIR`.
+`study.toml` is the plan. Finished cases are stored, so that an interrupted study is resumed. Run
+it, and write its report, by `python -m surefoot.scenarios.studies.blind.study -o DIR`.
 """
 
 from collections.abc import Sequence

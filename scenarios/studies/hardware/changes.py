@@ -120,7 +120,7 @@ def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
     j = log.joints.index(link_of(key))
     if name == "encoder_offset":
         return log.with_columns({f"q_{target}": log.q[:, j] + size})
-    # Rates other than those that the balance reads.
+    # Rates computed differently from those of the balance.
     step = float(np.median(np.diff(log.t)))
     t = np.arange(log.t[0], log.t[-1] + step, step)
     q = gaussian_filter1d(CubicSpline(log.t, log.q)(t), FIRST / step, axis=0, mode="nearest")

@@ -1,9 +1,9 @@
-"""Standing feet that creep: the way that legs go and the body does not, stance by stance.
+"""Creep of standing feet: displacement by leg odometry beyond that of the body, per stance.
 
-Toes that slide in one direction hold less in every other one, as dry friction opposes the whole
-velocity. So feet that the body twists against each other are expected to lose way in proportion to
-the angle by which they turn over the ground. Gyro and legs measure that angle; only the way lost
-for each radian is fitted to a reference.
+A toe that slides in one direction has less grip in all others, since dry friction opposes the whole
+velocity. If the body twists the standing feet against each other, the lost displacement should thus
+be proportional to the angle by which they rotate over the ground. Gyro and legs measure that angle;
+only the loss per radian is fitted to a reference.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,22 +19,23 @@ from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 
 DISPLACED_OVER = 1.0
 """Time over which displacements by legs and by the reference are compared [s]: some strides, whose
-ripple cancels.
+ripple averages out.
 """
 _WEIGHED = ("RL", "RR")
-"""Legs whose forces are usable on all walks; the map passes them on as x_toe_force_<leg>_<axis>."""
+"""Legs whose forces are usable on all walks; the map imports them as x_toe_force_<leg>_<axis>."""
 _TOUCHING = 10.0
 """Vertical force above which a swinging toe scrapes over the ground [N]; in the air it reads less.
 """
 _LAGS = np.arange(-0.15, 0.15, 0.002)
-"""Delays of contacts after forces that are tried [s]."""
+"""Delays of contacts after forces on the grid [s]."""
 
 
 @dataclass(frozen=True)
 class StanceTravel:
     """Displacements while the same feet stand, one row for each stance.
 
-    The rows at which feet are exchanged belong to no stance: a filter crosses them by its IMU.
+    The rows at which the standing feet change belong to no stance; a filter bridges them by its
+    IMU.
 
     Attributes:
         start: touchdown (S,) [s].
@@ -50,7 +51,7 @@ class StanceTravel:
 
     @property
     def lost(self) -> np.ndarray:
-        """Way that the legs go and the body does not (S,) [m]."""
+        """Displacement by the legs beyond the body's, along the former (S,) [m]."""
         gone = np.linalg.norm(self.legs, axis=1)
         ahead = self.legs / np.where(gone > 0.0, gone, 1.0)[:, None]
         return gone - np.sum(self.body * ahead, axis=1)
@@ -69,8 +70,8 @@ def stance_travel(log: Log) -> StanceTravel:
 
 
 def turning_of_feet(log: Log) -> float:
-    """Angle by which standing feet turn over the ground to and fro, for each metre that the legs go
-    [rad/m], from the first exchange of feet to the last; from gyro and feet alone.
+    """Total rotation of standing feet over the ground per metre of displacement by the legs
+    [rad/m], from the first change of the standing feet to the last; from gyro and feet alone.
     """
     way = [
         np.linalg.norm((log.foot_I[b, stand, :2] - log.foot_I[a, stand, :2]).mean(axis=0))
@@ -87,8 +88,8 @@ def travel_share(logs: Sequence[Log]) -> float:
 
 
 def lost_by_turning(logs: Sequence[Log]) -> float:
-    """Way that legs lose for each radian that standing feet turn over the ground [m/rad]: one size
-    for all logs, fitted like the share.
+    """Displacement lost per radian of rotation of the standing feet [m/rad]: one size for all logs,
+    fitted like the share.
     """
     return _size(logs, [turning_of_feet(log) for log in logs])
 
@@ -107,8 +108,8 @@ def with_share(log: Log, share: float) -> Log:
 
 
 def lost_way_table(logs: Sequence[Log]) -> pd.DataFrame:
-    """One row for each walk: the way lost as a share, as a length at each stance, and by the
-    turning of standing feet, each fitted to that walk alone.
+    """One row for each walk: displacement lost as a share, per stance, and per radian of rotation
+    of the standing feet, each fitted to that walk alone.
     """
     rows = []
     for log in logs:
@@ -127,8 +128,8 @@ def lost_way_table(logs: Sequence[Log]) -> pd.DataFrame:
 
 
 def single_stances_table(logs: Sequence[Log]) -> pd.DataFrame:
-    """One row for each pair of feet: do they lose more way in a stance in which they turn more than
-    in others of the same walk? The fit, which has one turning for each walk, does not use this.
+    """One row for each pair of feet: whether they lose more displacement in the stances of a walk
+    with more rotation. The fit, which uses the total rotation of each walk, does not use this.
     """
     pairs: dict[str, list[np.ndarray]] = {}
     for log in logs:
@@ -154,7 +155,7 @@ def single_stances_table(logs: Sequence[Log]) -> pd.DataFrame:
 
 
 def forces_table(logs: Sequence[Log]) -> pd.DataFrame:
-    """One row for each walk: what the forces on the toes of _WEIGHED, which no fit uses, show.
+    """One row for each walk: evidence from the forces on the toes of _WEIGHED, which no fit uses.
 
     The delay of contacts, the friction of toes that scrape over the ground while they swing, and
     how the velocity of standing toes over the ground correlates with the force on them (friction)
@@ -205,8 +206,8 @@ def _stance_rows(log: Log) -> Iterator[tuple[int, int, np.ndarray]]:
 
 
 def _by_feet(log: Log) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Each group of feet that stand together, with way lost [m] and angle turned [rad] in each of
-    its stances; without the first and last of a walk, in which it starts and rests.
+    """Each group of feet that stand together, with displacement lost [m] and rotation [rad] in
+    each of its stances; without the first and last of a walk, in which it starts and stops.
     """
     found, turned = stance_travel(log), _turned(log)
     inner = np.zeros(len(turned), dtype=bool)
@@ -217,10 +218,10 @@ def _by_feet(log: Log) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 
 def _turned(log: Log) -> np.ndarray:
-    """Angle by which the feet of each stance turn over the ground to and fro (S,) [rad].
+    """Total rotation over the ground of the feet of each stance (S,) [rad].
 
-    Feet that stick keep their direction from each other, so their turning in I and the body's
-    cancel. A single foot shows no turning.
+    The line between two feet that stick keeps its direction, so its rotation in I and that of the
+    body cancel. A single foot shows no rotation.
     """
     turned = []
     for a, b, stand in _stance_rows(log):
@@ -268,7 +269,7 @@ def _over_ground(log: Log) -> np.ndarray:
 
 
 def _after(t: np.ndarray, stands: np.ndarray, load: np.ndarray) -> str:
-    """Time by which contacts (N, 2) come after the load (N, 2) of the same feet, in words [ms]."""
+    """Delay of contacts (N, 2) after the load (N, 2) of the same feet, in words [ms]."""
     stands, load = (np.diff(x.astype(float), axis=1)[:, 0] for x in (stands, load))
     inside = (t > t[0] + _LAGS[-1]) & (t < t[-1] + _LAGS[0])
     alike = [np.corrcoef(stands[inside], np.interp(t[inside] - s, t, load))[0, 1] for s in _LAGS]

@@ -40,14 +40,15 @@ SHOWN_METRICS = {k: v for k, v in METRICS.items() if k not in ("pi<gamma [%]", "
 
 
 def lags_table(found: Sequence[Lag]) -> pd.DataFrame:
-    """A row a stream."""
+    """One row for each stream: its lag and interval."""
     late = [between(1e3 * one.late, [1e3 * x for x in one.interval], 1) for one in found]
     return pd.DataFrame({"stream": [one.stream for one in found], "late by [ms]": late})
 
 
 def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndarray:
-    """Speed (TENTHS, K) [m/s] that a foot which the log calls standing has, by the legs and the
-    reference: root mean square over walking, by tenths of the stance and leg."""
+    """RMS speed (TENTHS, K) [m/s] over the ground of feet in stance while the robot walks, from
+    legs and reference, by tenths of the stance and by leg.
+    """
     log, robot = compensate_all(effects, log, robot)
     frame = log_under_model(log, robot).motion
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
@@ -66,7 +67,7 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
 
 
 def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.DataFrame:
-    """What each effect explains of the legs' velocity residual on the part that only reports."""
+    """Share of the legs' velocity residual that each effect explains on the REPORT part."""
     rng = np.random.default_rng(seed)
     case = log_under_model(log, robot)
     late = split_of([case]).report
@@ -135,8 +136,8 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
 def ladder(
     effects: Sequence[Effect], robot: Robot, uncertain: Sequence[Effect] = ()
 ) -> list[tuple[str, list[Effect]]]:
-    """Sets of effects to compare: none, each alone, all, and those not found, which are feet as
-    large as in the model's file and effects that were fitted but `uncertain`.
+    """Sets of effects to compare: none, each alone, all, and those not found: feet with the
+    radius of the model's file, and fitted effects that are `uncertain`.
     """
     steps: list[tuple[str, list[Effect]]] = [("as declared", [])]
     steps += [(f"{_named(e)} alone", [e]) for e in effects]

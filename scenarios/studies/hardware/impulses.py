@@ -117,7 +117,7 @@ def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
             size = known_effects()[name].step_of(target)
             known, changed = compensate_all([effect(name, target, size)], log, machine)
             assert isinstance(changed, FixedBase)
-            # Along the axis of a hinge a mass may lie anywhere.
+            # The position of a mass along a hinge's axis is not observable.
             term = (rigid_torque(known, changed, through) - rigid) / size
             if np.abs(term).max() > _SHOWS:
                 changes[name, target] = term

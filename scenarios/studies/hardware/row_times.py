@@ -26,9 +26,12 @@ class RowTimes:
         period: mean time of a row by each joint (J,) [s].
         periods: its 95 % interval (J, 2) [s].
         each: time of each single row (N - 1,) [s], NaN where too little moves.
-        short, long: centres of the two clusters of these times [s].
-        ratio: long / short, with `ratio_interval`, of 95 %.
-        share: of short rows, with `share_interval`, of 95 %.
+        short: centre of the lower of the two clusters of these times [s].
+        long: centre of the upper one [s].
+        ratio: long / short.
+        ratio_interval: its 95 % interval.
+        share: of short rows.
+        share_interval: its 95 % interval.
     """
 
     period: np.ndarray
@@ -53,7 +56,7 @@ def row_times(q: np.ndarray, dq: np.ndarray, rng: np.random.Generator) -> RowTim
     bottom = _sums(block[::TOGETHER], whole * whole)
     period = top.sum(axis=0) / bottom.sum(axis=0)
     drawn = (counts @ top) / (counts @ bottom)
-    # A joint whose rate reads too much would smear the heaps.
+    # A scale error of a joint's rate would blur the clusters.
     rate = rate * period / period.mean()
     fast = np.linalg.norm(rate, axis=1) > FAST
     speed = np.maximum(np.sum(rate * rate, axis=1), 1e-12)

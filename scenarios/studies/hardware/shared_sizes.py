@@ -80,7 +80,7 @@ def shared_calibration(runs: Runs) -> Calibration:
     same = same[:, None] == same
     joints = len(next(iter(runs.values()))[0].joints)
     scale = y.reshape(-1, joints).std(axis=0)
-    # A size of one standard deviation is worth what the declared model leaves.
+    # Scaled such that one standard deviation of a size has the RMS residual of the declared model.
     D = 1.0 / np.mean((X / np.tile(scale, len(y) // joints)[:, None]) ** 2, axis=0)
     shared = (X * D) @ X.T
 

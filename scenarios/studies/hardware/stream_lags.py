@@ -107,7 +107,7 @@ def _leg_costs(
     for d in LAGS:
         then = np.clip(log.t + d, log.t[0], log.t[-1])
         v = leg_velocity(robot, q(then), dq(then), log.gyro, frame.up_I, standing)
-        # Wrong lengths and radii leave each foot a mean of its own, which says nothing of time.
+        # Wrong lengths and radii give each foot a mean error, which does not depend on the lag.
         off = v - frame.v_I[:, None]
         off = off - np.nanmedian(off, axis=0)
         costs.append(np.where(standing, np.sum(off**2, axis=2), 0.0).sum(axis=1))

@@ -95,8 +95,8 @@ def alignment_table(walks: Mapping[str, AlignedWalk]) -> pd.DataFrame:
 
 
 def findings_table(logs: Sequence[Log]) -> pd.DataFrame:
-    """What is implausible in logs as recorded, with the map line that corrects it; equal findings
-    of several logs share a row.
+    """Implausible data in logs as recorded, with the map line that corrects it; equal findings in
+    several logs share a row.
     """
     seen: dict[tuple[str, str, str], dict[str, None]] = {}
     for log in logs:
@@ -141,7 +141,7 @@ def end_errors_table(
 
 def paths_figure(walks: Mapping[str, AlignedWalk], size: float) -> Figure:
     """Figure: each walk from above, with the reference and the leg filter without and with the
-    way [m] that is lost for each radian of turning.
+    displacement `size` [m] lost per radian of rotation.
     """
     drawn, axes = new_figure(1, len(walks), (2.4 * len(walks), 3.4))
     for ax, (name, walk) in zip(axes[0], walks.items(), strict=True):

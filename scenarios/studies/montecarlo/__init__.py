@@ -1,1 +1,1 @@
-"""The paper's Monte-Carlo study, and the coverage update by itself."""
+"""The paper's Monte-Carlo study, and a study of a single coverage update."""

@@ -1,4 +1,4 @@
-"""Figures of the Monte-Carlo study, and the paper's own numbers that they show beside ours."""
+"""Figures of the Monte-Carlo study, with the paper's numbers for comparison."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -28,7 +28,8 @@ PAPER_ROWS = {
     0.95: ("1.05 ± 0.36", "3.36 ± 1.47", "3.85 ± 2.43", "3.77 ± 4.65"),
 }
 """The paper's table of the two regimes, rounded: RMSE unbiased and biased, NEES likewise, by gamma
-(None: the EKF). Its durations, densities and mixture are not given, so only trends compare."""
+(None: the EKF). Durations, densities and mixture are not given, so that only trends are comparable.
+"""
 
 
 def runtime_figure(rows: Sequence[Accuracy]) -> Figure:
@@ -49,7 +50,7 @@ def runtime_figure(rows: Sequence[Accuracy]) -> Figure:
 
 
 def nees_figure(rows: Sequence[FilterScores]) -> Figure:
-    """NEES against gamma for each reading, a panel for each regime."""
+    """NEES against gamma for each reading, one panel per regime."""
     figure, axes = new_figure(1, 2, size=(9.0, 4.8))
     for k, regime in enumerate(("unbiased", "biased")):
         ax = axes[0, k]
@@ -108,6 +109,6 @@ def _look(row: FilterScores) -> dict[str, Any]:
 
 
 def _plain_ticks(ax) -> None:
-    """Numbers, not powers, on a logarithmic axis."""
+    """Plain numbers instead of powers on a logarithmic axis."""
     ax.yaxis.set_major_formatter(LogFormatter())
     ax.yaxis.set_minor_formatter(LogFormatter())

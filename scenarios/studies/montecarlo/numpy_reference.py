@@ -1,8 +1,8 @@
-"""The Monte-Carlo study in plain numpy, one trial at a time: a peer to time, and an oracle.
+"""The Monte-Carlo study in plain numpy, one trial at a time, for comparison of time and results.
 
 The right-invariant EKF of Hartley et al. (IJRR 2020) and the coverage update of Algorithm 1, step
-by step. The mean takes a sample as held over its step to second order, the covariance the
-continuous error dynamics A to third order in dt.
+by step. The mean is propagated to second order in dt with constant samples, the covariance with the
+continuous error dynamics A to third order.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ def numpy_trial(
 
     Args:
         study: rates and noise.
-        truth: motion that the distances are from.
+        truth: true motion.
         trials: samples and initial states of all trials.
         k: index of the trial.
         setting: filter and its bounds.
@@ -69,10 +69,10 @@ def numpy_trial(
 
 
 def numpy_moments(cov, lower, upper) -> tuple[float, np.ndarray, np.ndarray]:
-    """pi, mean (3,) and covariance (3, 3) of N(0, cov) on a box, by 20 nodes an axis.
+    """pi, mean (3,) and covariance (3, 3) of N(0, cov) on a box, by 20 nodes per axis.
 
-    Nodes cover the part of the box within 7 deviations. For the boxes of the study, which lie about
-    the mean: 1e-9 where correlations are moderate.
+    Nodes cover the part of the box within 7 standard deviations. The error is 1e-9 for boxes about
+    the mean, as in the study, and moderate correlations.
     """
     reach = 7.0 * np.sqrt(np.diag(cov))
     lower, upper = np.maximum(lower, -reach), np.minimum(upper, reach)
@@ -83,7 +83,7 @@ def numpy_moments(cov, lower, upper) -> tuple[float, np.ndarray, np.ndarray]:
     xz = np.exp(-0.5 * D[2, 2] * z**2 - D[0, 2] * np.outer(x, z))
     yz = np.exp(-0.5 * D[1, 1] * y[:, None] ** 2 - D[1, 2] * np.outer(y, z))
     xy *= np.outer(_WEIGHTS, _WEIGHTS)
-    # Each pair's own density: the third axis summed out.
+    # Marginal density of each pair: the third axis is integrated out.
     on_xy = xy * ((xz * _WEIGHTS) @ yz.T)
     on_xz = xz * _WEIGHTS * (xy @ yz)
     on_yz = yz * _WEIGHTS * (xy.T @ xz)

@@ -1,9 +1,9 @@
-"""The paper's way to box moments: randomized quasi-Monte Carlo. A peer to measure ours against.
+"""Box moments by the paper's method, randomized quasi-Monte Carlo, for comparison with ours.
 
 Genz's separation of variables (Genz, Numerical computation of multivariate normal probabilities,
-J. Comput. Graph. Stat. 1, 1992) turns the box into the unit cube: with Sigma = L L^T, axis after
-axis y_i is a truncated standard normal given those before it, and the product of their masses is
-the weight of the point. The cube is filled with a Richtmyer lattice (fractional parts of multiples
+J. Comput. Graph. Stat. 1, 1992) maps the box to the unit cube: with Sigma = L L^T, each y_i is a
+truncated standard normal given those before it, and the product of their masses is the weight of
+the point. The cube is filled with a Richtmyer lattice (fractional parts of multiples
 of sqrt 2, sqrt 3, sqrt 5), shifted at random and folded (baker's transform).
 """
 
@@ -34,7 +34,7 @@ def _numbers(text: str) -> tuple[float, ...]:
     return tuple(map(float, text.split()))
 
 
-# Coefficients of Wichura's rational functions: eight above the line, eight below it.
+# Coefficients of Wichura's rational functions: eight of the numerator, eight of the denominator.
 _MIDDLE = _numbers(
     "3.3871328727963666080 1.3314166789178437745e2 1.9715909503065514427e3 "
     "1.3731693765509461125e4 4.5921953931549871457e4 6.7265770927008700853e4 "
@@ -65,9 +65,9 @@ _FAR = _numbers(
 class Accuracy:
     """One row of the runtime-accuracy table; errors are root mean squares over boxes and shifts.
 
-    samples is None for the deterministic `box_moments`. milliseconds: the fastest of several
-    rounds over all boxes, an evaluation; probability: absolute; mean: Euclidean norm; covariance:
-    Frobenius norm, both in units of the prior's deviations.
+    samples is None for the deterministic `box_moments`. milliseconds: time per evaluation,
+    the fastest of several rounds over all boxes; probability: absolute; mean: Euclidean norm;
+    covariance: Frobenius norm, both in units of the prior's deviations.
     """
 
     samples: int | None
@@ -172,7 +172,7 @@ def runtime_accuracy(
 
 
 def ordinary_boxes(rng: np.random.Generator, count: int):
-    """means (B, 3), covariances (B, 3, 3), lower and upper (B, 3) with unit prior deviations."""
+    """Means (B, 3), covariances (B, 3, 3), lower and upper bounds (B, 3), with unit variances."""
     factors = np.eye(3) + 0.5 * rng.standard_normal((count, 3, 3))
     covs = factors @ np.swapaxes(factors, 1, 2)
     std = np.sqrt(np.einsum("bii->bi", covs))
@@ -182,7 +182,7 @@ def ordinary_boxes(rng: np.random.Generator, count: int):
 
 
 def tensor_moments(mean, cov, lower, upper) -> tuple[float, np.ndarray, np.ndarray]:
-    """Probability and moments by a Gauss-Legendre rule of 48 nodes an axis, for ordinary boxes."""
+    """Probability and moments by a Gauss-Legendre rule of 48 nodes per axis, for ordinary boxes."""
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     half, centre = 0.5 * (upper - lower), 0.5 * (upper + lower)
     axes = np.meshgrid(*(centre[:, None] + half[:, None] * nodes), indexing="ij")

@@ -1,4 +1,4 @@
-"""The Monte-Carlo study as files: tables, figures and a report, the paper's numbers beside ours."""
+"""Output files of the Monte-Carlo study: tables, figures and a report, with the paper's numbers."""
 
 import os
 from collections.abc import Sequence
@@ -48,12 +48,12 @@ def montecarlo(
 
     Args:
         out: folder for table.md, the tables as CSV, figures/ and report.html.
-        trials: in each regime; those of montecarlo.toml where left out.
-        seed: the file's where left out.
-        force: overwrite what is in the folder.
-        workers: processes that share the trials; one a core where left out.
-        cluster: address of a Dask scheduler whose workers share them instead.
-        data: folder of finished regimes, which are not run again; `cases` in `out` if left out.
+        trials: in each regime; by default those of montecarlo.toml.
+        seed: by default the file's.
+        force: whether files may be replaced.
+        workers: processes; by default one per core.
+        cluster: address of a Dask scheduler to run on instead.
+        data: folder of finished regimes, which are not run again; by default `cases` in `out`.
         page: page of results (Markdown) to write as well.
 
     Raises SurefootError on bad input.
@@ -93,7 +93,7 @@ def write_study(
 
     Args:
         results: of the trials.
-        runtime: and accuracy of the moments.
+        runtime: run time and accuracy of the moments.
         out: folder.
         force: whether files may be replaced.
         page: of the documentation, or None.
@@ -148,7 +148,7 @@ def study_pictures(results: Results, runtime: Sequence[Accuracy]) -> dict[str, P
 def study_sections(
     results: Results, runtime: Sequence[Accuracy], pictures: dict[str, Picture]
 ) -> list[Section]:
-    """The report's parts."""
+    """The report's sections."""
     s = results.study
     return [
         Section(
@@ -204,8 +204,9 @@ def study_sections(
 
 
 def paper_findings(rows: Sequence[FilterScores]) -> str:
-    """Each regime in words: NEES and RMSE over the EKF's by reading, the paper's beside them, and
-    which reading comes nearest to the paper's NEES."""
+    """Description of each regime: NEES and RMSE relative to the EKF's by reading, with the paper's,
+    and the reading whose NEES is nearest to the paper's.
+    """
     parts = []
     for k, regime in enumerate(("unbiased", "biased")):
         own = [row for row in rows if row.regime == regime]
@@ -229,7 +230,7 @@ def paper_findings(rows: Sequence[FilterScores]) -> str:
 
 
 def beyond_findings(results: Results) -> str:
-    """In how many regimes beyond the paper coverage_persistent is more, as or less good."""
+    """Number of regimes beyond the paper in which coverage_persistent is better, equal or worse."""
     words = []
     for k, what in enumerate(("accurate", "consistent")):
         verdicts = [text.split(", ")[k].split()[0] for text in results.beside.values()]
@@ -239,7 +240,7 @@ def beyond_findings(results: Results) -> str:
 
 
 def consistency_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
-    """The paper's second table: a row for each filter, gamma and reading, both regimes in it."""
+    """The paper's second table: one row for each filter, gamma and reading, with both regimes."""
     table = []
     regimes = [[r for r in rows if r.regime == name] for name in ("unbiased", "biased")]
     for unbiased, biased in zip(*regimes, strict=True):
@@ -260,7 +261,7 @@ def consistency_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
 
 
 def beyond_table(results: Results) -> pd.DataFrame:
-    """A row for each regime, a column for each filter: RMSE and NEES; and where coverage pays."""
+    """RMSE and NEES by regime and filter, and coverage compared with the Gaussian filter."""
     table: dict[str, dict[str, str]] = {}
     for row in results.beyond:
         name = f"{row.filter} (outer)" if row.reading == OUTER else row.filter
@@ -289,7 +290,7 @@ def numbers_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
 
 
 def runtime_table(rows: Sequence[Accuracy]) -> pd.DataFrame:
-    """The paper's first table, its own numbers in the columns that say so."""
+    """The paper's first table, with our and the paper's numbers in separate columns."""
     names = ("time [ms]", "prob. error", "mean error", "cov. error")
     table = []
     for row in rows:
@@ -310,7 +311,7 @@ def _number(text: str) -> float:
 
 
 def _span(found: Sequence[tuple[float, float]], base: float) -> str:
-    """What RMSE [m], over that of the EKF, `base`, and NEES range over."""
+    """Ranges of the RMSE relative to the EKF's, `base` [m], and of the NEES."""
     rmse, own_nees = zip(*found, strict=True)
     return (
         f"NEES {min(own_nees):.1f} to {max(own_nees):.1f}, RMSE {min(rmse) / base:.1f} to "

@@ -1,4 +1,4 @@
-"""What the Monte-Carlo study draws from: `montecarlo.toml` as frozen data, its tables and keys."""
+"""Settings of the Monte-Carlo study, from `montecarlo.toml`."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -65,12 +65,12 @@ class Component:
 
 @dataclass(frozen=True)
 class ErrorLaw:
-    """How pseudo-measurement errors are made: a persistent part and a mixing part.
+    """Law of the pseudo-measurement errors: a persistent part and a mixing part.
 
     bias scales the mean of the component that a trial draws; with bias 0 there are no components,
-    and the mixing part has the covariance R_star. drift [s] makes the persistent part wander
-    instead: a Gauss-Markov process with the components' second moment. mixing is one of MIXINGS.
-    scale multiplies all of it.
+    and the mixing part has the covariance R_star. With drift [s], the persistent part is
+    instead a Gauss-Markov process with this time constant and the components' second moment. mixing
+    is one of MIXINGS. scale multiplies all of it.
     """
 
     bias: float = 0.0
@@ -83,8 +83,8 @@ class ErrorLaw:
 class Regime:
     """The law of the errors in the trials, and of those that the filters were calibrated on.
 
-    Where `calibrated_mixing` and `calibrated_scale` are left out they are as in the trials; the
-    calibration has the full bias, and no drift, unless it says otherwise.
+    `calibrated_mixing` and `calibrated_scale` are by default those of the trials. By default the
+    calibration has the full bias and no drift.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Regime:
 
     @property
     def calibration(self) -> ErrorLaw:
-        """The law of what R, bounds and persistent part are calibrated on."""
+        """The law of the errors on which R, bounds and persistent part are calibrated."""
         return ErrorLaw(
             self.calibrated_bias,
             self.calibrated_drift,
@@ -128,7 +128,7 @@ class Beyond:
 
 @dataclass(frozen=True)
 class MonteCarloStudy:
-    """All that the study draws from; rates in Hz, duration in s."""
+    """All settings of the study; rates in Hz, duration in s."""
 
     seed: Annotated[int, Meta(ge=0)]
     trials: Annotated[int, Meta(ge=2)]  # the tables give standard deviations
@@ -179,7 +179,7 @@ class MonteCarloStudy:
 
     @property
     def samples(self) -> int:
-        """IMU samples of a trial, after the one where the state stands."""
+        """IMU samples of a trial after the initial one."""
         return round(self.duration * self.imu_rate)
 
     @property

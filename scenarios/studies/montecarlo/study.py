@@ -1,4 +1,4 @@
-"""The paper's Monte-Carlo study: the EKF and coverage, unbiased and biased, and what lies beyond.
+"""The paper's Monte-Carlo study: EKF and coverage, unbiased and biased, and further regimes.
 
 "Bounds from the gamma-quantiles of the noise" has four readings (`READINGS`), which are kept apart:
 each axis' quantile of |e| at gamma (the box then holds less than gamma jointly); at gamma^(1/3)
@@ -6,7 +6,7 @@ each axis' quantile of |e| at gamma (the box then holds less than gamma jointly)
 quantiles" that the paper names for its biased regime, at 99 % and at 99.9 %. The filters with a
 persistent state take its prior from separate calibration trials (`models.calibration.bias_model`).
 
-Each regime is a case whose row is kept, so that a study that was stopped goes on where it was.
+Each regime is a case whose row is stored, so that an interrupted study is resumed.
 """
 
 import re
@@ -53,14 +53,14 @@ READINGS: dict[str, Callable[[float], float]] = {
     "outer, 99 %": lambda gamma: calibrator("outer", gamma).level,
     "outer, 99.9 %": lambda gamma: max(0.999, level_per_axis(gamma)),
 }
-"""Which quantile of each axis' |e| bounds it, by the joint level that the filter is given."""
+"""Name -> quantile of each axis' |e| that is used as its bound, from the filter's joint level."""
 OUTER = "outer, 99 %"
 ITERATIONS = (1, 2, 5)
-"""Projections of one coverage update that are set side by side."""
+"""Numbers of projections in a coverage update that are compared."""
 JOB = 10
-"""Trials of a job: what a worker is sent."""
+"""Trials in a job for one worker."""
 CURVE = 60
-"""Instants, at most, of a curve in time that a row keeps."""
+"""Largest number of instants of a stored curve over time."""
 _MODULE = "surefoot.scenarios.studies.montecarlo.study"
 
 
@@ -107,7 +107,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class FilterScores:
-    """One filter in one regime: what a table shows of its scores over the trials.
+    """Scores of one filter in one regime over the trials, for a table.
 
     rmse [m] and nees: mean, standard deviation and median over trials, of position; active: share
     of updates that changed the state. Curves over instants of a trial, root mean square distance
@@ -131,7 +131,7 @@ class FilterScores:
 class Batch:
     """A case of the study: the filters of a table on `trials` trials of one regime.
 
-    numbers: those of the seeds that settings and trials are drawn from.
+    numbers: of the seeds from which settings and trials are drawn.
     """
 
     table: str
@@ -144,7 +144,7 @@ class Batch:
 class Results:
     """The study's rows: the paper's two regimes, those beyond, and iterated projections.
 
-    beside: of each regime beyond, `coverage_persistent` beside `velocity_persistent`.
+    beside: regime -> comparison of `coverage_persistent` with `velocity_persistent`.
     """
 
     study: MonteCarloStudy
@@ -163,7 +163,7 @@ def run_montecarlo(
         study: what is drawn.
         workers: processes of this machine.
         cluster: address of a Dask scheduler to run on instead.
-        data: folder of finished cases, which are not run again; kept nowhere where left out.
+        data: folder of finished cases, which are not run again; by default they are not stored.
     """
     tables: dict[str, list[FilterScores]] = {"paper": [], "beyond": [], "iterated": []}
     beside = {}
@@ -201,12 +201,13 @@ def run_batch(
     pool: ProcessPoolExecutor | None = None,
     cluster: str | None = None,
 ) -> dict[str, Any]:
-    """The row of a case: each filter's scores, and how the two with a persistent state compare.
+    """The row of a case: scores of each filter, and a comparison of the two with a persistent
+    state.
 
     Args:
         study: what is drawn.
         batch: the case.
-        pool: of processes; this one where left out.
+        pool: of processes; by default this process.
         cluster: address of a Dask scheduler to run on instead.
     """
     settings = batch_settings(study, batch)
@@ -234,8 +235,8 @@ def run_batch(
 def compared(ours: Scores, theirs: Scores) -> str:
     """Whether a filter is more accurate and more consistent than another on the same trials.
 
-    More or less where the mean difference, of RMSE or of how far, as a factor, each trial's NEES
-    lies from 3, is beyond two of its standard errors; "as" where it is not.
+    Compares RMSE, and the factor between each trial's NEES and 3: "more" or "less" if the mean
+    difference exceeds two of its standard errors, else "as".
     """
     off = [np.abs(np.log(s.mean_nees / 3.0)) for s in (ours, theirs)]
     words = []
@@ -356,8 +357,9 @@ def paper_settings(
 def beyond_settings(
     study: MonteCarloStudy, regime: Regime, seed: np.random.SeedSequence
 ) -> list[Setting]:
-    """The filters at one gamma, calibrated as the regime says, bounds at gamma^(1/3); and coverage
-    with outer quantiles."""
+    """The filters at one gamma, calibrated as in the regime, with bounds at gamma^(1/3); and
+    coverage with outer quantiles.
+    """
     noise_seed, calibration_seed = seed.spawn(2)
     errors = population(study, regime.calibration, np.random.default_rng(noise_seed))
     gamma = study.beyond.gamma
@@ -372,7 +374,7 @@ def beyond_settings(
 
 
 def bounds(errors: np.ndarray, gamma: float, reading: str) -> np.ndarray:
-    """epsilon (3,): each axis' quantile of |errors (n, 3)| at the level that the reading means."""
+    """epsilon (3,): quantile of |errors (n, 3)| on each axis, at the level of the reading."""
     return np.quantile(np.abs(errors), READINGS[reading](gamma), axis=0)
 
 

@@ -16,7 +16,7 @@ from surefoot.sim.common.kernels import kernel
 
 @dataclass(frozen=True)
 class Truth:
-    """The motion that all trials share, and ideal IMU samples that lead along it exactly.
+    """The motion that all trials share, and the ideal IMU samples that reproduce it exactly.
 
     t (N+1,) [s]; R_GI (N+1, 3, 3), v_GI and p_GI (N+1, 3) in G; gyro and accel (N+1, 3) in I, row
     k over (t[k-1], t[k]] and row 0 unused.
@@ -36,7 +36,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Trials:
-    """T trials: the readings that filters take, and where they start.
+    """T trials: readings and initial states.
 
     gyro and accel (T, N+1, 3); v_I (T, M, 3) [m/s] after every N/M-th sample; means (T, 7, 3)
     packed starts and their covariance (15, 15), from which they were drawn.
@@ -50,7 +50,7 @@ class Trials:
 
 
 def true_motion(study: MonteCarloStudy) -> Truth:
-    """The base motion of the study and the IMU samples that a perfect IMU would give."""
+    """The base motion of the study, with the samples of a perfect IMU."""
     t = np.arange(study.samples + 1) / study.imu_rate
     R, v = _attitude_and_velocity(study.motion, t)
     gyro, accel, p = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
@@ -79,8 +79,7 @@ def make_trials(study: MonteCarloStudy, truth: Truth, law: ErrorLaw, seeds: Sequ
         gyro[k] = truth.gyro + imu.bias_gyro + imu.gyro * root * rng.standard_normal((n, 3))
         accel[k] = truth.accel + imu.bias_accel + imu.accel * root * rng.standard_normal((n, 3))
         means[k] = start
-        # The filter's mean lies off the truth by an error drawn from its covariance: X_bar is
-        # exp(xi^) X where X = exp(-xi^) X_bar.
+        # The initial mean has an error drawn from the covariance: X_bar = exp(xi^) X.
         retract(means[k], -(factor @ rng.standard_normal(15)), 0)
         v_I[k] = true_v_I + velocity_errors(study, law, study.updates, rng)
     return Trials(gyro, accel, v_I, means, covariance)
@@ -103,14 +102,14 @@ def velocity_errors(
 
 
 def population(study: MonteCarloStudy, law: ErrorLaw, rng: np.random.Generator) -> np.ndarray:
-    """`study.population` errors (P, 3) of many trials, 100 of each: the noise as a whole."""
+    """`study.population` errors (P, 3) from many trials, 100 of each."""
     parts = study.population // 100
-    # A wandering part is drawn at its stationary law, so short pieces serve.
+    # A drifting part starts from its stationary distribution, so short pieces suffice.
     return np.concatenate([velocity_errors(study, law, 100, rng) for _ in range(parts)])
 
 
 def _mixing(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Independent draws (count, 3) of zero mean; unit variance but for the outliers' excess."""
+    """Independent draws (count, 3) of zero mean and unit variance, plus that of outliers."""
     normal = rng.standard_normal((count, 3))
     if kind == "student":
         return normal / np.sqrt(rng.chisquare(3, (count, 1)))
@@ -126,7 +125,9 @@ def _mixing(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
 
 @kernel
 def _gauss_markov(steps, rate: float):
-    """A stationary process (M, 3) of the steps' covariance, exp(-rate) correlated a step."""
+    """A stationary process (M, 3) with the covariance of `steps` and correlation exp(-rate) per
+    step.
+    """
     keep = np.exp(-rate)
     scale = np.sqrt(1.0 - keep * keep)
     out = steps.copy()
@@ -136,7 +137,7 @@ def _gauss_markov(steps, rate: float):
 
 
 def _attitude_and_velocity(motion: TrotMotion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """R_GI (N, 3, 3) and v_GI (N, 3) at t (N,): yaw by the course, roll and pitch by the gait."""
+    """R_GI (N, 3, 3) and v_GI (N, 3) at t (N,): yaw of the course, roll and pitch of the gait."""
     turn = 2 * np.pi / motion.turn_period
     yaw = motion.turn * t + motion.turn_swing / turn * (1.0 - np.cos(turn * t))
     gait = 2 * np.pi * motion.stride
@@ -152,7 +153,7 @@ def _attitude_and_velocity(motion: TrotMotion, t: np.ndarray) -> tuple[np.ndarra
 
 @kernel
 def _invert_imu(R, v, turns, dt: float, gyro, accel, p):
-    """Fill the samples that make `estimator.core.propagation` go through R and v.
+    """Compute the samples with which `estimator.core.propagation` reproduces R and v.
 
     v' = v + g dt + R Gamma_1 a dt is solved for a; p' follows with Gamma_2.
 

@@ -1,4 +1,4 @@
-"""One coverage update by itself: the paper's figure of it, and what iterating its projection gains.
+"""A single coverage update: the paper's figure, and the gain from iterating its projection.
 
 That pi < pi+ <= gamma (the paper's remark) is proved in `estimator.updates.coverage`.
 """
@@ -19,7 +19,7 @@ from surefoot.scenarios.studies.montecarlo.study import FilterScores
 
 _POSTERIOR, _MATCHED = estimator_color("coverage"), estimator_color("leg")
 _FREE = np.full(2, np.inf)
-# Axes without bounds are free: the pictures of one and two axes are updates on all three.
+# Axes without bounds are free, so updates on three axes also give the figures of one and two.
 _LINE = np.r_[0.5, -_FREE], np.r_[1.6, _FREE]
 _PLANE = np.array([0.4, -0.6, -np.inf]), np.array([1.8, 0.6, np.inf])
 _PLANE_COV = np.array([[1.0, 0.6, 0.0], [0.6, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -33,7 +33,7 @@ def update(mean, cov, lower, upper, gamma: float) -> tuple[float, np.ndarray, np
         cov: (3, 3) of the prior.
         lower: (3,) of the box; -inf where it is open.
         upper: (3,) of the box; inf where it is open.
-        gamma: mass that the box shall hold.
+        gamma: required mass of the box.
 
     Returns pi of the prior, mean (3,) and covariance (3, 3) of the posterior, and its pi.
     """
@@ -55,7 +55,7 @@ def update_illustration(gamma: float = 0.8) -> Figure:
 
 
 def iteration_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
-    """A row for each regime, filter and number of projections in one update."""
+    """One row for each regime, filter and number of projections in an update."""
     return pd.DataFrame(
         [
             {

@@ -9,7 +9,7 @@ from surefoot.sim.scenario import Scenario, Segment
 SLOPE = np.tan(np.radians(10.0))
 MU, ICE = 0.8, 0.15
 STEPS, WIDTH, HALF_SIZE = 8, 9.0, 80.0
-# Riser and tread as shares of the leg; thick shins and a deep belly want shallower stairs.
+# Riser and tread as shares of the leg; thick shins and a deep belly need shallower stairs.
 SUITED = (0.15, 0.5)
 STAIRS = {"hyqreal1": (0.12, 0.6), "hyqreal2": (0.12, 0.6)}
 

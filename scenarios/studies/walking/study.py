@@ -49,7 +49,7 @@ LEGEND = (
 
 @dataclass(frozen=True)
 class WalkRow:
-    """One walk of the study; what a fall leaves unmeasured is NaN."""
+    """One walk of the study; NaN for quantities that a fall leaves unmeasured."""
 
     robot: str
     walk: str  # the ground, or the course
@@ -80,8 +80,7 @@ def walking_study(
         out: folder.
         robots: names or MJCF files, each on its four grounds with seed 0.
         courses: scenario files, each with its own robot. With neither robots nor courses: every
-            known
-            robot, and the courses of both suites.
+            known robot, and the courses of both suites.
         seeds: number of seeds of each course, from 0.
         workers: number of walks at a time, each on a thread.
         data: folder of finished walks; by default `walks` in `out`.
@@ -129,7 +128,7 @@ def walking_study(
 def walked(job: Job, progress: Callable[[float], None] | None = None) -> WalkRow:
     """Simulate and measure one walk and, with seed 0, time the bare engine on the same work.
 
-    Time is that of the thread: as if a core had nothing else to do.
+    Time is the CPU time of the thread.
     """
     robot = known_robot(job.robot)
     began = thread_time()
