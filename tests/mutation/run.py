@@ -1,15 +1,17 @@
 """Tries the mutants of `plan.toml`, or goes on with them, and writes docs/results/mutants.md:
 `make mutants`, or `python tests/mutation/run.py`.
 
-Each finished mutant is a row under docs/data/mutants. It lapses when the mutated module changes, or
-a test that decided it: of a mutant that was killed the file of the test that did it, of one that
-survived all files whose tests are looked at. Rows that lapsed are made again before new ones.
+Each finished mutant is a row under docs/data/mutants. It lapses when the code of the mutated module
+changes, or of a test that decided it: of a mutant that was killed the file of the test that did it,
+of one that survived all files whose tests are looked at. Rows that lapsed are made again before new
+ones.
 
 Tests are written for survivors, so that the share that is killed now says nothing of other mutants.
 What it was when each was first tried (`first` of its row) does, with the interval of a share in a
 sample: of the first mutants of the draw, in its order and without a gap.
 """
 
+import ast
 import hashlib
 import json
 import sys
@@ -17,6 +19,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatch
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -184,15 +187,35 @@ def _values(folder: Path, mutant: Mutant) -> dict[str, Any] | None:
 
 
 def _digest(mutant: Mutant, place: Workplace, row: Mapping[str, Any]) -> str:
-    """SHA-256 of the mutated module and of the tests that decided the row."""
+    """SHA-256 of the mutated module and of the tests that decided the row, by their code."""
     if row["outcome"] in KILLED:
         tests: Iterable[Path] = (place.root / file for file in row["files"])
     else:
         tests = place.nearest_tests(dotted(mutant.file))[: place.plan.nearest]
-    digest = hashlib.sha256((place.root / mutant.file).read_bytes())
+    digest = hashlib.sha256(_code(place.root / mutant.file))
     for path in tests:
-        digest.update(path.relative_to(place.root).as_posix().encode() + b"\0" + path.read_bytes())
+        digest.update(path.relative_to(place.root).as_posix().encode() + b"\0" + _code(path))
     return digest.hexdigest()
+
+
+@cache
+def _code(path: Path) -> bytes:
+    """The syntax tree of a source without its docstrings."""
+    tree = ast.parse(path.read_bytes())
+    for node in ast.walk(tree):
+        for name in ("body", "orelse", "finalbody"):
+            block = getattr(node, name, None)
+            if isinstance(block, list):
+                setattr(node, name, [one for one in block if not _is_text(one)])
+    return ast.dump(tree).encode()
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
 
 
 def write_mutants_page(
