@@ -96,7 +96,8 @@ def bounded_velocities(rows, v_I, epsilon, n: int) -> Velocities:
 def output_stride(t: np.ndarray, stride: int | None = None) -> int:
     """Rows between stored estimates; None means 100 Hz at the rate of t (N,)."""
     if stride is None:
-        return max(1, round(OUTPUT_PERIOD / float(np.median(np.diff(t)))))
+        period = float(np.median(np.diff(t))) if len(t) > 1 else OUTPUT_PERIOD
+        return max(1, round(OUTPUT_PERIOD / period))
     if stride < 1:
         raise SurefootError(f"stride: {stride} where a whole number >= 1 is expected")
     return int(stride)

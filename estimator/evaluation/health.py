@@ -142,6 +142,8 @@ def health(run: RunSummary, names: Sequence[str], walk: tuple[float, float]) -> 
         walk: densities of the random walks of b_a [m/s^3/sqrt(Hz)] and b_g [rad/s^2/sqrt(Hz)] that
             the filter assumes.
     """
+    if not len(run.start):
+        return Health((), np.zeros(6), 0.0, (Doubt("not one of its estimates is finite", 0.0),))
     sensors = [f"foot {name}" for name in names] if run.sums.shape[1] > 1 else []
     sensors = [*sensors, "velocity"][: run.sums.shape[1]]
     deviations = _bias_deviations(run, walk)

@@ -222,7 +222,7 @@ class GridOptions:
     cache: OptionalPath = None
     """Folder of intermediate products, reused by later runs; by default `cache` in the output."""
     recordings: bool = True
-    """Write a rerun recording of each sequence."""
+    """Whether to write a rerun recording of each sequence."""
     page: OptionalPath = None
     """Page of results to write as well, such as docs/results/suite_spot.md."""
     data: OptionalPath = None

@@ -122,7 +122,8 @@ def simulate_all(
     fallen = [(job, row) for job in jobs if (row := journal.find(job)) and row.falls]
     earlier = len(jobs) - len(todo)
     kept = f" ({earlier} walks are from an earlier run)" if earlier else ""
-    print(f"{len(made) - len(fallen)} logs in {out}{kept}; {len(fallen)} falls; index: {index}")
+    logs, falls = _counted(len(made) - len(fallen), "log"), _counted(len(fallen), "fall")
+    print(f"{logs} in {out}{kept}; {falls}; index: {index}")
     for job, row in fallen:
         walk = f"{row.scenario}, {row.robot}, seed {row.seed}"
         print(f"fell: {walk}, at {row.fell_at:.1f} s {row.fall}")
@@ -263,6 +264,10 @@ def _done(journal: Journal, job: Job) -> bool:
     facts = facts_of_file(reader) if long else walk_facts(Log.read(path))
     journal.add(with_hash(row_with(job, made, facts), path))
     return True
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def seed_range(text: str) -> range:

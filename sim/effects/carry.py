@@ -31,6 +31,7 @@ DIMENSIONS = {
     "N m s/rad": (1, 1, 1),
     "rad/s": (0, 0, 0),
     "m/s^2": (0, 0, 0),
+    "rad/s per m/s^2": (0, 0, 0),
 }
 """Unit of an effect -> powers of weight, leg length and stride period by which its size scales.
 

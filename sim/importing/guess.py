@@ -95,7 +95,7 @@ def _parts(path: Path) -> list[Path]:
 def _richness(one: RecordedFile) -> int:
     inertial = sum(n.kind in ("gyro", "accel") for n in one.names.values())
     joints = sum(n.kind in ("q", "dq", "tau") and not n.reference for n in one.names.values())
-    joints -= sum(n.kind == "q" and bool(n.axis) for n in one.names.values())
+    joints -= sum(n.kind == "q" and bool(n.axis) and not n.reference for n in one.names.values())
     return (
         100 * inertial + 10 * joints + joints * (not any(n.commanded for n in one.names.values()))
     )

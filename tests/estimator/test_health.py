@@ -212,6 +212,19 @@ def test_an_estimate_without_innovations_is_judged_by_the_imu(walk, legs):
     assert "m/s" in health(summary_of_run(racing, log), LEGS, (1e-3, 1e-4)).sentence("own")
 
 
+def test_a_run_without_a_finite_estimate_is_lost(walk):
+    mean = np.full((5, 7, 3), np.nan)
+    none = trajectory(walk.t, Estimates(np.arange(5), mean, np.tile(np.eye(15), (5, 1, 1))))
+    assert not len(none.t)
+    found = health(
+        summary_of_run(none, log_of(walk, *sensed(walk, np.random.default_rng(0)))),
+        LEGS,
+        (1e-3, 1e-4),
+    )
+    assert found.lost
+    assert "finite" in found.sentence("leg")
+
+
 def test_what_is_not_finite_ends_the_estimate(walk):
     mean = np.tile(walk.start()[0].pack(), (100, 1, 1))
     mean[60:, 3] = np.nan

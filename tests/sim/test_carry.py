@@ -51,9 +51,9 @@ def test_the_scale_is_the_robots_own_whatever_feet_are_declared():
     assert scale_of(robot, 0.9).period == 0.9
 
 
-def test_units_of_the_catalogue_are_known_but_for_what_no_robot_carries():
-    units = {kind.unit for kind in map(known_effects().__getitem__, known_effects())}
-    strange = units - set(DIMENSIONS)
-    assert not {unit for unit in strange if "m/s^2" not in unit}
-    with pytest.raises(SurefootError, match="gyro_g_sensitivity: no rule carries"):
-        one("gyro_g_sensitivity", "x", 1e-4)
+def test_every_unit_of_the_catalogue_has_a_rule(monkeypatch):
+    assert not {kind.unit for kind in known_effects().values()} - set(DIMENSIONS)
+    assert one("gyro_g_sensitivity", "x", 1e-4) == 1e-4  # an error of the IMU, not of the body
+    monkeypatch.delitem(DIMENSIONS, "kg")
+    with pytest.raises(SurefootError, match="payload: no rule carries 'kg'"):
+        one("payload", "all", 1.0)
