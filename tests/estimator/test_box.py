@@ -260,3 +260,35 @@ def test_bad_input_is_a_clear_value_error():
     ):
         with pytest.raises(ValueError, match=words):
             box_moments(**{**good, **change})
+
+
+NEARLY_SINGULAR = (
+    (
+        [
+            [1.0, -0.9999999999997671, -0.9999999999999427],
+            [-0.9999999999997671, 1.0, 0.9999999999997805],
+            [-0.9999999999999427, 0.9999999999997805, 1.0000000000000002],
+        ],
+        [-24.329742115723604, 1.8283740953495966, 5.982064495768756],
+        [15.143224580275431, 1.8296947061720943, 5.992839527021542],
+    ),
+    (
+        [
+            [1.0000000000000002, 0.9999999999401089, 0.9999999996280247],
+            [0.9999999999401089, 1.0, 0.9999999993593951],
+            [0.9999999996280247, 0.9999999993593951, 1.0],
+        ],
+        [-152.90336136604148, 55.31962247433409, -393.4841991703442],
+        [-48.00298911847762, 55.38667047611177, 239.38149463588212],
+    ),
+)
+"""Correlations and boxes for which rounding leaves no window: a grid wrote beyond its memory."""
+
+
+@pytest.mark.parametrize(("C", "low", "high"), NEARLY_SINGULAR)
+def test_a_box_millions_of_deviations_away_has_moments_inside_it(C, low, high):
+    low, high = np.array(low), np.array(high)
+    log_prob, mean, cov = box_moments(np.zeros(3), np.array(C), low, high)
+    assert np.isfinite(log_prob)
+    assert np.all((mean >= low - 1e-9) & (mean <= high + 1e-9))
+    assert np.linalg.eigvalsh(cov).min() >= -1e-15
