@@ -1,5 +1,7 @@
 """State, right-invariant error and output in the dense matrices that the paper prints."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -61,7 +63,8 @@ def test_a_state_has_three_finite_numbers_of_each(name):
 
 
 def test_a_state_of_lists_is_one_of_float_arrays():
-    found = NavState(np.eye(3).tolist(), [1, 0, 0], [0, 2, 0], [0, 0, 3], [4, 0, 0])
+    lists: list[Any] = [np.eye(3).tolist(), [1, 0, 0], [0, 2, 0], [0, 0, 3], [4, 0, 0]]
+    found = NavState(*lists)
     for value in (found.v_GI, found.p_GI, found.b_a, found.b_g):
         assert isinstance(value, np.ndarray)
         assert value.dtype == float

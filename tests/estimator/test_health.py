@@ -160,7 +160,8 @@ def test_a_push_is_claimed_by_what_turns_gravity_or_is_no_velocity():
     for i, claim in enumerate(claims):
         P = np.zeros((2, 15, 15))
         P[:, i, i] = 0.01
-        found = summary_of_run(Trajectory(t, np.tile(np.eye(3), (2, 1, 1)), *[rest] * 4, P), log)
+        level = np.tile(np.eye(3), (2, 1, 1))
+        found = summary_of_run(Trajectory(t, level, rest, rest, rest, rest, P), log)
         assert_allclose(found.push_claimed, np.sqrt(0.01 * claim + noise), rtol=1e-12)
         assert_allclose(found.pushed, 0.0, atol=1e-12)
 
