@@ -76,8 +76,13 @@ def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
             if not free[b]:
                 g[a] += information[a, b] * centre[b]
         constant += g[a] * centre[a]
+        # Next to a singular correlation, rounding may leave no window or no curvature.
+        if not (half[a] >= 0.0 and information[a, a] > 0.0):
+            return np.nan
         z = half[a] * math.sqrt(information[a, a])
         count = max(5.0 + 3.3 * z, 4.5 + 2.7 * math.sqrt(2.0 * steep[a] * half[a] + 0.5 * z * z))
+        if not count < _MOST_POINTS:
+            return np.nan
         pieces[a] = 1 + int(count / MOST)
         pairs = math.ceil(0.5 * count / pieces[a])
         sizes[a] = 2 * pairs * pieces[a]

@@ -11,4 +11,5 @@ def convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """
     size = len(a) + len(b) - 1
     fast = next_fast_len(size, real=True)
-    return irfft(rfft(a, fast) * rfft(b, fast), fast)[:size]
+    product = np.asarray(rfft(a, fast)) * np.asarray(rfft(b, fast))
+    return np.asarray(irfft(product, fast))[:size]

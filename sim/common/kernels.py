@@ -68,7 +68,7 @@ def compile_for(function: Any, signature: str) -> None:
     """Compile a kernel for one signature, before its first call; it then raises TypeError on other
     arguments.
     """
-    if not function.signatures:
+    if not config.DISABLE_JIT and not function.signatures:
         function.compile(signature)
         function.disable_compile()
 

@@ -150,6 +150,29 @@ def test_axes_without_bounds_follow_the_others_by_regression(bounded):
         assert_allclose(S[b, b], C[b, b] - K @ (C[a, a] - S[a, a]) @ K.T, atol=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("correlations", "lower", "upper"),
+    [
+        ((0.475, 0.63, 0.982), (-np.inf, -np.inf), (-33.65, -30.15)),
+        ((0.4750945, 0.6315681, 0.9822859), (-733.8, -154.8), (-33.655, -30.15)),
+        (
+            (0.17672466525490405, 0.4309440114243972, 0.9643333220674236),
+            (-537.3037948839936, -520.1148064638058),
+            (-537.0375726578212, -500.2199461058683),
+        ),
+    ],
+)
+def test_what_integration_adds_above_the_prior_is_taken_off(correlations, lower, upper):
+    """An axis without bounds keeps, along one combination with the others, exactly the prior's
+    variance; there the rules are out by more than 1e-9 in these boxes far away."""
+    C = np.eye(3)
+    C[np.triu_indices(3, 1)] = correlations
+    C = np.maximum(C, C.T)
+    low, high = np.array([-np.inf, *lower]), np.array([np.inf, *upper])
+    _, _, cov = box_moments(np.zeros(3), C, low, high)
+    assert np.linalg.eigvalsh(C - cov)[0] > -1e-11
+
+
 def test_order_and_units_of_the_axes_do_not_matter():
     rng = np.random.default_rng(5)
     mean, cov, lower, upper = box(rng, 0.2, 2.0, (0.5, 2.0))
@@ -237,3 +260,35 @@ def test_bad_input_is_a_clear_value_error():
     ):
         with pytest.raises(ValueError, match=words):
             box_moments(**{**good, **change})
+
+
+NEARLY_SINGULAR = (
+    (
+        [
+            [1.0, -0.9999999999997671, -0.9999999999999427],
+            [-0.9999999999997671, 1.0, 0.9999999999997805],
+            [-0.9999999999999427, 0.9999999999997805, 1.0000000000000002],
+        ],
+        [-24.329742115723604, 1.8283740953495966, 5.982064495768756],
+        [15.143224580275431, 1.8296947061720943, 5.992839527021542],
+    ),
+    (
+        [
+            [1.0000000000000002, 0.9999999999401089, 0.9999999996280247],
+            [0.9999999999401089, 1.0, 0.9999999993593951],
+            [0.9999999996280247, 0.9999999993593951, 1.0],
+        ],
+        [-152.90336136604148, 55.31962247433409, -393.4841991703442],
+        [-48.00298911847762, 55.38667047611177, 239.38149463588212],
+    ),
+)
+"""Correlations and boxes for which rounding leaves no window: a grid wrote beyond its memory."""
+
+
+@pytest.mark.parametrize(("C", "low", "high"), NEARLY_SINGULAR)
+def test_a_box_millions_of_deviations_away_has_moments_inside_it(C, low, high):
+    low, high = np.array(low), np.array(high)
+    log_prob, mean, cov = box_moments(np.zeros(3), np.array(C), low, high)
+    assert np.isfinite(log_prob)
+    assert np.all((mean >= low - 1e-9) & (mean <= high + 1e-9))
+    assert np.linalg.eigvalsh(cov).min() >= -1e-15

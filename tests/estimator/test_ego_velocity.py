@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from surefoot.estimator.ego_velocity import ego_velocities, ego_velocity
+from surefoot.estimator.ego_velocity import _solve, ego_velocities, ego_velocity
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -99,6 +99,19 @@ def test_a_frame_that_does_not_tell_gives_nothing():
     assert ego_velocity(flat, -flat @ np.ones(3), 0.03) is None
     assert ego_velocity(np.tile(u[0], (30, 1)), np.tile(d[0], 30), 0.03) is None
     assert ego_velocity(u[:8], rng.uniform(-4, 4, 8), 1e-3) is None
+
+
+@pytest.mark.parametrize(("determinant", "told"), [(0.95e-9, False), (1.05e-9, True)])
+def test_an_axis_is_told_by_a_few_billionths_of_the_weight(determinant, told):
+    """Three returns along the axes: their shares of the weight multiply to the determinant."""
+    v, u = np.array([1.0, -2.0, 3.0]), np.eye(3)
+    share = 4.0 * determinant
+    weight = np.array([0.5 * (1.0 - share), 0.5 * (1.0 - share), share])
+    for order in ([0, 1, 2], [0, 2, 1], [2, 0, 1]):
+        found, cov = np.empty(3), np.empty((3, 3))
+        assert _solve(u, -u @ v, weight[order], np.zeros(3), found, cov) == told
+        if told:
+            assert_allclose(found, v, rtol=1e-7)
 
 
 def test_frames_in_one_loop_are_frames_one_by_one():

@@ -10,8 +10,10 @@ from numpy.testing import assert_array_equal
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
 from surefoot.estimator.metrics import evaluate, nees
+from surefoot.estimator.run import imu_samples
 from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.gravity import GRAVITY
 
 EPSILON = np.array([0.06, 0.06, 0.04])
 LASTS = np.diag([1e-3, 2e-3, 1e-3]), 20.0, 7, np.full(3, 0.5)
@@ -170,6 +172,79 @@ def test_dropouts_and_outliers_leave_it_finite(walk, rows):
     assert whole.covariance is not None
     assert np.linalg.eigvalsh(whole.covariance).min() > 0
     assert evaluate(walk.reference(), whole).velocity < 0.2
+
+
+def moving(n, rng):
+    """Stamps (n,), gyro and accelerometer (n, 3) of an IMU that is shaken, stamped unevenly."""
+    t = np.cumsum(rng.uniform(0.002, 0.02, n))
+    accel = np.array([0.0, 0.0, GRAVITY]) + rng.normal(size=(n, 3))
+    return t, 0.3 * rng.normal(size=(n, 3)), accel
+
+
+@pytest.mark.parametrize("stride", [1, 3])
+@pytest.mark.parametrize("kind", ["imu", "velocity"])
+@pytest.mark.parametrize(
+    "persistent", [None, PersistentError(np.eye(3) * 1e-3)], ids=["plain", "persistent"]
+)
+def test_a_few_samples_in_a_run_are_the_same_one_by_one(kind, persistent, stride):
+    rng = np.random.default_rng(11)
+    (t, gyro, accel), v_I, cov = moving(8, rng), rng.normal(size=(2, 3)), 0.1 * np.eye(3)
+    start, rows = (NavState(), 0.01 * np.eye(15)), np.array([2, 5])
+    one = InvariantFilter(*start, persistent=persistent)
+    if kind == "imu":
+        if persistent is not None:
+            pytest.skip("there is no observer whose error could persist")
+        whole = run_imu(t, gyro, accel, *start, stride=stride)
+    else:
+        whole = run_velocity(
+            t, gyro, accel, rows, v_I, cov, *start, stride=stride, persistent=persistent
+        )
+    states = []
+    for k in range(len(t)):
+        if k:
+            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
+        for m in np.flatnonzero(rows == k) if kind == "velocity" else ():
+            one.update_velocity(v_I[m], cov)
+        states.append(one.state)
+    assert_array_equal(whole.t, t[::stride])
+    assert_array_equal(whole.p_GI, [state.p_GI for state in states[::stride]])
+    assert_array_equal(whole.v_GI, [state.v_GI for state in states[::stride]])
+    assert whole.covariance is not None
+    if (len(t) - 1) % stride == 0:
+        assert_array_equal(whole.covariance[-1], one.covariance)
+
+
+def test_a_run_goes_on_from_the_last_row_of_the_one_before():
+    t, gyro, accel = moving(6, np.random.default_rng(12))
+    whole, parts = (InvariantFilter(NavState(), np.eye(15)) for _ in range(2))
+    whole.run(imu_samples(t, gyro, accel))
+    for piece in (slice(0, 4), slice(4, 6)):
+        parts.run(imu_samples(t[piece], gyro[piece], accel[piece], after=parts.t))
+        assert parts.t == t[piece][-1]
+    assert_array_equal(parts.state.pack(), whole.state.pack())
+    assert_array_equal(parts.covariance, whole.covariance)
+
+
+def test_the_persistent_error_is_its_prior_at_first():
+    """A filter that has none tells of none; one that has learns of it by measurements."""
+    start, prior = (NavState(), np.eye(15)), np.diag([1e-3, 2e-3, 3e-3])
+    assert InvariantFilter(*start).persistent is None
+    one = InvariantFilter(*start, persistent=PersistentError(prior))
+    assert one.persistent is not None
+    mean, covariance = one.persistent
+    assert_array_equal(mean, np.zeros(3))
+    assert_array_equal(covariance, prior)
+    one.update_velocity(np.full(3, 0.1), 1e-4 * np.eye(3))
+    assert np.all(np.diag(one.persistent[1]) < np.diag(prior))
+    assert np.all(one.persistent[0] > 0.0)
+
+
+@pytest.mark.parametrize("word", ["fast", None])
+def test_a_velocity_in_words_is_refused_and_changes_nothing(word):
+    one = InvariantFilter(NavState(), np.eye(15))
+    with pytest.raises(SurefootError, match="v_I: "):
+        one.update_velocity(np.full(3, word), np.eye(3))
+    assert_array_equal(one.covariance, np.eye(15))
 
 
 BAD = st.sampled_from([np.nan, np.inf, -np.inf])

@@ -10,8 +10,14 @@ from numpy.testing import assert_allclose
 
 from surefoot.estimator.core.state import FilterNoise, retract
 from surefoot.estimator.evaluation.health import health
-from surefoot.estimator.evaluation.innovation_sums import windows_of
+from surefoot.estimator.evaluation.innovation_sums import (
+    add_innovation,
+    add_rejected,
+    no_sums,
+    windows_of,
+)
 from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
+from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.leg import LegFilter, LegNoise
 from surefoot.estimator.metrics import evaluate
@@ -22,6 +28,7 @@ from surefoot.estimator.run import (
     imu_samples,
     trajectory,
 )
+from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.log import Log, Meta
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -127,6 +134,36 @@ def test_biases_are_judged_by_the_time_that_they_had_whatever_the_clock_says():
 def test_windows_are_of_a_second():
     """As doubts say: "by so many m/s in a second"."""
     assert windows_of(np.array([-0.1, 0.0, 0.99, 1.0, 1.05, 2.0])).tolist() == [-1, 0, 0, 1, 1, 2]
+
+
+def test_updates_used_and_left_out_are_counted_apart():
+    sums, residual, one = no_sums(2), np.array([1.0, -2.0, 0.5]), np.eye(3)
+    for _ in range(3):
+        add_rejected(sums[0])
+    for _ in range(2):
+        add_innovation(sums[1], 5.25, residual, 0.75 * one, 0.25 * one)
+    assert_allclose(sums[0], [0, 3, 0, 0, 0, 0, 0, 0, 0, 0])
+    assert_allclose(sums[1], [2, 0, 10.5, 2, -4, 1, 2, 2, 2, 0])
+
+
+def test_a_push_is_claimed_by_what_turns_gravity_or_is_no_velocity():
+    """In a second: g for each radian of tilt about either level axis but none of yaw, a velocity's
+    own error at both ends, an accelerometer's bias, and its noise of 0.03 m/s^2/sqrt(Hz)."""
+    t = np.array([0.0, 0.1])
+    rest = np.zeros((2, 3))
+    frame = pd.DataFrame({"t": t})
+    for name in ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y"):
+        frame[name] = 0.0
+    frame["accel_z"] = GRAVITY
+    log, noise = Log(frame, Meta(rate=10.0)), 0.03**2
+    claims = [GRAVITY**2, GRAVITY**2, 0.0, *[2.0] * 3, *[0.0] * 3, *[1.0] * 3, *[0.0] * 3]
+    for i, claim in enumerate(claims):
+        P = np.zeros((2, 15, 15))
+        P[:, i, i] = 0.01
+        level = np.tile(np.eye(3), (2, 1, 1))
+        found = summary_of_run(Trajectory(t, level, rest, rest, rest, rest, P), log)
+        assert_allclose(found.push_claimed, np.sqrt(0.01 * claim + noise), rtol=1e-12)
+        assert_allclose(found.pushed, 0.0, atol=1e-12)
 
 
 def test_a_gyro_beyond_its_prior_is_named(walk, legs):

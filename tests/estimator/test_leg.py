@@ -209,6 +209,16 @@ def test_nees_is_within_its_chi_square_bounds(walk, rolling):
         assert abs(mean - 3.0) < 3 * np.sqrt(6 / runs), (name, mean)
 
 
+def test_feet_are_points_unless_they_are_said_to_be_round():
+    """Points do not roll, so that no one needs to know how they turn."""
+    state, gyro, accel = NavState(), np.array([0.1, 0.2, -0.1]), np.array([0.0, 1.0, 9.0])
+    plain, point = LegFilter(state, np.eye(15)), LegFilter(state, np.eye(15), foot_radius=0.0)
+    plain.predict(gyro, accel, 0.01)
+    point.predict(gyro, accel, 0.01, np.ones((4, 3)))
+    assert_array_equal(plain.covariance, point.covariance)
+    assert_array_equal(plain.state.pack(), point.state.pack())
+
+
 def test_encoder_covariance():
     J = np.random.default_rng(0).normal(size=(5, 4, 3, 3))
     out = encoder_covariance(J, 0.01, 0.002)

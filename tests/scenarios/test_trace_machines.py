@@ -11,7 +11,7 @@ from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noi
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.effects import effect, known_effects
-from surefoot.sim.importing.columns import ColumnEntry, read_columns
+from surefoot.sim.importing.columns import ColumnEntry, Entries, read_columns
 from surefoot.sim.robot.limbs import QUADRUPED
 
 NOISE = {"x": 2.0, "z": 1.0, "shoulder": 0.5, "elbow": 0.3}  # N, N m
@@ -111,7 +111,7 @@ def test_sizes_are_plausible_for_the_machine_and_for_legs_as_published(tmp_path)
 
 def test_slides_are_imported_in_units_of_distance_and_force():
     entries = {"q_x": ("mm", 1e-3), "dq_x": ("mm/s", 1e-3), "tau_x": ("kN", 1e3)}
-    columns = {name: ColumnEntry(name, unit) for name, (unit, _) in entries.items()}
+    columns: Entries = {name: ColumnEntry(name, unit) for name, (unit, _) in entries.items()}
     read = read_columns("columns", columns, ())
     assert {name: one.scale for name, one in read.items()} == {
         n: f for n, (_, f) in entries.items()

@@ -33,3 +33,21 @@ def test_an_interpreted_walk_is_the_compiled_one(tmp_path):
     for name, values in compiled.columns.items():
         np.testing.assert_allclose(interpreted.columns[name], values, atol=1e-4, err_msg=name)
     assert np.ptp(compiled.columns["ref_p_x"]) > 0.02
+
+
+def test_a_filter_can_be_made_without_the_compiler():
+    code = """
+import numpy as np
+from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.filter import InvariantFilter
+start = NavState(np.eye(3), np.zeros(3), np.zeros(3))
+made = InvariantFilter(start, 0.01 * np.eye(15), FilterNoise())
+made.predict(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.01)
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
