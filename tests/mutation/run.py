@@ -192,16 +192,18 @@ def _digest(mutant: Mutant, place: Workplace, row: Mapping[str, Any]) -> str:
         tests: Iterable[Path] = (place.root / file for file in row["files"])
     else:
         tests = place.nearest_tests(dotted(mutant.file))[: place.plan.nearest]
-    digest = hashlib.sha256(_code(place.root / mutant.file))
+    digest = hashlib.sha256(_code((place.root / mutant.file).read_bytes()))
     for path in tests:
-        digest.update(path.relative_to(place.root).as_posix().encode() + b"\0" + _code(path))
+        digest.update(
+            path.relative_to(place.root).as_posix().encode() + b"\0" + _code(path.read_bytes())
+        )
     return digest.hexdigest()
 
 
 @cache
-def _code(path: Path) -> bytes:
+def _code(source: bytes) -> bytes:
     """The syntax tree of a source without its docstrings."""
-    tree = ast.parse(path.read_bytes())
+    tree = ast.parse(source)
     for node in ast.walk(tree):
         for name in ("body", "orelse", "finalbody"):
             block = getattr(node, name, None)

@@ -125,7 +125,9 @@ def test_a_row_lapses_with_its_module_and_with_its_tests(place, tmp_path):
     for name in ("estimator/tiny.py", "tests/test_tiny.py"):
         path = place.root / name
         text = path.read_text()
-        path.write_text(text + "\n")
+        path.write_text(text + "\n# A comment.\n")
+        assert read_row(tmp_path, mutant, place) is not None
+        path.write_text(text + "\nMORE = 1\n")
         assert read_row(tmp_path, mutant, place) is None
         path.write_text(text)
         assert read_row(tmp_path, mutant, place) is not None
@@ -138,7 +140,7 @@ def test_lapsed_rows_come_first_and_keep_what_was_found_at_first(place, tmp_path
     run_mutants(place, tmp_path, at_most=2)
     assert first_outcomes(place, tmp_path) == ["survived", "killed"]
     path = place.root / TRIED[0]
-    path.write_text(path.read_text() + "\n")
+    path.write_text(path.read_text() + "\nMORE = 1\n")
     rows = run_mutants(place, tmp_path, at_most=1)
     assert [row["key"] for row in rows] == [every[0].key]
     rows = run_mutants(place, tmp_path, at_most=2)
