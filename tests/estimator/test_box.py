@@ -6,10 +6,11 @@ from box_reference import reference, trimmed, worst_error
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.special import ndtr
 
 from surefoot.estimator.box import box_moments
 from surefoot.estimator.moments.faces import nearest_in_box
-from surefoot.estimator.moments.grid import grid_moments
+from surefoot.estimator.moments.grid import _windows, grid_moments
 
 # name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
 KINDS = {
@@ -292,3 +293,37 @@ def test_a_box_millions_of_deviations_away_has_moments_inside_it(C, low, high):
     assert np.isfinite(log_prob)
     assert np.all((mean >= low - 1e-9) & (mean <= high + 1e-9))
     assert np.linalg.eigvalsh(cov).min() >= -1e-15
+
+
+def test_a_grid_leaves_out_an_axis_without_bounds():
+    """Of independent axes: the other two are truncated normals, the free one stays as it was."""
+    from scipy.stats import truncnorm
+
+    low, high = np.array([-1.0, 0.5, -np.inf]), np.array([1.0, 2.0, np.inf])
+    mode, mean, cov = np.array([0.0, 0.5, 0.0]), np.empty(3), np.empty((3, 3))
+    log_prob = grid_moments(np.eye(3), low, high, mode, 0.25, mean, cov)
+    axes = truncnorm(low[:2], high[:2])
+    assert_allclose(log_prob, np.log(np.diff(ndtr([low[:2], high[:2]]), axis=0)).sum(), rtol=1e-10)
+    assert_allclose(mean, [*axes.mean(), 0.0], atol=1e-10)
+    assert_allclose(cov, np.diag([*axes.var(), 1.0]), atol=1e-10)
+
+
+def test_the_windows_of_a_mirrored_box_are_mirrored():
+    rng = np.random.default_rng(8)
+    for _ in range(40):
+        A = rng.normal(size=(3, 3))
+        cov = A @ A.T + 0.05 * np.eye(3)
+        C = cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
+        low = 4.0 * rng.normal(size=3)
+        high, mode = low + rng.uniform(0.5, 20.0, size=3), np.empty(3)
+        found = []
+        for lower, upper in ((low, high), (-high, -low)):
+            distance = nearest_in_box(C, lower, upper, mode)
+            centre, half, steep, free = np.empty(3), np.empty(3), np.empty(3), np.empty(3, bool)
+            information = np.linalg.inv(C)
+            _windows(C, information, lower, upper, mode, distance, centre, half, steep, free)
+            found.append((centre, half, steep, free))
+        one, other = found
+        assert_allclose(other[0], -one[0], atol=1e-9)
+        for a, b in zip(one[1:], other[1:], strict=True):
+            assert_allclose(a, b, atol=1e-9)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 
 from surefoot.estimator.core import lie
@@ -10,7 +10,8 @@ from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
 from surefoot.estimator.updates.outliers import SIGMAS, fresh_counts, is_outlier
-from surefoot.estimator.updates.velocity_output import velocity_output
+from surefoot.estimator.updates.velocity import update_velocity, update_velocity_checked
+from surefoot.estimator.updates.velocity_output import note_velocity, velocity_output
 
 WIDE = 60.0
 
@@ -186,3 +187,50 @@ def test_covariance_survives_a_hundred_thousand_updates(extras, steps):
             assert np.all(np.isfinite(mean))
             np.linalg.cholesky(P)
     assert np.abs(mean[3]).max() < 0.5
+
+
+def test_the_update_moves_the_packed_state_into_the_bounds():
+    """Of a velocity known to 0.1 m/s, said to be 0.5 m/s away with bounds of 0.05."""
+    mean, P = NavState().pack(), np.eye(15) * 0.01
+    v_I, epsilon = np.array([0.5, 0.0, 0.0]), np.array([0.05, 1.0, 1.0])
+    pi = update_coverage(mean, P, 0, v_I, epsilon, 0.99)
+    assert pi < 1e-5
+    assert 0.4 < mean[3, 0] < 0.5
+    assert P[3, 3] < 0.01
+    again = mean.copy()
+    assert update_coverage(again, P.copy(), 0, v_I, epsilon, 0.99) > pi
+
+
+def test_what_is_noted_of_a_velocity_is_what_its_update_uses():
+    """With a persistent error in the state, with contacts, and with neither."""
+    rng = np.random.default_rng(7)
+    for extras, contacts in ((0, 0), (1, 0), (2, 2)):
+        n = 15 + 3 * extras
+        mean = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(extras)
+        mean[7:] = rng.normal(size=(extras, 3))
+        A, v_I, R = rng.normal(size=(n, n)), rng.normal(size=3), np.diag([0.1, 0.2, 0.3])
+        PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+        velocity_output(mean, A @ A.T, contacts, v_I, PHt, S, residual)
+        note = np.empty((7, 3))
+        note_velocity(mean, A @ A.T, contacts, v_I, R, note)
+        assert_allclose(note, np.vstack([residual, S, R]), atol=1e-12)
+
+
+def test_a_checked_velocity_update_is_the_plain_one_or_none():
+    rng = np.random.default_rng(8)
+    A = rng.normal(size=(15, 15))
+    state, P, R = NavState(v_GI=np.ones(3)).pack(), A @ A.T + np.eye(15), np.eye(3)
+    mean, cov = state.copy(), P.copy()
+    wanted = update_velocity(mean, cov, 0, np.zeros(3), R)
+    found, spread = state.copy(), P.copy()
+    assert update_velocity_checked(found, spread, 0, np.zeros(3), R) == wanted > 0.0
+    assert_array_equal(found, mean)
+    assert_array_equal(spread, cov)
+    for v_I, noise in (
+        (np.zeros(2), R), (np.zeros(4), R), (np.full(3, 1e9), R), (np.full(3, np.nan), R),
+        (np.zeros(3), -R), (np.zeros(3), np.eye(2)),
+    ):  # fmt: skip
+        found, spread = state.copy(), P.copy()
+        assert update_velocity_checked(found, spread, 0, v_I, noise) == -1.0
+        assert_array_equal(found, state)
+        assert_array_equal(spread, P)

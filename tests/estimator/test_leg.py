@@ -9,12 +9,14 @@ from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance, run_leg
 from surefoot.estimator.metrics import evaluate, nees
+from surefoot.estimator.run import imu_samples
 from surefoot.estimator.updates.contact import (
     ContactModel,
     _slips,
     contact_memory,
     contact_output,
     propagate_contacts,
+    update_contacts,
 )
 from surefoot.sim.common.errors import SurefootError
 
@@ -238,3 +240,51 @@ def test_bad_input_is_one_clear_line(walk, rolling):
         leg.update_contacts(np.zeros((3, 3)), np.ones(4), np.zeros((4, 3, 3)))
     with pytest.raises(SurefootError, match="covariance of foot 0"):
         leg.update_contacts(np.zeros((4, 3)), np.ones(4), np.zeros((4, 3, 3)))
+
+
+def test_a_leg_filter_is_where_its_last_sample_is(walk, rolling):
+    one = LegFilter(*walk.start())
+    few = slice(3)
+    imu = imu_samples(walk.t[few], walk.gyro[few], walk.accel[few])
+    one.run(imu, one.legs(rolling.feet_I[few], rolling.contact[few], covariances(rolling)[few]))
+    assert one.t == walk.t[2]
+
+
+@pytest.mark.parametrize("contact", [-0.1, np.inf, np.nan, np.ones(2), np.array([0.1, 0.1, -0.1])])
+def test_contact_noise_is_one_or_three_finite_numbers(contact):
+    with pytest.raises(SurefootError, match="noise: contact must be"):
+        LegNoise(contact=contact).packed()
+
+
+def standing_foot():
+    """Memory of a filter at rest with one foot on the ground, 0.3 m below, and the foot (1, 3)."""
+    foot = np.array([[0.1, 0.0, -0.3]])
+    memory = contact_memory(NavState().pack(1), np.diag(np.r_[np.full(15, 0.01), np.zeros(3)]))
+    update_contacts(memory, 1e9, foot, np.ones(1, dtype=bool), 1e-4 * np.eye(3)[None])
+    return memory, foot
+
+
+def seen_again(memory, foot, contact=True, since=0.1):
+    """The foot is measured again after some time, without an IMU sample between."""
+    memory.clock[0] = since
+    update_contacts(memory, 1e9, foot, np.array([contact]), 1e-4 * np.eye(3)[None])
+
+
+def test_of_innovations_far_apart_only_the_last_counts():
+    """Their running mean is then the last one, whitened: its square is the squared distance."""
+    memory, foot = standing_foot()
+    before = 0.0
+    for off in (0.02, -0.01, 0.03):
+        seen_again(memory, foot + off)
+        distance, before = memory.sums[0, 2] - before, memory.sums[0, 2]
+        assert_allclose(memory.drift[0] @ memory.drift[0], distance, rtol=1e-9)
+
+
+def test_a_foot_that_lands_anew_has_not_drifted():
+    memory, foot = standing_foot()
+    seen_again(memory, foot + 0.02, since=0.005)
+    assert memory.drift[0].any()
+    seen_again(memory, foot, contact=False)
+    seen_again(memory, foot)
+    assert memory.standing[0]
+    assert not memory.drift[0].any()

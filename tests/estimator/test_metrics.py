@@ -14,6 +14,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
 from surefoot.estimator.metrics import (
     _normalised,
     align_first,
+    align_se3,
     evaluate,
     matched,
     path_length,
@@ -226,3 +227,12 @@ def test_a_path_s_length_bears_a_stamp_that_rounding_puts_behind_its_end():
     assert path_length(late.t, late.p_GI) == pytest.approx(
         path_length(truth.t, truth.p_GI), rel=1e-2
     )
+
+
+def test_where_the_reference_is_does_not_turn_the_aligned_estimate(pair):
+    """A reference in metres from far away: on a grid that stays exact when it is moved there."""
+    truth, estimate = pair
+    near = replace(truth, p_GI=np.round(truth.p_GI * 1024.0) / 1024.0)
+    far = replace(near, p_GI=near.p_GI + 2.0**40)
+    wanted, found = align_se3(near, estimate), align_se3(far, estimate)
+    assert_allclose(found.R_GI, wanted.R_GI, atol=1e-9)

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr, logsumexp
 
 from surefoot.estimator.moments.line import DEPTH
-from surefoot.estimator.moments.parts import outer_parts
+from surefoot.estimator.moments.parts import _corner, outer_parts
 
 INF = np.inf
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(300)
@@ -96,3 +96,14 @@ def test_a_part_begins_where_an_interval_is_first_left():
     cuts, _ = parts(C, np.array(low), np.array(high))
     within = np.sqrt(2.0 * DEPTH * (1.0 - 0.95**2))
     assert_allclose(np.sort(0.95 * cuts[1:-1]), np.sort([high[1] - within, low[1] + within]))
+
+
+def test_the_two_zones_of_a_corner_name_each_other():
+    """Axis j past its bound w with the other at its bound c, and that one past c with j at w."""
+    for j in range(2):
+        for bound in range(2):
+            for other in range(2):
+                one = 6 * j + 2 * (1 + other) + bound
+                two = 6 * (1 - j) + 2 * (1 + bound) + other
+                assert _corner(one) == two
+                assert _corner(two) == one

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surefoot.estimator.run import every_row, output_stride
+from surefoot.estimator.run import bounded_velocities, every_row, output_stride
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -21,3 +21,9 @@ def test_a_piece_of_one_row_is_stored():
 def test_a_stride_below_one_is_refused():
     with pytest.raises(SurefootError, match="stride: 0"):
         output_stride(np.arange(3.0), 0)
+
+
+@pytest.mark.parametrize("bounds", [np.array([0.1, 0.0, 0.1]), np.array([[0.1, 0.1, -0.1]])])
+def test_bounds_of_velocities_are_above_zero(bounds):
+    with pytest.raises(SurefootError, match="epsilon: every bound must be > 0"):
+        bounded_velocities([1], np.zeros((1, 3)), bounds, 2)

@@ -18,6 +18,7 @@ from surefoot.estimator.updates.bias_states import (
     update_coverage_persistent,
     update_velocity_persistent,
 )
+from surefoot.estimator.updates.outliers import UNLIMITED
 from surefoot.sim.common.errors import SurefootError
 
 INF = np.full(3, np.inf)
@@ -228,3 +229,27 @@ def test_a_velocity_left_out_changes_nothing():
     assert np.isnan(found)
     assert_array_equal(mean, before[0])
     assert_array_equal(P, before[1])
+
+
+def test_a_window_holds_minus_its_share_of_the_errors_until_it_ends():
+    """A state known exactly: s is minus the sum of what was measured beyond it, over the window;
+    at the end it starts from zero, whatever the update made of it."""
+    mean, P = NavState(v_GI=np.array([0.5, 0.0, 0.0])).pack(EXTRAS), np.zeros((24, 24))
+    mean[7] = [0.0, 0.1, 0.0]
+    model, counts = PersistentModel(np.zeros((3, 3)), np.inf, 3, INF), np.zeros(2, dtype=np.int64)
+    off = np.array([[0.3, 0.0, -0.1], [0.1, -0.2, 0.0], [0.0, 0.0, 0.0]])
+    expected = mean[3] + mean[7]
+    for k in range(3):
+        pi = update_coverage_persistent(
+            mean, P, expected + off[k], np.full(3, 0.5), 0.8, 1, model, counts
+        )
+        if k < 2:
+            assert np.isnan(pi)
+            assert_allclose(mean[8], -off[: k + 1].sum(axis=0) / 3, atol=1e-15)
+    assert 0.0 <= pi <= 1.0
+    assert_array_equal(mean[8], 0.0)
+    assert counts[0] == 0
+
+
+def test_a_largest_error_that_rejects_nothing_is_a_persistent_errors():
+    assert_array_equal(PersistentError(np.eye(3), max_error=UNLIMITED).max_error, np.inf)
