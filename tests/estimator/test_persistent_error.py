@@ -238,7 +238,7 @@ def test_a_window_holds_minus_its_share_of_the_errors_until_it_ends():
     mean[7] = [0.0, 0.1, 0.0]
     model, counts = PersistentModel(np.zeros((3, 3)), np.inf, 3, INF), np.zeros(2, dtype=np.int64)
     off = np.array([[0.3, 0.0, -0.1], [0.1, -0.2, 0.0], [0.0, 0.0, 0.0]])
-    expected = mean[3] + mean[7]
+    expected, pi = mean[3] + mean[7], np.nan
     for k in range(3):
         pi = update_coverage_persistent(
             mean, P, expected + off[k], np.full(3, 0.5), 0.8, 1, model, counts
