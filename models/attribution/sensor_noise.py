@@ -14,6 +14,7 @@ from surefoot.models.attribution.evidence import (
 )
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.registry import channels
+from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
@@ -78,19 +79,19 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
 def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> Log:
     """Add noise of the same level to a log's readings.
 
-    The second difference of a reading has six times the variance of its noise and little of the
-    motion. The quantisation error may persist for a whole bin in which the signal hardly changes.
+    The quantisation error may persist for a whole bin in which the signal hardly changes.
     """
     log, noisy = case.log, {}
     count, first = case.motion.count, case.motion.first
     for group in ("q", "dq", "tau"):
         for joint in log.joints if log.has(group) else ():
             values = log.frame[f"{group}_{joint}"].to_numpy()
-            jitter = np.std(np.diff(values, n=2)) / np.sqrt(6.0)
             step = _resolution(values)
             stays = np.abs(np.diff(values[first], append=values[-1])) < CONSTANT_STEPS * step
             rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)) * stays, count) * step
-            noisy[f"{group}_{joint}"] = values + rng.normal(0.0, jitter, len(values)) + rounding
+            noisy[f"{group}_{joint}"] = (
+                values + rng.normal(0.0, white_noise(values), len(values)) + rounding
+            )
     return with_columns(log, noisy)
 
 

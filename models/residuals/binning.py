@@ -11,6 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.common.low_pass import low_pass, without_low_pass
+from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
@@ -297,13 +298,12 @@ def angles_are_quieter(log: Log, motion: ReferenceMotion) -> bool:
     """Whether a log's angles give less noisy accelerations than its rates, by the
     factor LEAST_NOISE_RATIO at the median joint.
 
-    Some drives log rates that jitter by tenths of a rad/s between rows. The noise is estimated from
-    second differences, which have six times its variance and little of the motion.
+    Some drives log rates that jitter by tenths of a rad/s between rows.
     """
     if not (log.has("q") and log.has("dq")):
         return False
     unit = np.random.default_rng(0).normal(size=log.q.shape)
-    q, dq = (unit * np.std(np.diff(x, n=2, axis=0), axis=0) / np.sqrt(6.0) for x in (log.q, log.dq))
+    q, dq = (unit * white_noise(x) for x in (log.q, log.dq))
     slopes = derivative(log.t, q, JOINT_WINDOW, causal=False)
     by_angles, by_rates = (
         np.std(mean_rate_of_change(x, log.t, motion), axis=0) for x in (slopes, dq)

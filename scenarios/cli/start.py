@@ -16,7 +16,6 @@ THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 BACKENDS = {"MPLBACKEND": "matplotlib", "MUJOCO_GL": "mujoco"}
 """Environment variable of a graphics backend -> module whose import fails for an unknown one."""
 
-
 COLLECTION = (10_000, 50, 100)
 """Thresholds of Python's garbage collector. Imports and compiled kernels leave half a million
 objects, which the default thresholds scan again and again; cycles are rare.

@@ -45,7 +45,7 @@ class Imperfection:
         kind = known_effects()[self.effect]
         targets = kind.single_targets(limbs) if self.targets is None else self.targets
         draw = shares.get(self.law, np.ones)(len(targets))
-        low, high = kind.bounds
+        low, high = kind.bounds_on(limbs)
         values = np.clip(self.size * draw, low, high)
         return [effect(self.effect, t, v) for t, v in zip(targets, values, strict=True)]
 

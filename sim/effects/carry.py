@@ -84,6 +84,7 @@ def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tu
         factor = growth(DIMENSIONS[one.unit], measured, to)
         if one.name in ON_FEET:
             factor = to.foot_radius / measured.foot_radius
-        low, high = known_effects()[one.name].bounds
+        kind = known_effects()[one.name]
+        low, high = kind.bounds_on_legs or kind.bounds
         found.append(effect(one.name, one.target, min(max(factor * one.value, low), high)))
     return tuple(found)

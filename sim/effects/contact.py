@@ -9,6 +9,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -158,14 +159,12 @@ and the soft friction of simulators, have a width of their own.
 def _stiction(rate: np.ndarray) -> float:
     """Rate below which dry friction is smoothed, in the unit of a joint's rate (N,).
 
-    As narrow as the noise of the rate allows, at most STICTION_RATE. The second difference has six
-    times the variance of the noise and little of the motion.
+    As narrow as the noise of the rate allows, at most STICTION_RATE.
     """
     if len(rate) < 3:
         return STICTION_RATE
-    noise = float(np.std(np.diff(rate, n=2))) / np.sqrt(6.0)
     least = SLOW_SHARE * float(np.sqrt(np.mean(rate**2)))
-    return min(STICTION_RATE, max(NOISE_WIDTH * noise, least, 1e-9))
+    return min(STICTION_RATE, max(NOISE_WIDTH * float(white_noise(rate)), least, 1e-9))
 
 
 def _rate(log: Log, joint: str) -> np.ndarray:

@@ -69,8 +69,8 @@ def mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
     """
     function = getattr(mujoco_library(), name)
     if config.DISABLE_JIT:
-        sizes = (ctypes.c_void_p, ctypes.c_void_p, *(_C_TYPES[one] for one in arguments))
-        function.argtypes, function.restype = sizes, None
+        accepted = (ctypes.c_void_p, ctypes.c_void_p, *(_C_TYPES[one] for one in arguments))
+        function.argtypes, function.restype = accepted, None
         return function
     binding.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
     # Compiled code refers to the function by its name, so that it can be cached.

@@ -35,6 +35,11 @@ def test_each_size_is_carried_by_its_dimension():
     assert one("payload", "all", 20.0) == known_effects()["payload"].bounds[1]
 
 
+def test_sizes_stay_within_the_bounds_of_legs():
+    found = one("coulomb_friction", "FL_calf", 90.0)  # eight times as much is within a gantry's
+    assert found == known_effects()["coulomb_friction"].bounds_on_legs[1]
+
+
 def test_to_itself_nothing_changes_and_there_and_back_is_where_one_was():
     effects = [effect("joint_compliance", "all", 2e-3), effect("contact_delay", "touchdown", 0.01)]
     assert carried(effects, SMALL, SMALL) == tuple(effects)

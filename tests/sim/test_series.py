@@ -1,4 +1,4 @@
-"""Convolution, median slope and first-order recursion against those of scipy."""
+"""Convolution, median slope and first-order recursion against those of scipy; level of noise."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from scipy.stats import theilslopes
 from surefoot.sim.common.convolution import convolve
 from surefoot.sim.common.low_pass import recursion
 from surefoot.sim.common.median_slope import median_slope
+from surefoot.sim.common.white_noise import white_noise
 
 
 def test_a_convolution_is_that_of_scipy():
@@ -32,3 +33,11 @@ def test_a_recursion_in_two_pieces_is_that_of_scipy():
     first, state = recursion(x[:20], 0.3, 0.7, np.zeros(3))
     second, _ = recursion(x[20:], 0.3, 0.7, state)
     assert_array_equal(np.concatenate([first, second]), expected)
+
+
+def test_white_noise_is_told_from_slow_motion():
+    rng = np.random.default_rng(7)
+    t = np.arange(20_000) / 500.0
+    noise = rng.normal(0.0, [0.01, 0.2], (len(t), 2))
+    found = white_noise(np.sin(2.0 * t)[:, None] + noise)
+    assert_allclose(found, [0.01, 0.2], rtol=0.03)

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
@@ -312,15 +313,11 @@ def _without_touches(one: Balance, edge: int) -> Balance:
 def _floor(log: Log, dynamics, q: np.ndarray, width: float) -> np.ndarray:
     """Standard deviation (J,) of the balance from white jitter of the readings.
 
-    The second difference of a reading has six times the variance of its jitter, and little of the
-    motion. A Gaussian kernel of width s over rows dt apart reduces a variance to the share
+    A Gaussian kernel of width s over rows dt apart reduces a variance to the share
     dt / (2 s sqrt(pi)), and that of a second derivative to 3 dt / (8 s^5 sqrt(pi)).
     """
     dt = float(np.median(np.diff(log.t)))
     s = float(np.hypot(width, FIRST))
-
-    def jitter(x: np.ndarray) -> np.ndarray:
-        return np.std(np.diff(x, n=2, axis=0), axis=0) / np.sqrt(6.0)
 
     heavy = np.empty(q.shape[1])
     for j in range(q.shape[1]):
@@ -330,8 +327,8 @@ def _floor(log: Log, dynamics, q: np.ndarray, width: float) -> np.ndarray:
         heavy[j] = (
             dynamics.inverse(q[:1], still, unit)[1] - dynamics.inverse(q[:1], still, still)[1]
         )[0, j]
-    torque = jitter(_read_torque(log)) * np.sqrt(dt / (2 * s * np.sqrt(np.pi)))
-    inertial = heavy * jitter(log.q) * np.sqrt(3 * dt / (8 * s**5 * np.sqrt(np.pi)))
+    torque = white_noise(_read_torque(log)) * np.sqrt(dt / (2 * s * np.sqrt(np.pi)))
+    inertial = heavy * white_noise(log.q) * np.sqrt(3 * dt / (8 * s**5 * np.sqrt(np.pi)))
     return np.hypot(torque, inertial)
 
 
