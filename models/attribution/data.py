@@ -87,13 +87,15 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         if name in there or (fixed and not channel.on_fixed_base):
             continue
         lacking = dict.fromkeys(
-            g for case in cases for g in channel.missing_groups(case.log, fixed)
+            g for case in cases for g in channel.missing_groups(case.log, fixed, case.by_feet)
         )
         if lacking:
             notes.append(f"{name}{LACKING}{' and '.join(lacking)}")
         elif channel.on_level_ground:
             notes.append(f"{name}: not used, the ground is not level")
-    if any(case.log.has("foot") and not case.log.has("q") for case in cases):
+    if cases[0].by_feet:
+        notes += _notes_by_feet(cases)
+    elif any(case.log.has("foot") and not case.log.has("q") for case in cases):
         notes.append(
             "legs: not traced, since foot positions do not show the joints; the log lacks q"
         )
@@ -118,7 +120,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes.append("the reference's velocity is derived from its positions, which smooths it")
         sampling = floor.plan.sampling if floor.plan else None
         notes += [note for case in cases for note in reference_notes(case.log, sampling)]
-    if not floor.walks and not fixed:
+    if not (floor.walks or fixed or cases[0].by_feet):
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
     if floor.evenness and "foot_height" in there:
         notes.append(
@@ -131,12 +133,31 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     return tuple(notes)
 
 
+def _notes_by_feet(cases: Sequence[LogUnderModel]) -> list[str]:
+    """What a trace of feet without a robot model assumes, and the effects that it cannot try."""
+    told = {name for case in cases for name, _ in all_keys(case)}
+    needing = [
+        name
+        for name, kind in sorted(known_effects().usable()[0].items())
+        if kind.is_compensated() and not kind.on_given_feet and name not in told
+    ]
+    return [
+        "the log gives the feet instead of joint angles: they are taken for points, so that a foot "
+        "that rolls or creeps shows as a residual of the legs",
+        f"no candidates, since they need joint angles or a robot model: {', '.join(needing)}",
+    ]
+
+
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
     """One sentence for each effect that cannot be identified without a reference, and could be with
     one."""
     told = {name for case in cases for name, _ in all_keys(case)}
     lacking = {
-        name: {g for case in cases for g in channel.missing_groups(case.log, case.fixed)}
+        name: {
+            g
+            for case in cases
+            for g in channel.missing_groups(case.log, case.fixed, case.by_feet)
+        }
         for name, channel in channels().items()
     }
     notes = []

@@ -258,9 +258,12 @@ def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> No
     first = cases[0]
     if first.fixed:
         source = "the differences between successive readings"
-        sigma = reading_noise(cases)
+        sigma = _of_readings(cases)
         known = apparent_sizes(cases, sigma)
         return NoiseFloor(sigma, (), source, readings=tuple(cases), of_noise=known)
+    if first.by_feet:
+        source = "the noise of the readings; without a robot model, no walk is simulated"
+        return NoiseFloor(_of_readings(cases), (), source, readings=tuple(cases))
     known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
     walks = first.robot.limbs == QUADRUPED
     evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
@@ -291,7 +294,7 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
     compensation propagates it.
     """
     if floor.readings:
-        return replace(floor, sigma=reading_noise(floor.readings, effects))
+        return replace(floor, sigma=_of_readings(floor.readings, effects))
     limbs = floor.walks[0].evidence.layout.limbs if floor.walks else None
     # Rounded to two digits, so that nearly equal sizes share one simulated walk.
     bounds = [type(e).interior_bounds(e.target, limbs) for e in effects]
@@ -336,6 +339,11 @@ def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
     return NoiseFloor(sigma, completed, source, plan)
 
 
+def _of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
+    """Noise (W,) of a bin from that of the readings, with the effects compensated."""
+    return np.maximum(reading_noise(cases, effects), _least_noise(layout_for(cases[0].robot.limbs)))
+
+
 def _least_noise(layout: Layout) -> np.ndarray:
     """Smallest noise (W,) that columns may have."""
     least = np.zeros(layout.width)
@@ -350,7 +358,7 @@ def _with_reference(case: LogUnderModel) -> Log:
     That is accurate enough for the course of a simulated walk.
     """
     log, robot = case.log, case.robot
-    if log.has("reference") or not isinstance(robot, Robot) or not can_dead_reckon(log):
+    if log.has("reference") or not isinstance(robot, Robot) or not can_dead_reckon(log, robot):
         return log
     return with_dead_reckoning(log, robot)
 

@@ -49,8 +49,7 @@ from surefoot.models.attribution.selection import (
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import AXES, Effect, effect, known_effects
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
 
 
 @dataclass(frozen=True)
@@ -208,7 +207,7 @@ def _is_insignificant(one: Found, certain: bool) -> bool:
 
 def _always_present(keys: Sequence[Key], robot: Machine) -> set[Key]:
     """Candidates that every machine has, and that the model lacks."""
-    if not isinstance(robot, Robot):
+    if isinstance(robot, FixedBase):
         return set()
     kinds = known_effects()
     return {(name, target) for name, target in keys if kinds[name].is_always_present(target, robot)}

@@ -12,12 +12,16 @@ from surefoot.models.attribution.evidence import (
     linearise,
     table_of,
 )
+from surefoot.models.attribution.reference_sampling import (
+    reference_sampling,
+    resample_reference,
+)
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.log import Log
 from surefoot.sim.sensors.streams import Sensors
 
 CONSTANT_STEPS = 1.5
@@ -40,7 +44,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     """
     rng = np.random.default_rng(cases[0].settings.reading_seed)
     change = [
-        table_of(replace(case, log=_with_more_noise(case, rng)), effects) - table_of(case, effects)
+        table_of(_with_more_noise(case, rng), effects) - table_of(case, effects)
         for case in cases
     ]
     square = np.concatenate(change) ** 2
@@ -64,7 +68,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     if not keys:
         return {}
     rng = np.random.default_rng(cases[0].settings.reading_seed)
-    noisy = [replace(case, log=_with_more_noise(case, rng)) for case in cases]
+    noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = linearise(cases, (), keys), linearise(noisy, (), keys)
     change = np.nan_to_num(after.table - before.table) / sigma
     sizes = {}
@@ -76,11 +80,13 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     return sizes
 
 
-def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> Log:
-    """Add noise of the same level to a log's readings.
+def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderModel:
+    """The case with noise of the same level added to the log's readings.
 
     The quantisation error may persist for a whole bin in which the signal hardly changes.
     """
+    if case.by_feet:
+        return _walk_with_more_noise(case, rng)
     log, noisy = case.log, {}
     count, first = case.motion.count, case.motion.first
     for group in ("q", "dq", "tau"):
@@ -92,7 +98,22 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> Log:
             noisy[f"{group}_{joint}"] = (
                 values + rng.normal(0.0, white_noise(values), len(values)) + rounding
             )
-    return with_columns(log, noisy)
+    return replace(case, log=with_columns(log, noisy))
+
+
+def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderModel:
+    """The same for a walk of a machine that is known by its feet alone: noise of IMU, feet and
+    reference.
+    """
+    log = case.log
+    names = [name for name in log.columns if name.startswith(("gyro_", "accel_", "foot_"))]
+    values = np.column_stack([log.columns[name] for name in names])
+    values += rng.normal(0.0, white_noise(values), values.shape)
+    log = with_columns(log, dict(zip(names, values.T, strict=True)))
+    if sampling := reference_sampling(case.log, case.settings):
+        log = resample_reference(log, sampling, rng)
+    motion = motion_under_model(log, case.robot, case.fixed)
+    return replace(case, log=log, motion=replace(motion, level=case.motion.level))
 
 
 def _resolution(values: np.ndarray) -> float:

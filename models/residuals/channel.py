@@ -34,7 +34,8 @@ from surefoot.models.residuals.torques import (
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.given_feet import shows_feet
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
@@ -101,15 +102,22 @@ class ResidualInputs:
         return inverse_dynamics(self.steps, self.robot) if self.log.has("tau") else None
 
     @cached_property
+    def feet_stand(self) -> bool:
+        """Whether the log shows where the feet are, and any of them stands."""
+        if isinstance(self.robot, FixedBase) or not shows_feet(self.log, self.robot):
+            return False
+        return bool(self.bins.standing.any())
+
+    @cached_property
     def leg_velocities(self) -> np.ndarray | None:
         """Velocity of the body by each standing foot less the reference's (M, 3 L) [m/s] in I.
 
         Without a reference, the feet are compared with each other. None where no foot stands, or
-        the log has no angles.
+        the log shows no feet.
         """
-        if not (self.log.has("q") and self.bins.standing.any()):
+        if not self.feet_stand:
             return None
-        assert isinstance(self.robot, Robot)
+        assert not isinstance(self.robot, FixedBase)
         v = leg_velocities(self.bins, self.robot)
         return v if self.motion.by_reference else between_feet(v)
 
@@ -135,6 +143,8 @@ class Channel:
     """Groups of columns that the channel needs, as for `Log.require`."""
     on_fixed_base: ClassVar[bool] = False
     """Whether a machine on a fixed base has it, without contacts and a reference."""
+    feet_replace_angles: ClassVar[bool] = False
+    """Whether a log that gives the feet (`sim.robot.given_feet`) needs no joint angles for it."""
     imu_replaces_reference: ClassVar[bool] = False
     """Whether the IMU replaces the reference where a walk has none."""
     on_level_ground: ClassVar[bool] = False
@@ -182,15 +192,21 @@ class Channel:
         """Regressors of nuisance parameters of each log, (M, 1) or (M, columns), without bounds."""
         return ()
 
-    def is_available(self, log: Log, fixed: bool, level: bool) -> bool:
-        """Whether a log has what it needs, on a `fixed` base or not, on `level` ground or not."""
+    def is_available(self, log: Log, fixed: bool, level: bool, by_feet: bool = False) -> bool:
+        """Whether a log has what it needs, on a `fixed` base or not, on `level` ground or not;
+        `by_feet`: of a machine that is known by its feet alone.
+        """
         if (fixed and not self.on_fixed_base) or (self.on_level_ground and not level):
             return False
-        return not self.missing_groups(log, fixed)
+        return not self.missing_groups(log, fixed, by_feet)
 
-    def missing_groups(self, log: Log, fixed: bool) -> tuple[str, ...]:
-        """Groups of columns that it needs and the log lacks, on a `fixed` base or not."""
+    def missing_groups(self, log: Log, fixed: bool, by_feet: bool = False) -> tuple[str, ...]:
+        """Groups of columns that it needs and the log lacks, on a `fixed` base or not; `by_feet`:
+        of a machine that is known by its feet alone.
+        """
         needed = [g for g in self.needs if not (fixed and g in OF_WALKS)]
+        if by_feet and self.feet_replace_angles:
+            needed = ["foot" if g == "q" else g for g in needed]
         if self.imu_replaces_reference and not fixed and not log.has("reference"):
             needed = ["imu", *(g for g in needed if g != "reference")]
         return tuple(g for g in needed if not log.has(g))

@@ -27,6 +27,7 @@ from surefoot.models.residuals.stance_motion import stance_displacement, stance_
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
@@ -78,6 +79,7 @@ class LegVelocity(Channel):
     name = "leg_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
+    feet_replace_angles = True
     imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
@@ -98,6 +100,7 @@ class StanceVelocity(Channel):
     name = "stance_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
+    feet_replace_angles = True
     imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
@@ -127,6 +130,7 @@ class StanceDisplacement(Channel):
     name = "stance_displacement"
     unit = "m"
     needs = ("q", "contact", "reference")
+    feet_replace_angles = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
     of_events = True
@@ -136,9 +140,9 @@ class StanceDisplacement(Channel):
         return _of_legs("moved", self.unit, limbs, AXES[:2])
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not _stands(inputs):
+        if not inputs.feet_stand:
             return None
-        assert isinstance(inputs.robot, Robot)
+        assert not isinstance(inputs.robot, FixedBase)
         return stance_displacement(inputs.log, inputs.robot, inputs.motion)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -151,6 +155,7 @@ class FootHeight(Channel):
     name = "foot_height"
     unit = "m"
     needs = ("q", "contact", "reference")
+    feet_replace_angles = True
     on_level_ground = True
     masked_by = ("slid", "elsewhere")
     least_noise = 2e-4
@@ -162,9 +167,9 @@ class FootHeight(Channel):
         return tuple(Column(f"height_{leg}", self.unit, leg, "", i) for i, leg in legs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not (_stands(inputs) and inputs.motion.level):
+        if not (inputs.feet_stand and inputs.motion.level):
             return None
-        assert isinstance(inputs.robot, Robot)
+        assert not isinstance(inputs.robot, FixedBase)
         return foot_heights(inputs.bins, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -258,6 +263,7 @@ class ContactTiming(Channel):
     name = "contact_timing"
     unit = "s"
     needs = ("q", "contact", "reference")
+    feet_replace_angles = True
     least_noise = 1e-3
     """A contact changes at a row, so its time is known to half a sample [s]."""
     has_chain_rule = True
@@ -276,9 +282,9 @@ class ContactTiming(Channel):
         )
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not _stands(inputs):
+        if not inputs.feet_stand:
             return None
-        assert isinstance(inputs.robot, Robot)
+        assert not isinstance(inputs.robot, FixedBase)
         return contact_timing(inputs.log, inputs.robot, inputs.motion)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -310,10 +316,6 @@ def per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
         Column(f"{what}_{name}", of, name, limbs.kind(i))
         for i, (name, of) in enumerate(zip(limbs.joints, units, strict=True))
     )
-
-
-def _stands(inputs: ResidualInputs) -> bool:
-    return inputs.log.has("q") and bool(inputs.bins.standing.any())
 
 
 def rows_of_bin(rate: float) -> float:

@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.models.residuals.binning import STANCE_MARGIN, ReferenceMotion, at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.models.residuals.leg_velocity import leg_velocity_of
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.given_feet import Walker, foot_columns
 from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 from surefoot.sim.sensors.stances import changes, inside_stances
 
@@ -38,7 +39,7 @@ on models of seven robots.
 """
 
 
-def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarray:
+def contact_timing(log: Log, robot: Walker, motion: ReferenceMotion) -> np.ndarray:
     """Delay of contact changes (M, 2 legs) [s]: touchdowns of the feet, then their lift-offs.
 
     Each change is in the bin in which the foot stopped or started to move; all other bins are NaN.
@@ -47,10 +48,10 @@ def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarra
     turns = [changes(stands) for stands in log.contact.T]
     moves = log.cached(
         "when touching points stop and start",
-        log.columns_of("q", "dq", "imu", "contact", "reference", "ref_v"),
+        (*foot_columns(log, robot), *log.columns_of("imu", "contact", "reference", "ref_v")),
         lambda: _all_motion_changes(log, robot, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
-        *(robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
+        *((robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()),
     )
     late = np.full((len(motion.first), 2 * len(turns)), np.nan)
     # A debounced contact begins late by the debounce time.
@@ -67,7 +68,7 @@ def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarra
     return late
 
 
-def within_windows(motion: ReferenceMotion, log: Log, robot: Robot) -> ReferenceMotion:
+def within_windows(motion: ReferenceMotion, log: Log, robot: Walker) -> ReferenceMotion:
     """Restrict stances and swings of the reference motion to the feet's actual ones.
 
     Where contacts end late or begin early relative to the foot's motion, stances are shortened by
@@ -96,7 +97,7 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Robot) -> Reference
 
 def _all_motion_changes(
     log: Log,
-    robot: Robot,
+    robot: Walker,
     motion: ReferenceMotion,
     turns: Sequence[np.ndarray],
     rows: int,
@@ -157,13 +158,13 @@ def near_changes(
 
 
 def speed_over_ground(
-    log: Log, robot: Robot, motion: ReferenceMotion, where: np.ndarray
+    log: Log, robot: Walker, motion: ReferenceMotion, where: np.ndarray
 ) -> np.ndarray:
     """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
     elsewhere.
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
-    v = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, where)
+    v = leg_velocity_of(log, robot, omega, motion.up_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
     return np.sqrt(x * x + y * y + z * z)
 

@@ -3,19 +3,23 @@
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins
-from surefoot.models.residuals.leg_velocity import leg_velocity
-from surefoot.sim.robot import Robot
+from surefoot.models.residuals.leg_velocity import leg_velocity, velocity_by_feet
+from surefoot.sim.robot.given_feet import GivenFeet, Walker
 
 HALFWAY = 0.5
 """Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
 
 
-def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
+def leg_velocities(bins: Bins, robot: Walker) -> np.ndarray:
     """Velocity of the body by each standing foot minus the reference's, (M, 3 legs) [m/s] in I.
 
     With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r, v_I = -J dq
-    - omega x f + (omega + omega_foot) x r n, all in I.
+    - omega x f + (omega + omega_foot) x r n, all in I. Feet that a log gives are points, r = 0.
     """
+    if isinstance(robot, GivenFeet):
+        assert bins.feet is not None
+        v = velocity_by_feet(*bins.feet, bins.omega, bins.standing) - bins.v_I[:, None]
+        return v.reshape(len(v), -1)
     v = leg_velocity(robot, bins.q, bins.dq, bins.omega, bins.R_GI[:, 2], bins.standing)
     v -= bins.v_I[:, None]
     if bins.depth is not None and bins.v_sole is not None:
@@ -40,17 +44,21 @@ def between_feet(v: np.ndarray) -> np.ndarray:
     return np.where(before > 0, against, np.nan).reshape(v.shape)
 
 
-def foot_heights(bins: Bins, robot: Robot) -> np.ndarray:
+def foot_heights(bins: Bins, robot: Walker) -> np.ndarray:
     """Height (M, legs) [m] of each standing foot's sole in the world."""
-    feet_I = robot.feet_I(bins.q)
+    if isinstance(robot, GivenFeet):
+        assert bins.feet is not None
+        feet_I, radius = bins.feet.feet_I, 0.0
+    else:
+        feet_I, radius = robot.feet_I(bins.q), robot.foot_radius
     z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
-    z -= robot.foot_radius
+    z -= radius
     if bins.depth is not None:
         z = z + bins.depth
     return np.where(bins.standing, z, np.nan)
 
 
-def level_ground(bins: Bins, robot: Robot, within: float = 0.006) -> bool:
+def level_ground(bins: Bins, robot: Walker, within: float = 0.006) -> bool:
     """Whether the feet stand on one plane.
 
     True if heights vary by less than `within` [m] about a plane through all feet plus a constant

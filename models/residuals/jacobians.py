@@ -27,7 +27,7 @@ from surefoot.models.residuals.torques import (
 )
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
 
 DIFFERENCE_STEP = 1e-5  # rad, rad/s
 
@@ -104,7 +104,7 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
     height_q = np.zeros((m, legs, per))
     if np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
-        assert isinstance(robot, Robot)
+        assert not isinstance(robot, FixedBase)
         # Of each foot alone: contrasts between feet are taken in `wrt_readings`.
         velocities = leg_velocities(bins, robot)
 

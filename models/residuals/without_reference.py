@@ -14,10 +14,10 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.residuals.binning import ReferenceMotion, at_rows, reference_motion
 from surefoot.models.residuals.contact_timing import within_windows
-from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.models.residuals.leg_velocity import leg_velocity_of
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.robot import Robot
+from surefoot.sim.log import Log
+from surefoot.sim.robot.given_feet import Walker, shows_feet
 
 LEVELLING_WINDOW = 1.0
 """Averaging time of the specific force for the vertical [s]: accelerations of a walk average to a
@@ -25,17 +25,18 @@ few hundredths of gravity, and the vertical only affects the contact point of a 
 """
 
 
-def can_dead_reckon(log: Log) -> bool:
+def can_dead_reckon(log: Log, robot: Walker) -> bool:
     """Whether a log has what `with_dead_reckoning` needs."""
-    return all(map(log.has, ("imu", "q", "contact"))) and bool(log.contact.any())
+    there = log.has("imu") and shows_feet(log, robot) and log.has("contact")
+    return there and bool(log.contact.any())
 
 
-def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
+def motion_without_reference(log: Log, robot: Walker) -> ReferenceMotion:
     """Stances, bins and vertical of a walk without a reference.
 
-    No foot stands or swings where the log lacks IMU, angles or contacts.
+    No foot stands or swings where the log lacks IMU, contacts, or angles (or feet).
     """
-    if not can_dead_reckon(log):
+    if not can_dead_reckon(log, robot):
         motion = reference_motion(log, robot.limbs, fixed=True)
         return replace(motion, lifted=motion.standing, by_reference=False)
     reckoned = with_dead_reckoning(log, robot)
@@ -47,15 +48,15 @@ def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
     )
 
 
-def with_dead_reckoning(log: Log, robot: Robot) -> Log:
+def with_dead_reckoning(log: Log, robot: Walker) -> Log:
     """Replace a log's reference by dead reckoning.
 
     The velocity is the mean over the standing feet, up is the direction of the mean specific force,
-    and the heading is the integral of the gyro. The log of a walk needs IMU, angles and contacts.
+    and the heading is the integral of the gyro. The log of a walk needs IMU, contacts, and angles or feet.
     """
     up = uniform_filter1d(log.accel, max(1, round(LEVELLING_WINDOW * log.rate)), axis=0)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    by_foot = leg_velocity(robot, log.q, joint_velocity(log), at_rows(log.gyro), up, log.contact)
+    by_foot = leg_velocity_of(log, robot, at_rows(log.gyro), up, log.contact)
     count = log.contact.sum(axis=1)
     v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
     stands = np.flatnonzero(count)

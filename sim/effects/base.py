@@ -83,6 +83,11 @@ class Effect:
     and the links if only the feet yield, remain at the encoders' angles.
     """
 
+    on_given_feet: ClassVar[bool] = False
+    """Whether `compensate` also works for a machine that is known by its feet alone
+    (`sim.robot.given_feet`), by changing the readings or `extras` only.
+    """
+
     def __post_init__(self):
         if isinstance(self.targets, tuple) and self.target not in self.targets:
             raise SurefootError(self._unknown(self.target, self.targets))
