@@ -21,7 +21,7 @@ from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects import known_effects
-from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.base import AXES, Effect, with_columns
 from surefoot.sim.sensors.streams import Sensors
 
 CONSTANT_STEPS = 1.5
@@ -102,14 +102,24 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
 
 
 def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderModel:
-    """The same for a walk of a machine that is known by its feet alone: noise of IMU, feet and
-    reference.
+    """The same for a walk of a machine that is known by its feet alone.
+
+    Impacts of the feet shake a body more than an IMU's noise does, so that is taken from data
+    sheets. The noise of the feet is that in stance, and that of a measured reference its own.
     """
-    log = case.log
-    names = [name for name in log.columns if name.startswith(("gyro_", "accel_", "foot_"))]
-    values = np.column_stack([log.columns[name] for name in names])
-    values += rng.normal(0.0, white_noise(values), values.shape)
-    log = with_columns(log, dict(zip(names, values.T, strict=True)))
+    log, noisy, sensors = case.log, {}, Sensors()
+    if log.has("imu"):
+        for kind, density in (("gyro", sensors.gyro_noise), ("accel", sensors.accel_noise)):
+            for axis in AXES:
+                noise = rng.normal(0.0, density * np.sqrt(log.rate), len(log.t))
+                noisy[f"{kind}_{axis}"] = log.columns[f"{kind}_{axis}"] + noise
+    for leg, stands in zip(log.legs, case.motion.standing.T, strict=True):
+        for axis in AXES:
+            feet = log.columns[f"foot_{leg}_{axis}"]
+            bends = np.diff(feet, n=2)[stands[1:-1]]
+            level = np.sqrt(np.mean(bends**2) / 6.0) if len(bends) else 0.0
+            noisy[f"foot_{leg}_{axis}"] = feet + rng.normal(0.0, level, len(feet))
+    log = with_columns(log, noisy)
     if sampling := reference_sampling(case.log, case.settings):
         log = resample_reference(log, sampling, rng)
     motion = motion_under_model(log, case.robot, case.fixed)

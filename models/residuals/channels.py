@@ -19,10 +19,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
-from surefoot.models.residuals.feet import foot_heights
+from surefoot.models.residuals.feet import foot_heights, travel_regressors
 from surefoot.models.residuals.stance_motion import stance_displacement, stance_means
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
@@ -93,6 +93,13 @@ class LegVelocity(Channel):
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate))
 
+    def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+        """The shares of their way that feet of unknown size roll, where the log gives the feet."""
+        if inputs.bins.feet is None:
+            return ()
+        ways = travel_regressors(inputs.bins, inputs.motion.by_reference)
+        return [np.nan_to_num(way) for way in ways]
+
 
 class StanceVelocity(Channel):
     """Mean of the leg velocity residual over each stance, which leg odometry accumulates."""
@@ -112,11 +119,23 @@ class StanceVelocity(Channel):
         v = inputs.leg_velocities
         if v is None:
             return None
-        by_leg = v.reshape(len(v), -1, 3)
-        return stance_means(inputs.bins.t, by_leg, np.isfinite(by_leg[..., 0])).reshape(v.shape)
+        return _means_of_stances(inputs.bins, v)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)
+
+    def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+        """The same shares as of the leg velocity."""
+        if inputs.bins.feet is None:
+            return ()
+        ways = travel_regressors(inputs.bins, inputs.motion.by_reference)
+        return [np.nan_to_num(_means_of_stances(inputs.bins, way)) for way in ways]
+
+
+def _means_of_stances(bins: Bins, v: np.ndarray) -> np.ndarray:
+    """Means over stances of leg velocities (M, 3 L), in the middle bin of each; else NaN."""
+    by_leg = v.reshape(len(v), -1, 3)
+    return stance_means(bins.t, by_leg, np.isfinite(by_leg[..., 0])).reshape(v.shape)
 
 
 class StanceDisplacement(Channel):
@@ -124,13 +143,12 @@ class StanceDisplacement(Channel):
 
     This is the error of leg odometry per step, including touchdown and lift-off. It is used for
     evaluation only: in a fit, effects would compensate for one another, such as a foot radius for
-    contacts that end late.
+    contacts that end late. Of feet that the log gives, the way that they roll is not known.
     """
 
     name = "stance_displacement"
     unit = "m"
     needs = ("q", "contact", "reference")
-    feet_replace_angles = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
     of_events = True
@@ -140,9 +158,8 @@ class StanceDisplacement(Channel):
         return _of_legs("moved", self.unit, limbs, AXES[:2])
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not inputs.feet_stand:
+        if not (isinstance(inputs.robot, Robot) and inputs.feet_stand):
             return None
-        assert not isinstance(inputs.robot, FixedBase)
         return stance_displacement(inputs.log, inputs.robot, inputs.motion)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:

@@ -29,6 +29,25 @@ def leg_velocities(bins: Bins, robot: Walker) -> np.ndarray:
     return v.reshape(len(v), -1)
 
 
+def travel_regressors(bins: Bins, by_reference: bool) -> list[np.ndarray]:
+    """Regressors (M, 3 L) [m/s] of leg velocities in which each point foot moves over the ground by
+    a share of its way relative to the body, forwards and sideways.
+
+    A foot of unknown size that rolls under a leg does so, and one that creeps with it. NaN where no
+    foot stands. Without a reference, they are contrasts between feet, as the residual is.
+    """
+    assert bins.feet is not None
+    v_I = velocity_by_feet(*bins.feet, bins.omega, bins.standing)
+    regressors = []
+    for leg in range(v_I.shape[1]):
+        for axis in range(2):
+            share = np.where(bins.standing[..., None], np.zeros_like(v_I), np.nan)
+            share[:, leg, axis] = v_I[:, leg, axis]
+            flat = share.reshape(len(v_I), -1)
+            regressors.append(flat if by_reference else between_feet(flat))
+    return regressors
+
+
 def between_feet(v: np.ndarray) -> np.ndarray:
     """Contrasts between the velocities of the body by L feet (M, 3 L), independent of its own.
 

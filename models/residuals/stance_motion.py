@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from surefoot.models.residuals.binning import BIN, ReferenceMotion, at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity_of
-from surefoot.sim.log import Log
-from surefoot.sim.robot.given_feet import Walker
+from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances
 
 FEWEST_STANCE_BINS = 3
@@ -37,7 +37,7 @@ def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.nda
     return means
 
 
-def stance_displacement(log: Log, robot: Walker, motion: ReferenceMotion) -> np.ndarray:
+def stance_displacement(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarray:
     """Displacement (M, 2 L) [m] of each foot over the ground during each of its contacts.
 
     From the leg's kinematics and the reference, along the forward and lateral axes of the heading,
@@ -48,7 +48,7 @@ def stance_displacement(log: Log, robot: Walker, motion: ReferenceMotion) -> np.
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     # One more row on either side, for contacts that the model delays by a part of a row.
     around = maximum_filter1d(log.contact, 3, axis=0) & motion.ok[:, None]
-    v_I = leg_velocity_of(log, robot, omega, motion.up_I, around)
+    v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, around)
     ahead = motion.R_GI[:, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     # The heading's axes, level in G, expressed in I.

@@ -4,23 +4,18 @@ Where a docstring gives no source for the bounds, none was found and they were c
 """
 
 from dataclasses import replace
-from typing import TypeVar
 
 import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects.base import AXES, Effect, turn_about, with_columns
+from surefoot.sim.effects.base import AXES, Effect, turn_about
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inertia import with_own_inertia
 from surefoot.sim.physics.scene import add_payload
 from surefoot.sim.physics.springs import foot_parts
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.given_feet import GivenFeet
 from surefoot.sim.sensors.streams import Reference
-
-
-W = TypeVar("W", Robot, GivenFeet)
 
 
 class LinkLength(Effect):
@@ -90,7 +85,6 @@ class HipOffset(Effect):
     bounds = (-0.05, 0.05)
     channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = "leg_axis"
-    on_given_feet = True
     step = 1e-3
     chain_rule = "legs"
 
@@ -98,11 +92,7 @@ class HipOffset(Effect):
         hinge, _, along = _hip(self, spec, robot)
         hinge.parent.pos = hinge.parent.pos + along * self.value
 
-    def compensate(self, log: Log, robot: W) -> tuple[Log, W]:
-        if isinstance(robot, GivenFeet):
-            (target,) = self.members(robot.limbs)
-            column = f"foot_{target}"
-            return with_columns(log, {column: log.columns[column] + self.value}), robot
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         offset = robot.legs.offset.copy()
         leg, axis = leg_and_axis(self, robot)
         offset[leg, 0, axis] += self.value
@@ -282,7 +272,6 @@ class MountingRotation(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = AXES
     needs = ("reference",)
-    on_given_feet = True
     step = 1e-3
 
     def alter_mounting(self, robot: Robot) -> Robot:
@@ -291,14 +280,5 @@ class MountingRotation(Effect):
     def alter_reference(self, reference: Reference) -> Reference:
         return replace(reference, R_GI=reference.R_GI @ turn_about(self.target, self.value))
 
-    def compensate(self, log: Log, robot: W) -> tuple[Log, W]:
-        turn = turn_about(self.target, self.value)
-        if not isinstance(robot, GivenFeet):
-            return log, replace(robot, R_BI=robot.R_BI @ turn)
-        feet_I = log.foot_I @ turn  # row vectors: turn.T @ foot
-        columns = {
-            f"foot_{leg}_{axis}": feet_I[:, i, k]
-            for i, leg in enumerate(log.legs)
-            for k, axis in enumerate(AXES)
-        }
-        return with_columns(log, columns), robot
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return log, replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))
