@@ -7,7 +7,7 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.reference_sampling import reference_notes
+from surefoot.models.attribution.reference_sampling import reference_notes, reference_sampling
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
@@ -20,9 +20,12 @@ LACKING = ": not used, the log lacks "
 """Text of a note between a channel and the columns that it lacks."""
 
 
-def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
-    """Keep only the columns that a measured log could have, without contacts that never change."""
-    known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "foot_", "ref_")
+def readings(log: Log, settings: TraceSettings = DEFAULT, by_feet: bool = False) -> Log:
+    """Keep only the columns that a measured log could have, without contacts that never change;
+    `by_feet`: of a machine that is known by its feet alone, without joints that nothing models.
+    """
+    joints = () if by_feet else ("q_", "dq_", "tau_")
+    known = ("gyro_", "accel_", *joints, "contact_", "force_", "foot_", "ref_")
     if dead_contacts(log, settings):
         known = tuple(name for name in known if name != "contact_")
     read_by = (*channels().values(), *known_effects().usable()[0].values())
@@ -82,19 +85,22 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     plugins = (known_effects(), CHANNELS)
     notes = [f"{why}; not used" for one in plugins for why in one.usable()[1].values()]
     there = set.intersection(*(set(channels_of(case)) for case in cases))
-    fixed = cases[0].fixed
+    fixed, by_feet = cases[0].fixed, cases[0].by_feet
+    of_joints: list[str] = []
     for name, channel in channels().items():
         if name in there or (fixed and not channel.on_fixed_base):
             continue
         lacking = dict.fromkeys(
             g for case in cases for g in channel.missing_groups(case.log, fixed, case.by_feet)
         )
-        if lacking:
+        if by_feet and "q" in lacking:
+            of_joints.append(name)
+        elif lacking:
             notes.append(f"{name}{LACKING}{' and '.join(lacking)}")
         elif channel.on_level_ground:
             notes.append(f"{name}: not used, the ground is not level")
-    if cases[0].by_feet:
-        notes += _notes_by_feet(cases)
+    if by_feet:
+        notes += _notes_by_feet(cases, of_joints)
     elif any(case.log.has("foot") and not case.log.has("q") for case in cases):
         notes.append(
             "legs: not traced, since foot positions do not show the joints; the log lacks q"
@@ -118,9 +124,12 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes += _not_identifiable(cases)
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
-        sampling = floor.plan.sampling if floor.plan else None
-        notes += [note for case in cases for note in reference_notes(case.log, sampling)]
-    if not (floor.walks or fixed or cases[0].by_feet):
+        for case in cases:
+            sampling = floor.plan.sampling if floor.plan else None
+            if case.by_feet:
+                sampling = reference_sampling(case.log, case.settings)
+            notes += reference_notes(case.log, sampling)
+    if not (floor.walks or fixed or by_feet):
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
     if floor.evenness and "foot_height" in there:
         notes.append(
@@ -133,19 +142,28 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     return tuple(notes)
 
 
-def _notes_by_feet(cases: Sequence[LogUnderModel]) -> list[str]:
-    """What a trace of feet without a robot model assumes, and the effects that it cannot try."""
-    told = {name for case in cases for name, _ in all_keys(case)}
-    needing = [
+def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> list[str]:
+    """What a trace by feet alone assumes, and what it does without: channels `of_joints`, and
+    effects.
+    """
+    effects = [
         name
         for name, kind in sorted(known_effects().usable()[0].items())
-        if kind.is_compensated() and not kind.on_given_feet and name not in told
+        if kind.is_compensated() and not kind.on_given_feet
     ]
-    return [
-        "the log gives the feet instead of joint angles: they are taken for points, so that a foot "
-        "that rolls or creeps shows as a residual of the legs",
-        f"no candidates, since they need joint angles or a robot model: {', '.join(needing)}",
+    notes = [
+        "the legs are known by the positions of their feet, which are taken for points: each may "
+        "roll or creep by a share of its way, which is fitted and not reported",
+        f"channels that need joint angles and a robot model: {', '.join(of_joints)}",
+        f"effects that need joint angles and a robot model: {', '.join(effects)}",
     ]
+    if any(map(_has_forces, cases)):
+        notes.append("forces of the feet: not used, their sum needs the robot's mass")
+    return notes
+
+
+def _has_forces(case: LogUnderModel) -> bool:
+    return case.log.has("force") or case.log.has("force_xyz")
 
 
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:

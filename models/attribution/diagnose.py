@@ -41,6 +41,7 @@ from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
 from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.given_feet import GivenFeet
 
 ONLY_BETWEEN_FEET = (
     "shows only as relative motion of feet in stance, as do effects that need a reference to be "
@@ -334,8 +335,11 @@ def logs_under_model(
     settings: TraceSettings = DEFAULT,
 ) -> list[LogUnderModel]:
     """The logs' readings with the declared effects compensated, each with its model."""
+    by_feet = isinstance(robot, GivenFeet)
     return [
-        log_under_model(*compensate_all(declared, readings(log, settings), robot), settings)
+        log_under_model(
+            *compensate_all(declared, readings(log, settings, by_feet), robot), settings
+        )
         for log in logs
     ]
 

@@ -153,8 +153,8 @@ class NoiseFloor:
 
     @property
     def evenness(self) -> float:
-        """Standard deviation of the walks' ground from a plane [m]."""
-        return self.plan.evenness if self.plan else 0.0
+        """Standard deviation of the ground from a plane [m]: of the walks', or by the maps."""
+        return self.plan.evenness if self.plan else _evenness(self.readings)
 
     def effective_noise(self, sigma: np.ndarray, alike: np.ndarray | float = 1.0) -> np.ndarray:
         """Effective noise (W,) of columns with noise sigma (W,), larger where it is not white.
@@ -300,7 +300,7 @@ def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> No
         return NoiseFloor(_of_readings(cases), (), source, None, readings, POINT_FEET)
     known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
     walks = first.robot.limbs == QUADRUPED
-    evenness = max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
+    evenness = _evenness(cases)
     plan = FloorPlan(
         file=first.robot.file,
         courses=tuple(courses([_with_reference(c) for c in cases], first.settings))
@@ -374,8 +374,19 @@ def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
 
 
 def _of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
-    """Noise (W,) of a bin from that of the readings, with the effects compensated."""
-    return np.maximum(reading_noise(cases, effects), _least_noise(layout_for(cases[0].robot.limbs)))
+    """Noise (W,) of a bin from that of the readings, with the effects compensated, and from uneven
+    ground.
+    """
+    layout = layout_for(cases[0].robot.limbs)
+    sigma = np.maximum(reading_noise(cases, effects), _least_noise(layout))
+    heights = layout.of("foot_height")
+    sigma[heights] = np.hypot(sigma[heights], _evenness(cases))
+    return sigma
+
+
+def _evenness(cases: Sequence[LogUnderModel]) -> float:
+    """Largest standard deviation of the ground from a plane [m] that the logs' maps state."""
+    return max((float(c.log.meta.model.get("ground_evenness", 0.0)) for c in cases), default=0.0)
 
 
 def _least_noise(layout: Layout) -> np.ndarray:
