@@ -18,6 +18,8 @@ from surefoot.sim.robot import Robot
 
 LACKING = ": not used, the log lacks "
 """Text of a note between a channel and the columns that it lacks."""
+OF_FEET = ("imu", "contact", "reference")
+"""Groups of columns, beside the feet, that a trace by feet alone reads."""
 
 
 def readings(log: Log, settings: TraceSettings = DEFAULT, by_feet: bool = False) -> Log:
@@ -57,6 +59,12 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
     if not any(all_keys(case) for case in cases):
         groups = ("imu", "q", "contact", "tau", "reference")
         lacking = [g for g in groups if not all(case.log.has(g) for case in cases)]
+        if cases[0].by_feet:
+            return (
+                f"no channel: the log lacks {', '.join(g for g in lacking if g in OF_FEET)}; feet "
+                "without a robot model need a reference, beside imu or contact: how far they roll "
+                "is not known, and without a reference looks like a scale of the gyro"
+            )
         return (
             f"no channel: the log lacks {', '.join(lacking)}; needs imu, or q and contact, beside "
             "the reference; without one imu, q and contact; or q and tau of a fixed base"
@@ -171,11 +179,7 @@ def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
     one."""
     told = {name for case in cases for name, _ in all_keys(case)}
     lacking = {
-        name: {
-            g
-            for case in cases
-            for g in channel.missing_groups(case.log, case.fixed, case.by_feet)
-        }
+        name: {g for case in cases for g in channel.missing_groups(case.log, case.fixed)}
         for name, channel in channels().items()
     }
     notes = []

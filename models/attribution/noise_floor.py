@@ -403,7 +403,7 @@ def _with_reference(case: LogUnderModel) -> Log:
     That is accurate enough for the course of a simulated walk.
     """
     log, robot = case.log, case.robot
-    if log.has("reference") or not isinstance(robot, Robot) or not can_dead_reckon(log, robot):
+    if log.has("reference") or not isinstance(robot, Robot) or not can_dead_reckon(log):
         return log
     return with_dead_reckoning(log, robot)
 

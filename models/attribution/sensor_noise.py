@@ -44,8 +44,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     """
     rng = np.random.default_rng(cases[0].settings.reading_seed)
     change = [
-        table_of(_with_more_noise(case, rng), effects) - table_of(case, effects)
-        for case in cases
+        table_of(_with_more_noise(case, rng), effects) - table_of(case, effects) for case in cases
     ]
     square = np.concatenate(change) ** 2
     count = np.maximum(np.isfinite(square).sum(axis=0), 1)

@@ -146,7 +146,7 @@ class Channel:
     feet_replace_angles: ClassVar[bool] = False
     """Whether a log that gives the feet (`sim.robot.given_feet`) needs no joint angles for it."""
     imu_replaces_reference: ClassVar[bool] = False
-    """Whether the IMU replaces the reference where a walk has none."""
+    """Whether the IMU replaces the reference where a walk of a robot with a model has none."""
     on_level_ground: ClassVar[bool] = False
     """Whether it is valid on level ground only; its level is then evaluated on ground that no fit
     has seen.
@@ -207,7 +207,8 @@ class Channel:
         needed = [g for g in self.needs if not (fixed and g in OF_WALKS)]
         if by_feet and self.feet_replace_angles:
             needed = ["foot" if g == "q" else g for g in needed]
-        if self.imu_replaces_reference and not fixed and not log.has("reference"):
+        by_imu = self.imu_replaces_reference and not (fixed or by_feet)
+        if by_imu and not log.has("reference"):
             needed = ["imu", *(g for g in needed if g != "reference")]
         return tuple(g for g in needed if not log.has(g))
 

@@ -94,11 +94,10 @@ class LegVelocity(Channel):
         return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate))
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
-        """The shares of their way that feet of unknown size roll, where the log gives the feet."""
+        """Shares of their way that feet of unknown size roll, where the log gives the feet."""
         if inputs.bins.feet is None:
             return ()
-        ways = travel_regressors(inputs.bins, inputs.motion.by_reference)
-        return [np.nan_to_num(way) for way in ways]
+        return [np.nan_to_num(way) for way in travel_regressors(inputs.bins)]
 
 
 class StanceVelocity(Channel):
@@ -128,7 +127,7 @@ class StanceVelocity(Channel):
         """The same shares as of the leg velocity."""
         if inputs.bins.feet is None:
             return ()
-        ways = travel_regressors(inputs.bins, inputs.motion.by_reference)
+        ways = travel_regressors(inputs.bins)
         return [np.nan_to_num(_means_of_stances(inputs.bins, way)) for way in ways]
 
 

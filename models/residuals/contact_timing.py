@@ -46,12 +46,15 @@ def contact_timing(log: Log, robot: Walker, motion: ReferenceMotion) -> np.ndarr
     """
     rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
+    geometry = ()
+    if isinstance(robot, Robot):
+        geometry = robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI
     moves = log.cached(
         "when touching points stop and start",
         (*foot_columns(log, robot), *log.columns_of("imu", "contact", "reference", "ref_v")),
         lambda: _all_motion_changes(log, robot, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
-        *((robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()),
+        *geometry,
     )
     late = np.full((len(motion.first), 2 * len(turns)), np.nan)
     # A debounced contact begins late by the debounce time.

@@ -29,12 +29,12 @@ def leg_velocities(bins: Bins, robot: Walker) -> np.ndarray:
     return v.reshape(len(v), -1)
 
 
-def travel_regressors(bins: Bins, by_reference: bool) -> list[np.ndarray]:
+def travel_regressors(bins: Bins) -> list[np.ndarray]:
     """Regressors (M, 3 L) [m/s] of leg velocities in which each point foot moves over the ground by
     a share of its way relative to the body, forwards and sideways.
 
     A foot of unknown size that rolls under a leg does so, and one that creeps with it. NaN where no
-    foot stands. Without a reference, they are contrasts between feet, as the residual is.
+    foot stands.
     """
     assert bins.feet is not None
     v_I = velocity_by_feet(*bins.feet, bins.omega, bins.standing)
@@ -43,8 +43,7 @@ def travel_regressors(bins: Bins, by_reference: bool) -> list[np.ndarray]:
         for axis in range(2):
             share = np.where(bins.standing[..., None], np.zeros_like(v_I), np.nan)
             share[:, leg, axis] = v_I[:, leg, axis]
-            flat = share.reshape(len(v_I), -1)
-            regressors.append(flat if by_reference else between_feet(flat))
+            regressors.append(share.reshape(len(v_I), -1))
     return regressors
 
 

@@ -14,10 +14,11 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.residuals.binning import ReferenceMotion, at_rows, reference_motion
 from surefoot.models.residuals.contact_timing import within_windows
-from surefoot.models.residuals.leg_velocity import leg_velocity_of
+from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.log import Log
-from surefoot.sim.robot.given_feet import Walker, shows_feet
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.given_feet import GivenFeet, Walker
 
 LEVELLING_WINDOW = 1.0
 """Averaging time of the specific force for the vertical [s]: accelerations of a walk average to a
@@ -25,18 +26,18 @@ few hundredths of gravity, and the vertical only affects the contact point of a 
 """
 
 
-def can_dead_reckon(log: Log, robot: Walker) -> bool:
+def can_dead_reckon(log: Log) -> bool:
     """Whether a log has what `with_dead_reckoning` needs."""
-    there = log.has("imu") and shows_feet(log, robot) and log.has("contact")
-    return there and bool(log.contact.any())
+    return all(map(log.has, ("imu", "q", "contact"))) and bool(log.contact.any())
 
 
 def motion_without_reference(log: Log, robot: Walker) -> ReferenceMotion:
     """Stances, bins and vertical of a walk without a reference.
 
-    No foot stands or swings where the log lacks IMU, contacts, or angles (or feet).
+    No foot stands or swings where the log lacks IMU, angles or contacts, or where it gives the
+    feet: their differences while one turns depend on how far each rolls, which is not known.
     """
-    if not can_dead_reckon(log, robot):
+    if isinstance(robot, GivenFeet) or not can_dead_reckon(log):
         motion = reference_motion(log, robot.limbs, fixed=True)
         return replace(motion, lifted=motion.standing, by_reference=False)
     reckoned = with_dead_reckoning(log, robot)
@@ -48,15 +49,15 @@ def motion_without_reference(log: Log, robot: Walker) -> ReferenceMotion:
     )
 
 
-def with_dead_reckoning(log: Log, robot: Walker) -> Log:
+def with_dead_reckoning(log: Log, robot: Robot) -> Log:
     """Replace a log's reference by dead reckoning.
 
     The velocity is the mean over the standing feet, up is the direction of the mean specific force,
-    and the heading is the integral of the gyro. The log of a walk needs IMU, contacts, and angles or feet.
+    and the heading is the integral of the gyro. The log of a walk needs IMU, angles and contacts.
     """
     up = uniform_filter1d(log.accel, max(1, round(LEVELLING_WINDOW * log.rate)), axis=0)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    by_foot = leg_velocity_of(log, robot, at_rows(log.gyro), up, log.contact)
+    by_foot = leg_velocity(robot, log.q, joint_velocity(log), at_rows(log.gyro), up, log.contact)
     count = log.contact.sum(axis=1)
     v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
     stands = np.flatnonzero(count)
