@@ -101,7 +101,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         lacking = dict.fromkeys(
             g for case in cases for g in channel.missing_groups(case.log, fixed, case.by_feet)
         )
-        if by_feet and "q" in lacking:
+        if by_feet and not channel.on_given_feet:
             of_joints.append(name)
         elif lacking:
             notes.append(f"{name}{LACKING}{' and '.join(lacking)}")

@@ -143,8 +143,10 @@ class Channel:
     """Groups of columns that the channel needs, as for `Log.require`."""
     on_fixed_base: ClassVar[bool] = False
     """Whether a machine on a fixed base has it, without contacts and a reference."""
-    feet_replace_angles: ClassVar[bool] = False
-    """Whether a log that gives the feet (`sim.robot.given_feet`) needs no joint angles for it."""
+    on_given_feet: ClassVar[bool] = False
+    """Whether a machine that is known by its feet alone has it (`sim.robot.given_feet`); the feet
+    then replace joint angles.
+    """
     imu_replaces_reference: ClassVar[bool] = False
     """Whether the IMU replaces the reference where a walk of a robot with a model has none."""
     on_level_ground: ClassVar[bool] = False
@@ -205,7 +207,7 @@ class Channel:
         of a machine that is known by its feet alone.
         """
         needed = [g for g in self.needs if not (fixed and g in OF_WALKS)]
-        if by_feet and self.feet_replace_angles:
+        if by_feet:
             needed = ["foot" if g == "q" else g for g in needed]
         by_imu = self.imu_replaces_reference and not (fixed or by_feet)
         if by_imu and not log.has("reference"):

@@ -43,6 +43,7 @@ class ImuGyro(Channel):
     name = "imu_gyro"
     unit = "rad/s"
     needs = ("imu", "reference")
+    on_given_feet = True
     has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
@@ -61,6 +62,7 @@ class ImuAccel(Channel):
     name = "imu_accel"
     unit = "m/s^2"
     needs = ("imu", "reference")
+    on_given_feet = True
     has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
@@ -79,7 +81,7 @@ class LegVelocity(Channel):
     name = "leg_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
-    feet_replace_angles = True
+    on_given_feet = True
     imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
@@ -106,7 +108,7 @@ class StanceVelocity(Channel):
     name = "stance_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
-    feet_replace_angles = True
+    on_given_feet = True
     imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
@@ -142,7 +144,7 @@ class StanceDisplacement(Channel):
 
     This is the error of leg odometry per step, including touchdown and lift-off. It is used for
     evaluation only: in a fit, effects would compensate for one another, such as a foot radius for
-    contacts that end late. Of feet that the log gives, the way that they roll is not known.
+    contacts that end late.
     """
 
     name = "stance_displacement"
@@ -157,8 +159,9 @@ class StanceDisplacement(Channel):
         return _of_legs("moved", self.unit, limbs, AXES[:2])
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not (isinstance(inputs.robot, Robot) and inputs.feet_stand):
+        if not inputs.feet_stand:
             return None
+        assert isinstance(inputs.robot, Robot)
         return stance_displacement(inputs.log, inputs.robot, inputs.motion)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -171,7 +174,7 @@ class FootHeight(Channel):
     name = "foot_height"
     unit = "m"
     needs = ("q", "contact", "reference")
-    feet_replace_angles = True
+    on_given_feet = True
     on_level_ground = True
     masked_by = ("slid", "elsewhere")
     least_noise = 2e-4
@@ -279,7 +282,7 @@ class ContactTiming(Channel):
     name = "contact_timing"
     unit = "s"
     needs = ("q", "contact", "reference")
-    feet_replace_angles = True
+    on_given_feet = True
     least_noise = 1e-3
     """A contact changes at a row, so its time is known to half a sample [s]."""
     has_chain_rule = True

@@ -42,6 +42,11 @@ class Limbs:
         """Name that a joint shares with its counterparts on other legs: "thigh" for "FL_thigh"."""
         return self._kinds[joint]
 
+    @property
+    def feet_alone(self) -> bool:
+        """Whether nothing is known of the legs but their feet (`sim.robot.given_feet`)."""
+        return bool(self.legs) and not self.chains
+
     @cached_property
     def point_feet(self) -> bool:
         """Whether every leg has three joints, whose torques determine the force on a point foot."""

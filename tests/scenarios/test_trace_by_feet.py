@@ -95,13 +95,13 @@ def test_an_effect_that_needs_joints_gets_no_other_name(size):
     found = traced(walked(size))
     assert found.verdict == "none_of_these"
     assert found.effects == ()
-    assert any(why.startswith("leg_velocity: ") for why in found.reasons)
+    assert all("above its noise floor" in why for why in found.reasons)
 
 
 def test_without_a_reference_rolling_is_no_scale_of_the_gyro():
     log = walked(("gyro_scale", "z", 0.05))
     kept = [name for name in log.frame if not str(name).startswith("ref_")]
-    found = traced(Log(log.frame[kept], log.meta, log.name))
+    found = traced(Log(log.frame.filter(items=kept), log.meta, log.name))
     assert found.verdict == "not_identifiable"
     assert "need a reference" in found.reasons[0]
 
