@@ -26,6 +26,7 @@ from surefoot.models.residuals.feet import foot_heights, travel_regressors
 from surefoot.models.residuals.stance_motion import stance_displacement, stance_means
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.limbs import Limbs
@@ -57,7 +58,11 @@ class ImuGyro(Channel):
 
 
 class ImuAccel(Channel):
-    """Specific force minus that of the reference motion."""
+    """Specific force minus that of the reference motion.
+
+    A reference without velocities smooths its accelerations. By how much, only simulated walks
+    tell, which a machine that is known by its feet alone does not have.
+    """
 
     name = "imu_accel"
     unit = "m/s^2"
@@ -68,11 +73,17 @@ class ImuAccel(Channel):
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_axes("accel", self.unit, limbs)
 
-    def residual(self, inputs: ResidualInputs) -> np.ndarray:
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if inputs.robot.limbs.feet_alone and not inputs.log.has("ref_v"):
+            return None
         return inputs.bins.accel
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.accel_noise / np.sqrt(BIN)
+
+    def missing_groups(self, log: Log, fixed: bool, by_feet: bool = False) -> tuple[str, ...]:
+        missing = super().missing_groups(log, fixed, by_feet)
+        return (*missing, "ref_v") if by_feet and not log.has("ref_v") else missing
 
 
 class LegVelocity(Channel):

@@ -103,6 +103,14 @@ def test_channels_and_effects_of_joints_and_bodies_are_left_out(feet):
         compensate_all([effect("foot_rolling", "all", 0.02)], feet, machine_for_log(feet))
 
 
+def test_accelerations_need_a_reference_with_velocities(feet):
+    kept = [name for name in feet.frame if not str(name).startswith("ref_v_")]
+    derived = Log(feet.frame.filter(items=kept), feet.meta, feet.name)
+    (case,) = logs_under_model([derived], machine_for_log(feet), ())
+    assert "imu_accel" not in channels_of(case)
+    assert "imu_gyro" in channels_of(case)
+
+
 def test_joints_that_no_model_describes_are_not_read(log, feet):
     """As of five-bar legs, whose angles a log may have beside the feet."""
     more = replace(feet, frame=feet.frame.assign(q_FL_motor=log.q[:, 0], dq_FL_motor=0.0))
