@@ -159,11 +159,12 @@ def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> 
         for name, kind in sorted(known_effects().usable()[0].items())
         if kind.is_compensated() and not kind.on_given_feet
     ]
+    needing = "since they need joint angles and a robot model"
     notes = [
         "the legs are known by the positions of their feet, which are taken for points: each may "
         "roll or creep by a share of its way, which is fitted and not reported",
-        f"channels that need joint angles and a robot model: {', '.join(of_joints)}",
-        f"effects that need joint angles and a robot model: {', '.join(effects)}",
+        f"channels not used, {needing}: {', '.join(of_joints)}",
+        f"effects not tried, {needing}: {', '.join(effects)}",
     ]
     if any(map(_has_forces, cases)):
         notes.append("forces of the feet: not used, their sum needs the robot's mass")

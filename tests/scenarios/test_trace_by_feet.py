@@ -57,8 +57,9 @@ def test_a_walk_without_an_effect_has_none():
     assert found.channels["imu_gyro"].at_floor
     assert "point feet leave on simulated walks of other robots" in found.floor
     said = summary(found)
-    assert "channels that need joint angles and a robot model: stance_displacement, joint" in said
-    assert "effects that need joint angles and a robot model: armature, backlash" in said
+    needing = "since they need joint angles and a robot model"
+    assert f"channels not used, {needing}: stance_displacement, joint_torque" in said
+    assert f"effects not tried, {needing}: armature, backlash" in said
     assert "leg filter" in said
 
 
@@ -95,7 +96,7 @@ def test_an_effect_that_needs_joints_gets_no_other_name(size):
     found = traced(walked(size))
     assert found.verdict == "none_of_these"
     assert found.effects == ()
-    assert all("above its noise floor" in why for why in found.reasons)
+    assert any("above its noise floor" in why for why in found.reasons)
 
 
 def test_without_a_reference_rolling_is_no_scale_of_the_gyro():
@@ -133,8 +134,8 @@ def test_several_runs_of_one_machine_and_one_held_out(tmp_path, capsys):
 
 @pytest.mark.long
 @pytest.mark.skipif(not SCALER.is_dir(), reason=f"the measured walks are not here ({SCALER})")
-def test_measured_walks_of_five_bar_legs_get_no_false_name():
-    """Legs, feet and IMU of a real robot are no better known than to leave a residual."""
+def test_no_effect_is_attributed_to_measured_walks_of_five_bar_legs():
+    """Legs, feet and IMU of a real robot are not known well enough to leave only noise."""
     walks = [
         aligned_walk(read_recording(SCALER / "logs" / f"scaler_{k}.csv", "scaler_trot")).log
         for k in ("06", "08", "10")
