@@ -55,6 +55,11 @@ class RefinementData:
         weight = self.robust_weights.weight
         return normal_equations(design(evidence), self.effective_noise, weight, self.part)
 
+    def count_blocks(self, report: int) -> int:
+        """Number of blocks outside the part `report`."""
+        sums = self.normal_equations(self.evidence.only(()))
+        return int(np.count_nonzero(sums.part != report))
+
     @property
     def effective_noise(self) -> np.ndarray:
         """Effective noise (W,) of the columns in a fit."""
@@ -256,13 +261,14 @@ def merge_into_groups(data: RefinementData, chosen: Sequence[Effect]) -> list[Ef
     """
     chosen, limbs = list(chosen), data.evidence.layout.limbs
     # BIC's price of a parameter, and of choosing it among many (`selection.evaluate_candidates`).
-    price = np.log(max(2, len(np.unique(data.part)))) + 2.0 * np.log(len(data.evidence.keys))
+    choice = 2.0 * np.log(len(data.evidence.keys))
     for name in {e.name for e in chosen}:
         kind, alike = known_effects()[name], [e for e in chosen if e.name == name]
         parts = {part for e in alike for part in kind.members_of(e.target, limbs)}
         covers = {t: set(of) for t, of in kind.group_targets(limbs).items() if parts <= set(of)}
         if len(alike) < 2 or not covers:
             continue
+        price = choice + np.log(max(2, data.count_blocks(REPORT)))
         target = min(covers, key=lambda t: len(covers[t]))
         one = effect(name, target, float(np.median([e.value for e in alike])))
         tried = refine_sizes(data, [one, *(e for e in chosen if e.name != name)], REPORT)
