@@ -206,7 +206,7 @@ def diagnose(
     held_out = None
     if holdout:
         unseen = logs_under_model(holdout, robot, model, settings)
-        held_out = evaluate_held_out(unseen, effects, own, result.floor, rng)
+        held_out = evaluate_held_out(unseen, effects, own, result.floor, rng, model)
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
     verdict, reasons = verdict_of(

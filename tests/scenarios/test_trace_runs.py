@@ -4,6 +4,8 @@ import json
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
+import pandas as pd
 import pytest
 from pendulum import swung
 
@@ -83,6 +85,25 @@ def test_a_held_out_run_without_the_effect_says_so():
     (why,) = found.held_out.worsened
     assert why == "held-out run 1: armature shoulder makes joint_torque worse"
     assert why in found.reasons
+
+
+def test_a_held_out_run_is_not_evaluated_where_its_joint_sticks():
+    """At rest the drive pushes with any torque that dry friction holds."""
+    moves = run(1, friction=0.4)
+    rests = moves.frame.copy()
+    rests["t"] -= rests.t.iloc[-1] + 1.0 / moves.rate
+    noise = np.random.default_rng(0).normal(size=(2, len(rests)))
+    rests["q_shoulder"], rests["dq_shoulder"] = moves.frame.q_shoulder.iloc[0], 0.02 * noise[0]
+    rests["tau_shoulder"] = 0.35 + 0.2 * noise[1]
+    stuck = replace(moves, frame=pd.concat([rests, moves.frame], ignore_index=True))
+    levels = []
+    for log in (moves, stuck):
+        found = trace_logs([run(0, friction=0.4)], PENDULUM, holdout=[log])
+        assert names(found) == [("coulomb_friction", "shoulder")]
+        assert found.held_out is not None
+        assert found.held_out.worsened == ()
+        levels.append(found.held_out.channels["joint_torque"].after)
+    assert levels[1] == pytest.approx(levels[0], rel=0.1)
 
 
 @pytest.mark.parametrize("zero", [0.0, 0.1])
