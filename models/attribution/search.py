@@ -51,6 +51,7 @@ from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import AXES, Effect, effect, known_effects
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.limbs import Limbs
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,12 @@ def attribute(
     sized, harmful = _with_intervals(data, known.explained, floor), ()
     while True:
         # One at a time: effects added later may explain what an unsure one did.
-        gone = [one.effect for one in sized if _is_insignificant(one, _key(one.effect) in certain)]
+        limbs = known.evidence.layout.limbs
+        gone = [
+            one.effect
+            for one in sized
+            if _is_insignificant(one, limbs, _key(one.effect) in certain)
+        ]
         if not gone and (harm := find_harmful_effect(known)):
             gone, harmful = [harm[0]], (*harmful, harm)
         if not gone:
@@ -199,11 +205,11 @@ def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
     return len(causes)
 
 
-def _is_insignificant(one: Found, certain: bool) -> bool:
+def _is_insignificant(one: Found, limbs: Limbs, certain: bool) -> bool:
     """Whether an effect is insignificant: at a lower bound above zero, or, unless every machine has
     it for `certain`, with zero inside its interval.
     """
-    low = type(one.effect).interior_bounds(one.effect.target)[0]
+    low = type(one.effect).interior_bounds(one.effect.target, limbs)[0]
     at_none = low > 0.0 and one.effect.value <= low
     return at_none or (not certain and one.interval[0] <= 0.0 <= one.interval[1])
 

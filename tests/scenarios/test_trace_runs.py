@@ -120,6 +120,21 @@ def test_what_has_changed_is_named_and_what_was_declared_is_not():
     assert "armature" not in [e.name for e in found.effects]
 
 
+def test_less_friction_than_was_declared_is_named_and_less_than_none_is_not():
+    had, has = 0.5, 0.3
+    declared = [effect("coulomb_friction", "shoulder", had)]
+    found = trace_logs([run(3, friction=has)], PENDULUM, declared=declared)
+    assert names(found) == [("coulomb_friction", "shoulder")]
+    assert found.effects[0].value == pytest.approx(has - had, rel=0.1)
+    assert found.verdict == "attributed"
+    # Together they are what the drive has.
+    both = trace_logs([run(4, friction=has)], PENDULUM, declared=[*declared, *found.effects])
+    assert (both.verdict, names(both)) == ("no_residual", [])
+    # Without a declaration there is nothing to lose.
+    scaled = trace_logs([run(3, scale=0.9)], PENDULUM)
+    assert all(e.value > 0.0 for e in scaled.effects if e.name == "coulomb_friction")
+
+
 def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
     for number, log in enumerate((run(0, armature=0.03), run(1, armature=0.03)), 1):
         log.write(tmp_path / f"{number}.parquet")
