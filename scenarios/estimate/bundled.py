@@ -56,7 +56,9 @@ def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
 VELOCITY = _imu_parameters(0.03)
 PERSISTENT = (
     *VELOCITY,
-    Parameter("persistent", 1.0, "1", "factor of the prior deviations of the persistent error"),
+    Parameter(
+        "persistent", 1.0, "1", "factor of the prior standard deviations of the persistent error"
+    ),
 )
 LEG = (
     *_imu_parameters(0.01),
