@@ -194,7 +194,8 @@ def _innovations(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
         factor = np.sqrt(drifts[:, k].max() / 3.0)
         since = float(run.start[np.argmax(drifts[:, k] > limit)])
         yield Doubt(
-            f"innovations of {names[k]} drift by up to {factor:.0f} claimed standard deviations",
+            f"innovations of {names[k]} drift by up to {factor:.0f} of their claimed standard "
+            "deviations",
             since,
         )
 

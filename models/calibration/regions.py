@@ -142,7 +142,10 @@ class Outer(Conformal):
     seldom leaves it: NEES falls where errors persist, and accuracy where they do not.
     """
 
-    label = f"each axis at level {OUTER_LEVEL:g} or more: wider than gamma, for persistent errors"
+    label = (
+        f"each axis at level {OUTER_LEVEL:g} or more: wider than gamma requires, for persistent "
+        "errors"
+    )
 
     @property
     def level(self) -> float:

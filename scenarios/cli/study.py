@@ -159,7 +159,9 @@ class LoopCommand:
 
 @dataclass(frozen=True)
 class Realism:
-    """Compare a measured log with simulated walks in the same gait, quantity by quantity."""
+    """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride period
+    and posture.
+    """
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles, contacts and reference."""

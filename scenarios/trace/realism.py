@@ -34,7 +34,7 @@ WALKS_EACH = 3
 REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 """Factors on the measured velocities, tried in turn until no simulated robot falls."""
 _MODULE = "surefoot.scenarios.trace.realism"
-TITLE = "Realism: a measured walk compared with simulated walks in its gait"
+TITLE = "Realism: a measured walk compared with simulated walks"
 REALISM_FILES = ("realism.json", "realism.csv", "drift.csv", "table.md", "report.html")
 DRIFT_WORDS = (
     "RPE over 1 m [m/m] on the measured and on the simulated walks, with a model that does not "
@@ -200,7 +200,7 @@ def _walks(
         except Fallen as fall:
             fallen = fall
     raise SurefootError(
-        f"realism: {robot.name} falls in simulation in the gait of the log, even at "
+        f"realism: {robot.name} falls in simulation with the stride and posture of the log, even at "
         f"{100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
     )
 
