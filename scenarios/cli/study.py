@@ -159,8 +159,8 @@ class LoopCommand:
 
 @dataclass(frozen=True)
 class Realism:
-    """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride period
-    and posture.
+    """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride
+    period and posture.
     """
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]

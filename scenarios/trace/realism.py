@@ -200,8 +200,8 @@ def _walks(
         except Fallen as fall:
             fallen = fall
     raise SurefootError(
-        f"realism: {robot.name} falls in simulation with the stride and posture of the log, even at "
-        f"{100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
+        f"realism: {robot.name} falls in simulation with the stride and posture of the log, even "
+        f"at {100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
     )
 
 
