@@ -245,9 +245,10 @@ class Estimate:
 
         reader = LogReader(self.log)
         if self.out:
-            if self.out.suffix == ".tum":
+            if self.out.suffix != ".parquet":
                 raise SurefootError(
-                    f"-o {self.out}: give a .parquet file; the .tum is written beside it"
+                    f"-o {self.out}: give a .parquet file; the .tum is written beside it, and "
+                    "`surefoot export` writes CSV or MCAP"
                 )
             refuse_overwrite(self.out, self.force)
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)

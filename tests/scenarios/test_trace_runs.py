@@ -167,6 +167,11 @@ def test_targets_read_as_one_would_say_them(name, target, words):
     assert size_in_words(Found(one, (0.0, 0.01)), one.unit).startswith(words)
 
 
+def test_a_log_is_given_once(tmp_path):
+    with pytest.raises(SurefootError, match="run_0: the same log is given twice"):
+        trace([run(0), run(1), run(0)], PENDULUM, tmp_path)
+
+
 def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
     with pytest.raises(SurefootError, match="is also a log to fit on"):
         trace([run(0)], PENDULUM, tmp_path, holdout=[run(0)])
