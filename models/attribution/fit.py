@@ -5,6 +5,7 @@ solved from these sums, without another pass over the data.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,6 +14,9 @@ import numpy as np
 from surefoot.models.attribution.evidence import Evidence, Key
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.sim.common.kernels import kernel
+
+LEAST_EIGENVALUE = 1e-9
+"""Share of the largest eigenvalue below which one of scaled normal equations counts as zero."""
 
 
 @dataclass(frozen=True)
@@ -282,9 +286,21 @@ def _solve(G: np.ndarray, vector: np.ndarray, use: list[int], held: list[int]):
     scale = np.sqrt(np.maximum(np.diag(normal), 0.0))
     dead = scale < 1e-9
     scale = np.where(dead, 1.0, scale)
-    inverse = np.linalg.pinv(normal / scale / scale[:, None], rcond=1e-9, hermitian=True)
-    inverse = inverse / scale / scale[:, None]
+    inverse = _inverse(normal / scale / scale[:, None]) / scale / scale[:, None]
     return inverse @ right, inverse, dead
+
+
+def _inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse of a scaled normal matrix, its pseudo-inverse where it is nearly singular.
+
+    The same up to rounding where no eigenvalue would be cut off, and several times faster.
+    """
+    with suppress(np.linalg.LinAlgError):
+        inverse = np.linalg.inv(normal)
+        # The product of the norms is at least the ratio of the largest eigenvalue to the smallest.
+        if np.linalg.norm(normal) * np.linalg.norm(inverse) < 1.0 / LEAST_EIGENVALUE:
+            return inverse
+    return np.linalg.pinv(normal, rcond=LEAST_EIGENVALUE, hermitian=True)
 
 
 def loss(data: NormalEquations, vector: np.ndarray) -> np.ndarray:
@@ -305,6 +321,6 @@ def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -
     base += data.free_nuisance([*given, one, other])
     A, B = G[np.ix_(base, base)], G[np.ix_(base, pair)]
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    inverse = np.linalg.pinv(A / scale / scale[:, None], rcond=1e-9, hermitian=True)
+    inverse = _inverse(A / scale / scale[:, None])
     P = G[np.ix_(pair, pair)] - B.T @ (inverse / scale / scale[:, None]) @ B
     return float(abs(P[0, 1]) / max(np.sqrt(max(P[0, 0] * P[1, 1], 0.0)), 1e-300))
