@@ -187,7 +187,8 @@ def _summed(
     """
     evidence, size = data.evidence, 1 + data.size
     G = np.zeros((len(first), size, size))
-    for column in evidence.layout.fitted:
+    used = weight.any(axis=0)
+    for column in evidence.layout.fitted[used[evidence.layout.fitted]]:
         rows, X, which = data.rows[column], data.X[column], data.which[column]
         begin, end = np.searchsorted(rows, first), np.searchsorted(rows, first + many)
         place = np.concatenate([[0], 1 + which])
