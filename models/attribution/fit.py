@@ -187,8 +187,8 @@ def _summed(
     """
     evidence, size = data.evidence, 1 + data.size
     G = np.zeros((len(first), size, size))
-    used = weight.any(axis=0)
-    for column in evidence.layout.fitted[used[evidence.layout.fitted]]:
+    fitted = evidence.layout.fitted
+    for column in fitted[weight[:, fitted].any(axis=0)]:
         rows, X, which = data.rows[column], data.X[column], data.which[column]
         begin, end = np.searchsorted(rows, first), np.searchsorted(rows, first + many)
         place = np.concatenate([[0], 1 + which])
@@ -197,7 +197,7 @@ def _summed(
         # Block by block, since adding to all at once strides through memory.
         for sums, i, j in zip(G, begin, end, strict=True):
             add_block(sums, place, A[i:j].T @ A[i:j])
-    known = np.count_nonzero(weight[:, evidence.layout.fitted], axis=1)
+    known = np.count_nonzero(weight[:, fitted], axis=1)
     entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
     parts = part[first].astype(int)
     return NormalEquations(
