@@ -33,7 +33,7 @@ CHANGE_WINDOW = 0.08
 CLOSE_WINDOW = 0.024
 """Time from a contact change, into the stance, within which nearly all feet stop and start [s]."""
 SWING_WINDOW = 0.04
-"""The same into the swing: a foot is loaded for up to 0.02 s before it lifts or after it lands."""
+"""The same into the swing: a foot is sensed as lifted for up to 0.03 s before it moves [s]."""
 USUAL_DELAY = (-0.0005, -0.018)
 """Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
 on models of seven robots.

@@ -262,12 +262,12 @@ def _inverse_dynamics_under(
     if not _same_joints(robot, one):
         return inverse_dynamics(steps, one)
     links = one.extras.links
-    if links == robot.extras.links:
-        more = load_wrench(steps, one) - load_wrench(steps, robot)
-        return replace(needed, wrench=needed.wrench + more)
-    if links[:-1] == robot.extras.links:
-        return with_link_change(needed, links[-1], inputs.link_jacobians, steps, robot)
-    return inverse_dynamics(steps, one)
+    if links[:-1] == robot.extras.links and links:
+        needed = with_link_change(needed, links[-1], inputs.link_jacobians, steps, robot)
+    elif links != robot.extras.links:
+        return inverse_dynamics(steps, one)
+    more = load_wrench(steps, one) - load_wrench(steps, robot)
+    return replace(needed, wrench=needed.wrench + more)
 
 
 def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:

@@ -154,9 +154,9 @@ def with_link_change(
     by_links: `link_jacobians` of the robot.
     """
     sizes = (change.mass, *change.com, change.inertia)
-    gained = sum(x * one for x, one in zip(sizes, by_links[:, change.joint], strict=True) if x)
+    gained = np.tensordot(sizes, by_links[:, change.joint], 1).T
     use, wrench, torque = needed_bins(s), needed.wrench.copy(), needed.torque.copy()
-    more = dynamics_of(robot.file, robot.joint_names).parted(np.transpose(gained))
+    more = dynamics_of(robot.file, robot.joint_names).parted(gained)
     wrench[use] += more[0]
     torque[use] += more[1]
     return InverseDynamics(wrench, torque)

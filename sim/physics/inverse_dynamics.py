@@ -403,16 +403,16 @@ def _sweep_links(memory, tree, Q, V, A, bodies, out):
         _fill_accelerations(memory, tree, moved)
         for j, body in enumerate(bodies):
             centre, mass, R = tree.root[body], tree.mass[body], tree.xmat[body]
-            p = _difference_of(tree.xipos[body], tree.subtree_com[centre])
+            p = _minus(tree.xipos[body], tree.subtree_com[centre])
             w, v = _halves(tree.cvel[body])
             spin, rise = _halves(moved[body])
             # a = rise + spin x p + w x (v + w x p)
-            a = _sum(_sum(rise, _cross(spin, p)), _cross(w, _sum(v, _cross(w, p))))
+            a = _plus(_plus(rise, _cross(spin, p)), _cross(w, _plus(v, _cross(w, p))))
             _add_wrench(tree, body, _cross(p, a), a, out[0, j, :, k])
             for axis in range(3):
                 e = (mass * R[axis], mass * R[3 + axis], mass * R[6 + axis])
-                gained = _sum(_cross(spin, e), _cross(w, _cross(w, e)))
-                moment = _sum(_cross(e, a), _cross(p, gained))
+                gained = _plus(_cross(spin, e), _cross(w, _cross(w, e)))
+                moment = _plus(_cross(e, a), _cross(p, gained))
                 _add_wrench(tree, body, moment, gained, out[1 + axis, j, :, k])
             _add_wrench(tree, body, spin, (0.0, 0.0, 0.0), out[4, j, :, k])
 
@@ -450,12 +450,12 @@ def _halves(x):
 
 
 @kernel(nogil=True)
-def _difference_of(a, b):
+def _minus(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel(nogil=True)
-def _sum(a, b):
+def _plus(a, b):
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
