@@ -31,6 +31,7 @@ from surefoot.models.residuals.torques import (
     InverseDynamics,
     dynamics_inputs,
     inverse_dynamics,
+    link_jacobians,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -99,6 +100,11 @@ class ResidualInputs:
     def inverse_dynamics(self) -> InverseDynamics | None:
         """Inverse dynamics of the motion; None where the log has no torques."""
         return inverse_dynamics(self.steps, self.robot) if self.log.has("tau") else None
+
+    @cached_property
+    def link_jacobians(self) -> np.ndarray:
+        """Derivatives of inverse dynamics by the inertia of each link."""
+        return link_jacobians(self.steps, self.robot)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:
