@@ -31,6 +31,7 @@ from surefoot.models.residuals.torques import (
     InverseDynamics,
     dynamics_inputs,
     inverse_dynamics,
+    link_jacobians,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -107,6 +108,11 @@ class ResidualInputs:
         if isinstance(self.robot, FixedBase) or not shows_feet(self.log, self.robot):
             return False
         return bool(self.bins.standing.any())
+
+    @cached_property
+    def link_jacobians(self) -> np.ndarray:
+        """Derivatives of inverse dynamics by the inertia of each link."""
+        return link_jacobians(self.steps, self.robot)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:

@@ -4,7 +4,9 @@ import numpy as np
 
 from surefoot.models.residuals.binning import Bins
 from surefoot.models.residuals.leg_velocity import leg_velocity, velocity_by_feet
+from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot.given_feet import GivenFeet, Walker
+from surefoot.sim.robot.kinematics import leg_forward
 
 HALFWAY = 0.5
 """Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
@@ -66,14 +68,33 @@ def foot_heights(bins: Bins, robot: Walker) -> np.ndarray:
     """Height (M, legs) [m] of each standing foot's sole in the world."""
     if isinstance(robot, GivenFeet):
         assert bins.feet is not None
-        feet_I, radius = bins.feet.feet_I, 0.0
-    else:
-        feet_I, radius = robot.feet_I(bins.q), robot.foot_radius
-    z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
-    z -= radius
-    if bins.depth is not None:
-        z = z + bins.depth
-    return np.where(bins.standing, z, np.nan)
+        z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], bins.feet.feet_I)
+        return np.where(bins.standing, z, np.nan)
+    up_B = bins.R_GI[:, 2] @ robot.R_BI.T
+    z = _heights_in_base(robot.legs, np.ascontiguousarray(bins.q), up_B, bins.standing)
+    z += (bins.p_GI[:, 2] - up_B @ robot.p_BI)[:, None] - robot.foot_radius
+    return z if bins.depth is None else z + bins.depth
+
+
+@kernel
+def _heights_in_base(legs, q, up, standing):
+    """Height (M, L) [m] of each standing foot's centre over the base's origin; NaN for the others.
+
+    Args:
+        legs: geometry of the legs, as of `leg_forward`.
+        q: (M, J) [rad].
+        up: (M, 3), the world's vertical in B.
+        standing: (M, L) bool.
+    """
+    out = np.full(standing.shape, np.nan)
+    most = legs.q_zero.shape[1]
+    foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
+    for k in range(len(q)):
+        for leg in range(standing.shape[1]):
+            if standing[k, leg]:
+                leg_forward(legs, leg, q[k], foot, J, axes)
+                out[k, leg] = up[k, 0] * foot[0] + up[k, 1] * foot[1] + up[k, 2] * foot[2]
+    return out
 
 
 def level_ground(bins: Bins, robot: Walker, within: float = 0.006) -> bool:

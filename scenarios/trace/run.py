@@ -68,7 +68,11 @@ def trace(
     out = Path(out)
     if not logs:
         raise SurefootError("trace: needs at least one log")
-    seen = {contents_digest(log) for log in logs} if holdout else set()
+    seen = set()
+    for log in logs:
+        if (digest := contents_digest(log)) in seen:
+            raise SurefootError(f"{log.name}: the same log is given twice")
+        seen.add(digest)
     for log in holdout:
         if contents_digest(log) in seen:
             raise SurefootError(f"--holdout {log.name}: is also a log to fit on")

@@ -31,6 +31,7 @@ class FixedBase:
         extras: properties beyond the file, from a log's map or effects.
         legless: why no legs were found in a URDF, which may be of a robot with legs; empty where
             the file says that the base is fixed.
+        declared: as of `Limbs`.
     """
 
     name: str
@@ -38,6 +39,7 @@ class FixedBase:
     joint_names: tuple[str, ...]
     extras: DeclaredExtras = field(default_factory=DeclaredExtras)
     legless: str = ""
+    declared: tuple[tuple[tuple[str, str], float], ...] = ()
 
     @cached_property
     def limbs(self) -> Limbs:
@@ -52,6 +54,7 @@ class FixedBase:
             slides=tuple(joint.name for joint in joints if int(joint.type[0]) == slide),
             inertia=tuple(float(model.dof_M0[joint.dofadr[0]]) for joint in joints),
             mass=float(model.body_mass[model.body_weldid != 0].sum()),
+            declared=self.declared,
         )
 
 
