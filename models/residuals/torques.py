@@ -151,7 +151,12 @@ def with_link_change(
 ) -> InverseDynamics:
     """Inverse dynamics with one more change of a link, to first order.
 
-    by_links: `link_jacobians` of the robot.
+    Args:
+        needed: inverse dynamics without the change.
+        change: of one link.
+        by_links: `link_jacobians` of the robot.
+        s: inputs of both.
+        robot: without the change.
     """
     sizes = (change.mass, *change.com, change.inertia)
     gained = np.tensordot(sizes, by_links[:, change.joint], 1).T

@@ -153,8 +153,14 @@ class Dynamics:
         """Derivatives (5, J, nv, N) of the generalised forces by each link's mass, centre of mass
         (x, y, z) and inertia, as in a LinkChange; `parted` splits them.
 
-        All from one sweep, since only the force on the link itself changes. Arguments are as for
-        `inverse`.
+        All from one sweep, since only the force on the link itself changes.
+
+        Args:
+            q: (N, J), as for `inverse`.
+            dq: (N, J).
+            ddq: (N, J).
+            base: (N, 9) or None.
+            changes: of joints and links.
         """
         motion, model = self._motion(q, dq, ddq, base), self.model
         # Rows last, so that the joints that carry nothing of a link take no memory.
@@ -435,7 +441,15 @@ def _fill_accelerations(memory, tree, moved):
 
 @kernel(nogil=True)
 def _add_wrench(tree, body, moment, force, out):
-    """Add the share (nv,) of each degree of freedom that carries a body in a wrench on it."""
+    """Add the share of each degree of freedom that carries a body in a wrench on it.
+
+    Args:
+        tree: a _Tree.
+        body: its index.
+        moment: (3,) about the centre of mass of the tree, in world axes [N m].
+        force: (3,) in world axes [N].
+        out: (nv,), added to.
+    """
     while body:
         first = tree.dofadr[body]
         for dof in range(first, first + tree.dofnum[body]):
