@@ -126,7 +126,7 @@ def start_covariance(state: NavState, std: InitialStd) -> np.ndarray:
     if std.height is not None:
         plain[8] = std.height
     if not (np.all(np.isfinite(plain)) and np.all(plain > 0)):
-        raise SurefootError("initial std: every deviation must be a finite number > 0")
+        raise SurefootError("initial std: every standard deviation must be a finite number > 0")
     T = np.eye(15)
     T[3:6, :3] = hat(state.v_GI)
     T[6:9, :3] = hat(state.p_GI)

@@ -173,8 +173,11 @@ def plan_text(found: dict[Key, dict[str, Shown]]) -> str:
     return (
         f"{to_markdown(motion_table(found))}\n\n"
         f"record at least: {'; '.join(record) or 'none of these motions reveals any of them'}\n\n"
-        "seconds: duration of the motion at which the standard deviation of the effect's size is a "
-        "tenth of the size that 19 of 20 machines stay below, with all other effects unknown too. "
-        "hidden by: the effect whose size has the most correlated error. These durations are from "
-        "simulation with independent noise only: record several times as long."
+        "hardest to show: the target of the effect that takes longest. seconds: duration [s] of "
+        "the motion after which the standard deviation of the effect's size is a tenth of the size "
+        "that 19 of 20 robots stay below, if all other effects are unknown too. deviation after 10 "
+        "min: this standard deviation after ten minutes of the motion, in percent of that size. "
+        "hidden by: the effect whose size has the most correlated error; empty if the correlation "
+        "is below 0.5. These durations are from simulation with independent noise only: record "
+        "several times as long."
     )

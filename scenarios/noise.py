@@ -13,7 +13,8 @@ from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.log import Log
 
 COLORS = ("#D55E00", "#009E73", "#2F86D1")
-SENSORS = (("gyro", "rad/s"), ("accel", "m/s²"))
+SENSORS = (("gyro", "rad/s", "rad/s²"), ("accel", "m/s²", "m/s³"))
+"""Each sensor, its unit, and the unit of its derivative."""
 
 
 def noise(log: Log, out: Path | None, force: bool = False) -> RestNoise:
@@ -41,45 +42,47 @@ def noise_text(name: str, found: RestNoise) -> str:
         {
             "sensor": f"{sensor} {axis}",
             "white noise": f"{one.white.value:.2e}",
-            "95 %": _interval(one.white),
-            "walk of the bias": f"{one.walk.value:.2e}" if one.walk.resolved else "not resolved",
-            "95 % ": _interval(one.walk),
-            "unit": f"{unit}/√Hz, {unit}/s/√Hz",
+            "95 % interval": _interval(one.white),
+            "unit": f"{unit}/√Hz",
+            "bias random walk": f"{one.walk.value:.2e}" if one.walk.resolved else "rest too short",
+            "95 % interval ": _interval(one.walk),
+            "unit ": f"{rate}/√Hz",
         }
-        for sensor, unit in SENSORS
+        for sensor, unit, rate in SENSORS
         for axis, one in zip("xyz", getattr(found, sensor), strict=True)
     ]
     text = f"{name}: at rest from {found.begin:.2f} to {found.end:.2f} s\n\n{to_markdown(rows)}"
     if len(found.encoder):
-        text += f"\n\njoint readings: {_spread(found.encoder)} rad at rest"
+        text += f"\n\nwhite noise of joint angles: {_spread(found.encoder)} rad at rest"
         if np.isfinite(found.stance).any():
-            text += f", {_spread(found.stance[np.isfinite(found.stance)])} rad of standing legs"
+            text += f", {_spread(found.stance[np.isfinite(found.stance)])} rad of legs in stance"
     return text
 
 
 def settings_text(name: str, found: RestNoise) -> str:
     """The worst axis of each sensor as settings; values that need a longer rest are comments."""
     lines = [
-        f"# Noise of {name} at rest from {found.begin:.2f} to {found.end:.2f} s; the worst axis.",
-        "# A sensor at rest: walking adds impacts and misalignment, so that filters want more.",
+        f"# Noise of {name} at rest from {found.begin:.2f} to {found.end:.2f} s: the worst axis.",
+        "# While walking, impacts and misalignment add to it, so filters need larger values.",
         "[noise]",
     ]
-    for sensor, unit in SENSORS:
+    for sensor, unit, rate in SENSORS:
         axes: tuple[AxisNoise, ...] = getattr(found, sensor)
-        for key, kind, per in ((sensor, "white", ""), (f"{sensor}_walk", "walk", "/s")):
+        for key, kind, own in ((sensor, "white", unit), (f"{sensor}_walk", "walk", rate)):
             each: list[Density] = [getattr(one, kind) for one in axes]
             worst = max(each, key=lambda one: one.value)
-            unit_words = f"{unit.replace('²', '^2')}{per}/sqrt(Hz)"
+            words = f"{own.replace('²', '^2').replace('³', '^3')}/sqrt(Hz)"
             if worst.resolved:
-                lines.append(f"{key} = {worst.value:.3g}  # {unit_words}, {_interval(worst)}")
+                interval = f"95 % interval {_interval(worst)}"
+                lines.append(f"{key} = {worst.value:.3g}  # {words}, {interval}")
             else:
                 limit = max(one.high for one in each)
-                lines.append(f"# {key} is below {limit:.2g} {unit_words}: the rest is too short")
+                lines.append(f"# {key} is below {limit:.2g} {words}: the rest is too short to tell")
     if len(found.encoder):
         own = np.concatenate([found.encoder, found.stance])
         lines.append(
-            f"# joint readings have {np.nanmax(own):.2g} rad of white noise; `encoder` and "
-            "`kinematics`\n# of a filter are for what is wrong besides: zeros, links, elasticity"
+            f"# Joint angles have white noise of {np.nanmax(own):.2g} rad. It is not set here: "
+            "`encoder` and\n# `kinematics` of a filter also cover zeros, links and elasticity."
         )
     return "\n".join(lines) + "\n"
 
@@ -87,15 +90,16 @@ def settings_text(name: str, found: RestNoise) -> str:
 def allan_figure(found: RestNoise) -> Figure:
     """Plot the Allan deviations of gyro and accelerometer with the fits."""
     figure, axes = new_figure(1, 2, (8.0, 3.6))
-    for ax, (name, unit) in zip(axes[0], SENSORS, strict=True):
+    for ax, (name, unit, _) in zip(axes[0], SENSORS, strict=True):
         for one, axis, color in zip(getattr(found, name), "xyz", COLORS, strict=True):
             tau = one.curve.tau
             fitted = np.sqrt(one.white.value**2 / tau + one.walk.value**2 * tau / 3.0)
             spread = one.curve.sigma / np.sqrt(2.0 * one.curve.freedom)
             ax.errorbar(tau, one.curve.sigma, 1.96 * spread, fmt=".", color=color, label=axis)
             ax.plot(tau, fitted, color=color)
-        ax.set(xscale="log", yscale="log", xlabel="averaging time [s]", ylabel=f"[{unit}]")
-        set_title(ax, f"{'Gyro' if name == 'gyro' else 'Accelerometer'}: Allan deviation")
+        ax.set(xscale="log", yscale="log", xlabel="averaging time [s]")
+        ax.set_ylabel(f"Allan deviation [{unit}]")
+        set_title(ax, "Gyro" if name == "gyro" else "Accelerometer")
     legend_below(figure, axes[0, 0])
     return figure
 

@@ -18,8 +18,8 @@ def new_estimator(name: str, out: Path, force: bool = False) -> list[str]:
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,60}", name) or keyword.iskeyword(name):
         raise SurefootError(
-            f"{name!r} cannot be a module's name: small letters, digits and underscores, a letter "
-            "first"
+            f"{name!r} cannot be a module's name: lower-case letters, digits and underscores, a "
+            "letter first"
         )
     if name in ESTIMATORS:
         raise SurefootError(f"there is an estimator {name} already")

@@ -38,6 +38,12 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
 PRICE = 0.3
+_LEGEND = (
+    "before and after: with the parameters at the start and with the best. price: mean over the "
+    f"logs of log(APE_trans / path length) + {PRICE:g} |log(NEES_pos / 3)|, which the search "
+    "minimises. APE: mean of APE_trans as a share of the path. NEES_pos: of each log, 3 if "
+    "consistent."
+)
 SHARES, NEES = (1e-5, 1.0), (0.01, 1000.0)
 """Ranges to which APE as a share of the path, and NEES, are clipped."""
 FIRST_FACTOR = 4.0
@@ -147,7 +153,7 @@ def tune(
         results = stage(pool, "searches", searches)
     found = {key: result for key, result in results.items() if "left_out" not in result}
     table = [_row(known, name, result) for (known, name), result in found.items()]
-    lines = [to_markdown(table)]
+    lines = [to_markdown(table), _LEGEND]
     for (known, name), result in results.items():
         if name in filters and "left_out" in result:
             raise SurefootError(f"filter {name}, {known}: {result['left_out']}")

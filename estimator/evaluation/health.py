@@ -3,8 +3,8 @@
 A filter whose model is correct has white innovations with the claimed covariance, and biases that
 stay within their priors. Real filters are tuned by hand and deviate by some factor, which is
 reported (`Health.table`) but raises no alarm. The tests fail only if a filter whose claimed
-deviations are TOLERATED times too small would fail them in less than RUN_ALARM of all runs. Each
-test states when it failed first.
+standard deviations are TOLERATED times too small would fail them in less than RUN_ALARM of all
+runs. Each test states when it failed first.
 
 - Innovations. Over a window, the sum of white innovations r has the variance sum W, axis by axis,
   so (sum r)^2 / sum W over three axes is chi-square with 3 degrees of freedom, whatever the
@@ -40,8 +40,8 @@ from surefoot.estimator.evaluation.run_summary import RunSummary
 RUN_ALARM = 1e-4
 """Probability that one of the tests fails on a run of a filter whose model is correct."""
 TOLERATED = 3.0
-"""Factor by which claimed deviations may be too small. A filter beyond it has the wrong noise or is
-lost.
+"""Factor by which claimed standard deviations may be too small. A filter beyond it has the wrong
+noise or is lost.
 """
 FASTEST = 13.0
 """Largest plausible speed [m/s]: no legged robot has run faster (Boston Dynamics' Cheetah, 12.7 m/s
@@ -193,8 +193,11 @@ def _innovations(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
     for k in np.flatnonzero((drifts > limit).any(axis=0)).tolist():
         factor = np.sqrt(drifts[:, k].max() / 3.0)
         since = float(run.start[np.argmax(drifts[:, k] > limit)])
-        text = f"innovations of {names[k]} drift by up to {factor:.0f} of their claimed deviations"
-        yield Doubt(text, since)
+        yield Doubt(
+            f"innovations of {names[k]} drift by up to {factor:.0f} of their claimed standard "
+            "deviations",
+            since,
+        )
 
 
 def _rejected(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
@@ -239,6 +242,6 @@ def _biases(run: RunSummary, deviations: np.ndarray) -> Iterator[Doubt]:
             since = run.start[np.argmax((mine > limit).any(axis=1))]
             yield Doubt(
                 f"the bias of the {name} about {'xyz'[axis]} moved by {moved:.2g} {unit}, "
-                f"{mine.max():.1f} of its deviations",
+                f"{mine.max():.1f} of its standard deviations",
                 since,
             )

@@ -94,7 +94,7 @@ class Alignment:
         angles = np.degrees(Rotation.from_matrix(self.R_IM).as_rotvec())
         first, second = 1e3 * self.halves
         return (
-            f"clock: add {self.offset:.4f} s to the reference's stamps "
+            f"clock: add {_numbers(np.array([self.offset]), 4)} s to the reference's stamps "
             f"(+-{1e3 * self.offset_half_width:.2g} ms); the log's halves say "
             f"{first:.1f} and {second:.1f} ms",
             f"place: the tracked point is at ({_numbers(1e3 * self.p_IM, 0)}) mm in the IMU frame "
@@ -238,4 +238,5 @@ def _faults(
 
 
 def _numbers(values: np.ndarray, digits: int) -> str:
-    return ", ".join(f"{value:.{digits}f}" for value in values)
+    # Adding zero turns -0.0 into 0.0.
+    return ", ".join(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)

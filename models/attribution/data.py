@@ -7,7 +7,7 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.reference_sampling import reference_notes
+from surefoot.models.attribution.reference_sampling import reference_notes, reference_sampling
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
@@ -18,11 +18,16 @@ from surefoot.sim.robot import Robot
 
 LACKING = ": not used, the log lacks "
 """Text of a note between a channel and the columns that it lacks."""
+OF_FEET = ("imu", "contact", "reference")
+"""Groups of columns, beside the feet, that a trace by feet alone reads."""
 
 
-def readings(log: Log, settings: TraceSettings = DEFAULT) -> Log:
-    """Keep only the columns that a measured log could have, without contacts that never change."""
-    known = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "force_", "foot_", "ref_")
+def readings(log: Log, settings: TraceSettings = DEFAULT, by_feet: bool = False) -> Log:
+    """Keep only the columns that a measured log could have, without contacts that never change;
+    `by_feet`: of a machine that is known by its feet alone, without joints that nothing models.
+    """
+    joints = () if by_feet else ("q_", "dq_", "tau_")
+    known = ("gyro_", "accel_", *joints, "contact_", "force_", "foot_", "ref_")
     if dead_contacts(log, settings):
         known = tuple(name for name in known if name != "contact_")
     read_by = (*channels().values(), *known_effects().usable()[0].values())
@@ -54,6 +59,12 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
     if not any(all_keys(case) for case in cases):
         groups = ("imu", "q", "contact", "tau", "reference")
         lacking = [g for g in groups if not all(case.log.has(g) for case in cases)]
+        if cases[0].by_feet:
+            return (
+                f"no channel: the log lacks {', '.join(g for g in lacking if g in OF_FEET)}; feet "
+                "without a robot model need a reference, beside imu or contact: how far they roll "
+                "is not known, and without a reference looks like a scale of the gyro"
+            )
         return (
             f"no channel: the log lacks {', '.join(lacking)}; needs imu, or q and contact, beside "
             "the reference; without one imu, q and contact; or q and tau of a fixed base"
@@ -82,18 +93,23 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     plugins = (known_effects(), CHANNELS)
     notes = [f"{why}; not used" for one in plugins for why in one.usable()[1].values()]
     there = set.intersection(*(set(channels_of(case)) for case in cases))
-    fixed = cases[0].fixed
+    fixed, by_feet = cases[0].fixed, cases[0].by_feet
+    of_joints: list[str] = []
     for name, channel in channels().items():
         if name in there or (fixed and not channel.on_fixed_base):
             continue
         lacking = dict.fromkeys(
-            g for case in cases for g in channel.missing_groups(case.log, fixed)
+            g for case in cases for g in channel.missing_groups(case.log, fixed, case.by_feet)
         )
-        if lacking:
+        if by_feet and not channel.on_given_feet:
+            of_joints.append(name)
+        elif lacking:
             notes.append(f"{name}{LACKING}{' and '.join(lacking)}")
         elif channel.on_level_ground:
             notes.append(f"{name}: not used, the ground is not level")
-    if any(case.log.has("foot") and not case.log.has("q") for case in cases):
+    if by_feet:
+        notes += _notes_by_feet(cases, of_joints)
+    elif any(case.log.has("foot") and not case.log.has("q") for case in cases):
         notes.append(
             "legs: not traced, since foot positions do not show the joints; the log lacks q"
         )
@@ -116,9 +132,12 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes += _not_identifiable(cases)
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
-        sampling = floor.plan.sampling if floor.plan else None
-        notes += [note for case in cases for note in reference_notes(case.log, sampling)]
-    if not floor.walks and not fixed:
+        for case in cases:
+            sampling = floor.plan.sampling if floor.plan else None
+            if case.by_feet:
+                sampling = reference_sampling(case.log, case.settings)
+            notes += reference_notes(case.log, sampling)
+    if not (floor.walks or fixed or by_feet):
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
     if floor.evenness and "foot_height" in there:
         notes.append(
@@ -129,6 +148,31 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
             "the model's feet are points; the walks of the noise floor have the feet of its file"
         )
     return tuple(notes)
+
+
+def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> list[str]:
+    """What a trace by feet alone assumes, and what it does without: channels `of_joints`, and
+    effects.
+    """
+    effects = [
+        name
+        for name, kind in sorted(known_effects().usable()[0].items())
+        if kind.is_compensated() and not kind.on_given_feet
+    ]
+    needing = "since they need joint angles and a robot model"
+    notes = [
+        "the legs are known by the positions of their feet, which are taken for points: each may "
+        "roll or creep by a share of its way, which is fitted and not reported",
+        f"channels not used, {needing}: {', '.join(of_joints)}",
+        f"effects not tried, {needing}: {', '.join(effects)}",
+    ]
+    if any(map(_has_forces, cases)):
+        notes.append("forces of the feet: not used, their sum needs the robot's mass")
+    return notes
+
+
+def _has_forces(case: LogUnderModel) -> bool:
+    return case.log.has("force") or case.log.has("force_xyz")
 
 
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:

@@ -40,7 +40,8 @@ from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.given_feet import GivenFeet
 
 ONLY_BETWEEN_FEET = (
     "shows only as relative motion of feet in stance, as do effects that need a reference to be "
@@ -206,7 +207,7 @@ def diagnose(
     held_out = None
     if holdout:
         unseen = logs_under_model(holdout, robot, model, settings)
-        held_out = evaluate_held_out(unseen, effects, own, result.floor, rng)
+        held_out = evaluate_held_out(unseen, effects, own, result.floor, rng, model)
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
     verdict, reasons = verdict_of(
@@ -218,7 +219,7 @@ def diagnose(
         pushes,
         gone,
         result.harmful,
-        robot.limbs,
+        cases[0].robot.limbs,
     )
     if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
         shown = _shown_between_feet(found)
@@ -334,10 +335,25 @@ def logs_under_model(
     settings: TraceSettings = DEFAULT,
 ) -> list[LogUnderModel]:
     """The logs' readings with the declared effects compensated, each with its model."""
+    by_feet, robot = isinstance(robot, GivenFeet), _with_declared(robot, declared)
     return [
-        log_under_model(*compensate_all(declared, readings(log, settings), robot), settings)
+        log_under_model(
+            *compensate_all(declared, readings(log, settings, by_feet), robot), settings
+        )
         for log in logs
     ]
+
+
+def _with_declared(robot: Machine, declared: Sequence[Effect]) -> Machine:
+    """A fixed base that knows what was declared of it and it may have less of."""
+    if not isinstance(robot, FixedBase):
+        return robot
+    sizes: dict[tuple[str, str], float] = {}
+    for one in declared:
+        if one.may_lessen:
+            for part in one.members(robot.limbs):
+                sizes[one.name, part] = sizes.get((one.name, part), 0.0) + one.value
+    return replace(robot, declared=tuple(sizes.items()))
 
 
 def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> list[str]:

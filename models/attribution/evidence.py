@@ -43,7 +43,8 @@ from surefoot.sim.effects.joint import TorqueScale
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.given_feet import GivenFeet
 from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
@@ -113,6 +114,11 @@ class LogUnderModel:
     fixed: bool = False
     settings: TraceSettings = DEFAULT
 
+    @property
+    def by_feet(self) -> bool:
+        """Whether the machine is known by the feet that its logs give, without a robot model."""
+        return isinstance(self.robot, GivenFeet)
+
 
 def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
     """Prepare a log for comparison with a robot model.
@@ -123,7 +129,7 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     stands = log.has("contact") and log.contact.any()
     turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.fixed_base_rate
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
-    fixed = not isinstance(robot, Robot) or hung
+    fixed = isinstance(robot, FixedBase) or hung
     log = log.caching()
     motion = motion_under_model(log, robot, fixed)
     if fixed and log.has("tau") and angles_are_quieter(log, motion):
@@ -137,7 +143,8 @@ def channels_of(case: LogUnderModel) -> tuple[str, ...]:
     return tuple(
         name
         for name, channel in channels().items()
-        if name in layout and channel.is_available(case.log, case.fixed, case.motion.level)
+        if name in layout
+        and channel.is_available(case.log, case.fixed, case.motion.level, case.by_feet)
     )
 
 
@@ -147,6 +154,8 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     for kind in known_effects().usable()[0].values():
         lacks = case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
+            continue
+        if case.by_feet and not kind.on_given_feet:
             continue
         keys += [
             (kind.name, target)
@@ -350,7 +359,7 @@ class _Linear:
         if rule == "readings":
             change = self._by_chain_rule(log, step)
             self._add_change_without_chain_rule(change, log, robot, step)
-        elif rule is not None:
+        elif rule is not None and robot is not self.robot:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(key, log, robot, step)

@@ -5,6 +5,7 @@ solved from these sums, without another pass over the data.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,6 +14,9 @@ import numpy as np
 from surefoot.models.attribution.evidence import Evidence, Key
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.sim.common.kernels import kernel
+
+LEAST_EIGENVALUE = 1e-9
+"""Share of the largest eigenvalue below which one of scaled normal equations counts as zero."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,8 @@ def _summed(
     """
     evidence, size = data.evidence, 1 + data.size
     G = np.zeros((len(first), size, size))
-    for column in evidence.layout.fitted:
+    fitted = evidence.layout.fitted
+    for column in fitted[weight[:, fitted].any(axis=0)]:
         rows, X, which = data.rows[column], data.X[column], data.which[column]
         begin, end = np.searchsorted(rows, first), np.searchsorted(rows, first + many)
         place = np.concatenate([[0], 1 + which])
@@ -192,7 +197,7 @@ def _summed(
         # Block by block, since adding to all at once strides through memory.
         for sums, i, j in zip(G, begin, end, strict=True):
             add_block(sums, place, A[i:j].T @ A[i:j])
-    known = np.count_nonzero(weight[:, evidence.layout.fitted], axis=1)
+    known = np.count_nonzero(weight[:, fitted], axis=1)
     entries = np.array([known[i : i + n].sum() for i, n in zip(first, many, strict=True)], float)
     parts = part[first].astype(int)
     return NormalEquations(
@@ -282,9 +287,21 @@ def _solve(G: np.ndarray, vector: np.ndarray, use: list[int], held: list[int]):
     scale = np.sqrt(np.maximum(np.diag(normal), 0.0))
     dead = scale < 1e-9
     scale = np.where(dead, 1.0, scale)
-    inverse = np.linalg.pinv(normal / scale / scale[:, None], rcond=1e-9, hermitian=True)
-    inverse = inverse / scale / scale[:, None]
+    inverse = _inverse(normal / scale / scale[:, None]) / scale / scale[:, None]
     return inverse @ right, inverse, dead
+
+
+def _inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse of a scaled normal matrix, its pseudo-inverse where it is nearly singular.
+
+    The same up to rounding where no eigenvalue would be cut off, and several times faster.
+    """
+    with suppress(np.linalg.LinAlgError):
+        inverse = np.linalg.inv(normal)
+        # The product of the norms is at least the ratio of the largest eigenvalue to the smallest.
+        if np.linalg.norm(normal) * np.linalg.norm(inverse) < 1.0 / LEAST_EIGENVALUE:
+            return inverse
+    return np.linalg.pinv(normal, rcond=LEAST_EIGENVALUE, hermitian=True)
 
 
 def loss(data: NormalEquations, vector: np.ndarray) -> np.ndarray:
@@ -305,6 +322,6 @@ def overlap(data: NormalEquations, one: Key, other: Key, given: Sequence[Key]) -
     base += data.free_nuisance([*given, one, other])
     A, B = G[np.ix_(base, base)], G[np.ix_(base, pair)]
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    inverse = np.linalg.pinv(A / scale / scale[:, None], rcond=1e-9, hermitian=True)
+    inverse = _inverse(A / scale / scale[:, None])
     P = G[np.ix_(pair, pair)] - B.T @ (inverse / scale / scale[:, None]) @ B
     return float(abs(P[0, 1]) / max(np.sqrt(max(P[0, 0] * P[1, 1], 0.0)), 1e-300))

@@ -30,7 +30,8 @@ def find_harmful_effect(known: RefinementData) -> tuple[Effect, str] | None:
     def left(evidence: Evidence) -> np.ndarray:
         return without_nuisance(evidence, weights, ~unseen)[unseen]
 
-    before, after = linearise(cases, (), ()), linearise(cases, shared, ())
+    before = linearise(cases, (), ())
+    after = linearise(cases, shared, ()) if own else known.evidence
     levels = channel_levels(left(before), left(after), after, known.floor)
     worse = next((name for name, level in levels.items() if level.worse), None)
     if worse is None or not shared:

@@ -1,7 +1,7 @@
 """Evaluate the effects found on held-out logs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from surefoot.models.attribution.levels import (
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.run_fit import FittedRun, fit_run
+from surefoot.models.attribution.sticking import sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import Effect
 
@@ -41,8 +42,11 @@ def evaluate_held_out(
     start: Sequence[Effect],
     floor: NoiseFloor,
     rng: np.random.Generator,
+    declared: Sequence[Effect] = (),
 ) -> HeldOutRuns:
     """Evaluate effects on held-out logs, fitting only each log's own zeros and biases.
+
+    Where a joint of a fixed base may stick, nothing is evaluated, as on the logs of the fit.
 
     Args:
         cases: the held-out logs under the declared model.
@@ -50,6 +54,7 @@ def evaluate_held_out(
         start: per-run effects found, refitted on each held-out run.
         floor: noise floor of the model with the effects.
         rng: of the block bootstrap.
+        declared: effects of the declared model.
     """
     runs, worsened, before, after = [], [], [], []
     known = None
@@ -60,11 +65,13 @@ def evaluate_held_out(
         runs.append(run)
         plain, known = (linearise([run.case], these, ()) for these in ((), effects))
         every = np.ones(len(known.t), dtype=bool)
-        before.append(without_nuisance(plain, weights, every))
-        after.append(without_nuisance(known, weights, every))
+        still = sticks([run.case], [*declared, *effects], known.layout)
+        for tables, evidence in ((before, plain), (after, known)):
+            tables.append(np.where(still, np.nan, without_nuisance(evidence, weights, every)))
+        moving = replace(weights, weight=np.where(still, 0.0, weights.weight))
         for one in effects:
             others = linearise([run.case], [e for e in effects if e != one], ())
-            if worse := _made_worse(others, known, floor, weights, rng):
+            if worse := _made_worse(others, known, floor, moving, rng):
                 worsened.append(
                     f"held-out run {number}: {one.name} {one.target} makes {worse} worse"
                 )

@@ -45,6 +45,11 @@ def reference_sampling(log: Log, settings: TraceSettings = DEFAULT) -> Reference
     """
     if not log.has("reference"):
         return None
+    columns = ("ref_ok", *log.columns_of("imu", "reference", "ref_v"))
+    return log.cached("sampling of the reference", columns, lambda: _sampling(log, settings))
+
+
+def _sampling(log: Log, settings: TraceSettings) -> ReferenceSampling | None:
     poses = reference_poses(log)
     every_row = len(poses.t) > settings.coarse_share * len(log.t)
     if len(poses.t) < settings.coarse_samples or (every_row and log.has("ref_v")):

@@ -55,6 +55,11 @@ class RefinementData:
         weight = self.robust_weights.weight
         return normal_equations(design(evidence), self.effective_noise, weight, self.part)
 
+    def count_blocks(self, report: int) -> int:
+        """Number of blocks outside the part `report`."""
+        sums = self.normal_equations(self.evidence.only(()))
+        return int(np.count_nonzero(sums.part != report))
+
     @property
     def effective_noise(self) -> np.ndarray:
         """Effective noise (W,) of the columns in a fit."""
@@ -66,20 +71,29 @@ def refine_sizes(data: RefinementData, chosen: Sequence[Effect], report: int) ->
 
     Gauss-Newton iterations, which recompute derivatives only after a size has moved far.
     """
+    return _refined(data, chosen, report)[0]
+
+
+def _refined(
+    data: RefinementData, chosen: Sequence[Effect], report: int
+) -> tuple[list[Effect], Evidence]:
+    """The refined effects, and the evidence linearised one step before them."""
     limbs = data.evidence.layout.limbs
     chosen = [with_clipped_size(e, e.value, limbs) for e in chosen]
     settings, keys = data.evidence.settings, [(e.name, e.target) for e in chosen]
-    offsets, derived = _offsets(data.floor, keys), []
-    evidence = data.evidence.only(keys)
+    offsets, evidence = _offsets(data.floor, keys), data.evidence.only(keys)
+    known = keys == [(e.name, e.target) for e in data.explained]
+    derived = compensated = list(data.explained) if known else []
     for _ in range(settings.newton_steps):
         if _has_moved(derived, chosen, settings.relinearise_share):
             evidence, derived = (
                 linearise(data.cases, chosen, keys, evidence, evaluation_channels=False),
                 chosen,
             )
-        else:
+        elif compensated != chosen:
             tables = [table_of(case, chosen, evaluation_channels=False) for case in data.cases]
             evidence = replace(evidence, table=np.concatenate(tables))
+        compensated = chosen
         sums = data.normal_equations(evidence)
         sums = sums.rows(sums.part != report)
         steps = fit(sums, keys, errors=False).sizes - offsets
@@ -90,7 +104,7 @@ def refine_sizes(data: RefinementData, chosen: Sequence[Effect], report: int) ->
         chosen = moved
         if settled:
             break
-    return chosen
+    return chosen, evidence
 
 
 def _has_moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
@@ -107,9 +121,16 @@ def remaining_error(data: RefinementData, chosen: Sequence[Effect], report: int)
     evidence = data.evidence.only(keys)
     if list(chosen) != list(data.explained):
         evidence = linearise(data.cases, chosen, keys, evidence, evaluation_channels=False)
+    return _error_of_fit(data, evidence, report)
+
+
+def _error_of_fit(data: RefinementData, evidence: Evidence, report: int) -> np.ndarray:
+    """Weighted squared error (K,) of each block outside the part `report`, with all candidates of
+    the evidence fitted linearly.
+    """
     sums = data.normal_equations(evidence)
     sums = sums.rows(sums.part != report)
-    return loss(sums, fit(sums, keys, errors=False).vector)
+    return loss(sums, fit(sums, evidence.keys, errors=False).vector)
 
 
 def _offsets(floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
@@ -183,12 +204,13 @@ def rerank(
         worse.
     """
     before = list(data.explained)
-    tried = [(c, refine_sizes(data, [*before, effect(*c.key, c.size)], REPORT)) for c in few]
+    refined = [_refined(data, [*before, effect(*c.key, c.size)], REPORT) for c in few]
+    tried = [(c, chosen) for c, (chosen, _) in zip(few, refined, strict=True)]
     if len(tried) == 1:
         return (*tried[0], ())
     weight = data.robust_weights.weight * interpolation_weights(data)
     fair = replace(data, robust_weights=replace(data.robust_weights, weight=weight))
-    left = [remaining_error(fair, chosen, REPORT) for _, chosen in tried]
+    left = [_error_of_fit(fair, evidence, REPORT) for _, evidence in refined]
     penalty = [_size_penalty(candidate, chosen[-1], data) for candidate, chosen in tried]
     best = min(range(len(tried)), key=lambda i: float(left[i].sum()) + penalty[i])
     counts = block_bootstrap_counts(len(left[best]), np.random.default_rng(0))
@@ -256,13 +278,14 @@ def merge_into_groups(data: RefinementData, chosen: Sequence[Effect]) -> list[Ef
     """
     chosen, limbs = list(chosen), data.evidence.layout.limbs
     # BIC's price of a parameter, and of choosing it among many (`selection.evaluate_candidates`).
-    price = np.log(max(2, len(np.unique(data.part)))) + 2.0 * np.log(len(data.evidence.keys))
+    choice = 2.0 * np.log(len(data.evidence.keys))
     for name in {e.name for e in chosen}:
         kind, alike = known_effects()[name], [e for e in chosen if e.name == name]
         parts = {part for e in alike for part in kind.members_of(e.target, limbs)}
         covers = {t: set(of) for t, of in kind.group_targets(limbs).items() if parts <= set(of)}
         if len(alike) < 2 or not covers:
             continue
+        price = choice + np.log(max(2, data.count_blocks(REPORT)))
         target = min(covers, key=lambda t: len(covers[t]))
         one = effect(name, target, float(np.median([e.value for e in alike])))
         tried = refine_sizes(data, [one, *(e for e in chosen if e.name != name)], REPORT)

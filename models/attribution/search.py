@@ -49,8 +49,8 @@ from surefoot.models.attribution.selection import (
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import AXES, Effect, effect, known_effects
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.limbs import Limbs
 
 
 @dataclass(frozen=True)
@@ -133,16 +133,21 @@ def attribute(
             # well.
             tried = {c.key for c in few}
             alike = [key for key in hidden if key[0] == best.key[0] and key not in tried]
-            _, jointly_with = _masked_candidate(known, explained, rng, alike)
-            if jointly_with and selection_cost(known, jointly_with) < selection_cost(
-                known, chosen_with
-            ):
-                chosen, floor = jointly_with, noise_floor_with(plain, jointly_with)
-                continue
-            floor_with = noise_floor_with(plain, chosen_with)
-            if adds_drift(cases, declared, known.evidence, chosen_with, use, floor_with):
-                refuted.append(best.key)
-                continue
+            masked, jointly_with = _masked_candidate(known, explained, rng, alike)
+            cost = selection_cost(known, chosen_with)
+            jointly = masked is not None and selection_cost(known, jointly_with) < cost
+            if masked and jointly:
+                best, chosen_with = masked, jointly_with
+        else:
+            best, chosen_with = _masked_candidate(known, explained, rng, hidden)
+            if best is None:
+                break
+            others, few, worse, jointly = (), (), (), True
+        floor_with = noise_floor_with(plain, chosen_with)
+        if adds_drift(cases, declared, known.evidence, chosen_with, use, floor_with):
+            refuted.append(best.key)
+            continue
+        if not jointly:
             rivals += _rivals(data, best, [c for c in others if c.key not in worse], found, rng)
             instead[best.key] = [
                 effect(*c.key, c.size)
@@ -150,15 +155,17 @@ def attribute(
                 if c != best and overlap(data, best.key, c.key, found) > settings.twin_overlap
             ]
             chosen_with = merge_into_groups(known, replace_implausible(known, chosen_with, instead))
-        else:
-            best, chosen_with = _masked_candidate(known, explained, rng, hidden)
-            if best is None:
-                break
-        chosen, floor = chosen_with, noise_floor_with(plain, chosen_with)
+            floor_with = noise_floor_with(plain, chosen_with)
+        chosen, floor = chosen_with, floor_with
     sized, harmful = _with_intervals(data, known.explained, floor), ()
     while True:
         # One at a time: effects added later may explain what an unsure one did.
-        gone = [one.effect for one in sized if _is_insignificant(one, _key(one.effect) in certain)]
+        limbs = known.evidence.layout.limbs
+        gone = [
+            one.effect
+            for one in sized
+            if _is_insignificant(one, limbs, _key(one.effect) in certain)
+        ]
         if not gone and (harm := find_harmful_effect(known)):
             gone, harmful = [harm[0]], (*harmful, harm)
         if not gone:
@@ -197,18 +204,18 @@ def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
     return len(causes)
 
 
-def _is_insignificant(one: Found, certain: bool) -> bool:
+def _is_insignificant(one: Found, limbs: Limbs, certain: bool) -> bool:
     """Whether an effect is insignificant: at a lower bound above zero, or, unless every machine has
     it for `certain`, with zero inside its interval.
     """
-    low = type(one.effect).interior_bounds(one.effect.target)[0]
+    low = type(one.effect).interior_bounds(one.effect.target, limbs)[0]
     at_none = low > 0.0 and one.effect.value <= low
     return at_none or (not certain and one.interval[0] <= 0.0 <= one.interval[1])
 
 
 def _always_present(keys: Sequence[Key], robot: Machine) -> set[Key]:
     """Candidates that every machine has, and that the model lacks."""
-    if not isinstance(robot, Robot):
+    if isinstance(robot, FixedBase):
         return set()
     kinds = known_effects()
     return {(name, target) for name, target in keys if kinds[name].is_always_present(target, robot)}

@@ -12,12 +12,16 @@ from surefoot.models.attribution.evidence import (
     linearise,
     table_of,
 )
+from surefoot.models.attribution.reference_sampling import (
+    reference_sampling,
+    resample_reference,
+)
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects import known_effects
-from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.log import Log
+from surefoot.sim.effects.base import AXES, Effect, with_columns
 from surefoot.sim.sensors.streams import Sensors
 
 CONSTANT_STEPS = 1.5
@@ -40,8 +44,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     """
     rng = np.random.default_rng(cases[0].settings.reading_seed)
     change = [
-        table_of(replace(case, log=_with_more_noise(case, rng)), effects) - table_of(case, effects)
-        for case in cases
+        table_of(_with_more_noise(case, rng), effects) - table_of(case, effects) for case in cases
     ]
     square = np.concatenate(change) ** 2
     count = np.maximum(np.isfinite(square).sum(axis=0), 1)
@@ -64,7 +67,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     if not keys:
         return {}
     rng = np.random.default_rng(cases[0].settings.reading_seed)
-    noisy = [replace(case, log=_with_more_noise(case, rng)) for case in cases]
+    noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = linearise(cases, (), keys), linearise(noisy, (), keys)
     change = np.nan_to_num(after.table - before.table) / sigma
     sizes = {}
@@ -76,11 +79,13 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     return sizes
 
 
-def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> Log:
-    """Add noise of the same level to a log's readings.
+def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderModel:
+    """The case with noise of the same level added to the log's readings.
 
     The quantisation error may persist for a whole bin in which the signal hardly changes.
     """
+    if case.by_feet:
+        return _walk_with_more_noise(case, rng)
     log, noisy = case.log, {}
     count, first = case.motion.count, case.motion.first
     for group in ("q", "dq", "tau"):
@@ -92,7 +97,32 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> Log:
             noisy[f"{group}_{joint}"] = (
                 values + rng.normal(0.0, white_noise(values), len(values)) + rounding
             )
-    return with_columns(log, noisy)
+    return replace(case, log=with_columns(log, noisy))
+
+
+def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderModel:
+    """The same for a walk of a machine that is known by its feet alone.
+
+    Impacts of the feet shake a body more than an IMU's noise does, so that is taken from data
+    sheets. The noise of the feet is that in stance, and that of a measured reference its own.
+    """
+    log, noisy, sensors = case.log, {}, Sensors()
+    if log.has("imu"):
+        for kind, density in (("gyro", sensors.gyro_noise), ("accel", sensors.accel_noise)):
+            for axis in AXES:
+                noise = rng.normal(0.0, density * np.sqrt(log.rate), len(log.t))
+                noisy[f"{kind}_{axis}"] = log.columns[f"{kind}_{axis}"] + noise
+    for leg, stands in zip(log.legs, case.motion.standing.T, strict=True):
+        for axis in AXES:
+            feet = log.columns[f"foot_{leg}_{axis}"]
+            bends = np.diff(feet, n=2)[stands[1:-1]]
+            level = np.sqrt(np.mean(bends**2) / 6.0) if len(bends) else 0.0
+            noisy[f"foot_{leg}_{axis}"] = feet + rng.normal(0.0, level, len(feet))
+    log = with_columns(log, noisy)
+    if sampling := reference_sampling(case.log, case.settings):
+        log = resample_reference(log, sampling, rng)
+    motion = motion_under_model(log, case.robot, case.fixed)
+    return replace(case, log=log, motion=replace(motion, level=case.motion.level))
 
 
 def _resolution(values: np.ndarray) -> float:

@@ -67,7 +67,7 @@ class Calibrator:
     A method of your own is a subclass, registered by the entry point group "surefoot.calibrators".
 
     Attributes:
-        label: its statement, in a line of a table.
+        label: what its bounds state, in a line of a table and of --help.
         fit_share: share of the log, from its beginning, given to `fit`; the rest goes to
             `conformalize`.
         confidence: of the statement, over possible calibrations; None where it is about their mean.
@@ -112,7 +112,7 @@ class Calibrator:
 class Conformal(Calibrator):
     """The paper's method: each axis at gamma^(1/3)."""
 
-    label = "an axis at a time at gamma^(1/3): joint if the axes were independent"
+    label = "each axis at level gamma^(1/3): joint level gamma if the axes are independent"
 
     @property
     def level(self) -> float:
@@ -128,7 +128,7 @@ class Conformal(Calibrator):
 class Bonferroni(Conformal):
     """Each axis at 1 - (1 - gamma)/3."""
 
-    label = "an axis at a time at 1 - (1 - gamma)/3: joint whatever their dependence"
+    label = "each axis at level 1 - (1 - gamma)/3: joint level gamma or more for any dependence"
 
     @property
     def level(self) -> float:
@@ -142,7 +142,10 @@ class Outer(Conformal):
     seldom leaves it: NEES falls where errors persist, and accuracy where they do not.
     """
 
-    label = f"an axis at a time at {OUTER_LEVEL:g}: wider than gamma asks, for errors that last"
+    label = (
+        f"each axis at level {OUTER_LEVEL:g} or more: wider than gamma requires, for persistent "
+        "errors"
+    )
 
     @property
     def level(self) -> float:
@@ -152,7 +155,7 @@ class Outer(Conformal):
 class MaxNorm(Calibrator):
     """The largest axis, each scaled by its root mean square."""
 
-    label = "one score, the largest of the scaled axes: a joint box"
+    label = "one score for all axes, the largest scaled error: a box of joint level gamma"
     fit_share = 0.25
 
     def fit(self, errors: np.ndarray) -> None:
@@ -169,7 +172,9 @@ class MaxNorm(Calibrator):
 class Ellipsoid(Calibrator):
     """The Mahalanobis norm about zero."""
 
-    label = "one score, the Mahalanobis norm: an ellipsoid; filters take the box around it"
+    label = (
+        "one score for all axes, the Mahalanobis norm: an ellipsoid; filters use the box around it"
+    )
     fit_share = 0.25
 
     def fit(self, errors: np.ndarray) -> None:

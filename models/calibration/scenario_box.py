@@ -30,7 +30,10 @@ VARIABLES = 3
 class ScenarioBox(Calibrator):
     """The smallest box after discarding."""
 
-    label = "the smallest box after discarding: joint, with a confidence over calibrations"
+    label = (
+        "smallest box after discarding errors: joint level gamma, with a confidence over "
+        "calibrations"
+    )
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         super().__init__(gamma)

@@ -5,6 +5,7 @@ A bin is short compared with a step of a walk and long compared with a sample.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -12,10 +13,11 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.common.low_pass import low_pass, without_low_pass
 from surefoot.sim.common.white_noise import white_noise
-from surefoot.sim.log import Log, joint_velocity, reference_velocity
+from surefoot.sim.log import Log, foot_velocity, joint_velocity, reference_velocity
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.given_feet import GivenFeet
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import imu_between_states
@@ -98,6 +100,18 @@ class ReferenceMotion:
         }
 
 
+class FeetMotion(NamedTuple):
+    """Motion of L feet relative to the IMU.
+
+    Attributes:
+        feet_I: positions (M, L, 3) in I [m].
+        rates_I: their derivatives (M, L, 3) [m/s].
+    """
+
+    feet_I: np.ndarray
+    rates_I: np.ndarray
+
+
 @dataclass(frozen=True)
 class Bins:
     """Means over M bins, for J joints and L feet.
@@ -122,6 +136,7 @@ class Bins:
         ddq: accelerations (M, J) at the times of the torques [rad/s^2].
         depth: sinkage of the feet in soft ground (M, L) [m], where the model has soft ground.
         v_sole: velocity of the soles in it (M, L, 3) in I [m/s].
+        feet: motion of the feet, where the log gives it instead of angles.
     """
 
     t: np.ndarray
@@ -143,6 +158,7 @@ class Bins:
     ddq: np.ndarray
     depth: np.ndarray | None = None
     v_sole: np.ndarray | None = None
+    feet: FeetMotion | None = None
 
 
 def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMotion:
@@ -199,7 +215,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     mean, angles, rates = bin_mean(motion), log.columns_of("q"), log.columns_of("q", "dq")
     gyro = accel = np.full((n, 3), np.nan)
     omega = motion.gyro
-    if log.has("imu") and isinstance(robot, Robot):
+    if log.has("imu") and not isinstance(robot, FixedBase):
         slow = robot.extras.imu_lowpass
         # Over a bin, the noise that this adds averages out.
         omega = without_low_pass(log.gyro, slow, log.rate)
@@ -228,6 +244,11 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
 
     of_base = ("t",) if known else log.columns_of("imu")
     mounted = (robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()
+
+    def feet() -> FeetMotion:
+        return FeetMotion(mean(log.foot_I), mean(foot_velocity(log)))
+
+    given = isinstance(robot, GivenFeet)
     return Bins(
         t=motion.t,
         q=log.cached("binned q", angles, lambda: mean(q)),
@@ -240,7 +261,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
             log.columns_of("imu"),
             lambda: mean(at_rows(omega)),
             motion,
-            robot.extras.imu_lowpass if isinstance(robot, Robot) else None,
+            None if isinstance(robot, FixedBase) else robot.extras.imu_lowpass,
         ),
         base=log.cached("binned base", of_base, base, motion, *mounted),
         **motion.means,
@@ -250,6 +271,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
             "binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion
         ),
         ddq=log.cached("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
+        feet=log.cached("binned feet", log.columns_of("foot"), feet) if given else None,
     )
 
 

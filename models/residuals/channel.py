@@ -31,10 +31,12 @@ from surefoot.models.residuals.torques import (
     InverseDynamics,
     dynamics_inputs,
     inverse_dynamics,
+    link_jacobians,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.given_feet import shows_feet
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
@@ -101,15 +103,27 @@ class ResidualInputs:
         return inverse_dynamics(self.steps, self.robot) if self.log.has("tau") else None
 
     @cached_property
+    def feet_stand(self) -> bool:
+        """Whether the log shows where the feet are, and any of them stands."""
+        if isinstance(self.robot, FixedBase) or not shows_feet(self.log, self.robot):
+            return False
+        return bool(self.bins.standing.any())
+
+    @cached_property
+    def link_jacobians(self) -> np.ndarray:
+        """Derivatives of inverse dynamics by the inertia of each link."""
+        return link_jacobians(self.steps, self.robot)
+
+    @cached_property
     def leg_velocities(self) -> np.ndarray | None:
         """Velocity of the body by each standing foot less the reference's (M, 3 L) [m/s] in I.
 
         Without a reference, the feet are compared with each other. None where no foot stands, or
-        the log has no angles.
+        the log shows no feet.
         """
-        if not (self.log.has("q") and self.bins.standing.any()):
+        if not self.feet_stand:
             return None
-        assert isinstance(self.robot, Robot)
+        assert not isinstance(self.robot, FixedBase)
         v = leg_velocities(self.bins, self.robot)
         return v if self.motion.by_reference else between_feet(v)
 
@@ -135,8 +149,12 @@ class Channel:
     """Groups of columns that the channel needs, as for `Log.require`."""
     on_fixed_base: ClassVar[bool] = False
     """Whether a machine on a fixed base has it, without contacts and a reference."""
+    on_given_feet: ClassVar[bool] = False
+    """Whether a machine that is known by its feet alone has it (`sim.robot.given_feet`); the feet
+    then replace joint angles.
+    """
     imu_replaces_reference: ClassVar[bool] = False
-    """Whether the IMU replaces the reference where a walk has none."""
+    """Whether the IMU replaces the reference where a walk of a robot with a model has none."""
     on_level_ground: ClassVar[bool] = False
     """Whether it is valid on level ground only; its level is then evaluated on ground that no fit
     has seen.
@@ -182,16 +200,23 @@ class Channel:
         """Regressors of nuisance parameters of each log, (M, 1) or (M, columns), without bounds."""
         return ()
 
-    def is_available(self, log: Log, fixed: bool, level: bool) -> bool:
-        """Whether a log has what it needs, on a `fixed` base or not, on `level` ground or not."""
+    def is_available(self, log: Log, fixed: bool, level: bool, by_feet: bool = False) -> bool:
+        """Whether a log has what it needs, on a `fixed` base or not, on `level` ground or not;
+        `by_feet`: of a machine that is known by its feet alone.
+        """
         if (fixed and not self.on_fixed_base) or (self.on_level_ground and not level):
             return False
-        return not self.missing_groups(log, fixed)
+        return not self.missing_groups(log, fixed, by_feet)
 
-    def missing_groups(self, log: Log, fixed: bool) -> tuple[str, ...]:
-        """Groups of columns that it needs and the log lacks, on a `fixed` base or not."""
+    def missing_groups(self, log: Log, fixed: bool, by_feet: bool = False) -> tuple[str, ...]:
+        """Groups of columns that it needs and the log lacks, on a `fixed` base or not; `by_feet`:
+        of a machine that is known by its feet alone.
+        """
         needed = [g for g in self.needs if not (fixed and g in OF_WALKS)]
-        if self.imu_replaces_reference and not fixed and not log.has("reference"):
+        if by_feet:
+            needed = ["foot" if g == "q" else g for g in needed]
+        by_imu = self.imu_replaces_reference and not (fixed or by_feet)
+        if by_imu and not log.has("reference"):
             needed = ["imu", *(g for g in needed if g != "reference")]
         return tuple(g for g in needed if not log.has(g))
 

@@ -19,14 +19,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
-from surefoot.models.residuals.feet import foot_heights
+from surefoot.models.residuals.feet import foot_heights, travel_regressors
 from surefoot.models.residuals.stance_motion import stance_displacement, stance_means
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
@@ -42,6 +44,7 @@ class ImuGyro(Channel):
     name = "imu_gyro"
     unit = "rad/s"
     needs = ("imu", "reference")
+    on_given_feet = True
     has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
@@ -55,21 +58,32 @@ class ImuGyro(Channel):
 
 
 class ImuAccel(Channel):
-    """Specific force minus that of the reference motion."""
+    """Specific force minus that of the reference motion.
+
+    A reference without velocities smooths its accelerations. By how much, only simulated walks
+    tell, which a machine that is known by its feet alone does not have.
+    """
 
     name = "imu_accel"
     unit = "m/s^2"
     needs = ("imu", "reference")
+    on_given_feet = True
     has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_axes("accel", self.unit, limbs)
 
-    def residual(self, inputs: ResidualInputs) -> np.ndarray:
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        if inputs.robot.limbs.feet_alone and not inputs.log.has("ref_v"):
+            return None
         return inputs.bins.accel
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.accel_noise / np.sqrt(BIN)
+
+    def missing_groups(self, log: Log, fixed: bool, by_feet: bool = False) -> tuple[str, ...]:
+        missing = super().missing_groups(log, fixed, by_feet)
+        return (*missing, "ref_v") if by_feet and not log.has("ref_v") else missing
 
 
 class LegVelocity(Channel):
@@ -78,6 +92,7 @@ class LegVelocity(Channel):
     name = "leg_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
+    on_given_feet = True
     imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
@@ -91,6 +106,12 @@ class LegVelocity(Channel):
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate))
 
+    def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+        """Shares of their way that feet of unknown size roll, where the log gives the feet."""
+        if inputs.bins.feet is None:
+            return ()
+        return [np.nan_to_num(way) for way in travel_regressors(inputs.bins)]
+
 
 class StanceVelocity(Channel):
     """Mean of the leg velocity residual over each stance, which leg odometry accumulates."""
@@ -98,6 +119,7 @@ class StanceVelocity(Channel):
     name = "stance_velocity"
     unit = "m/s"
     needs = ("q", "contact", "reference")
+    on_given_feet = True
     imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
     has_chain_rule = True
@@ -109,11 +131,23 @@ class StanceVelocity(Channel):
         v = inputs.leg_velocities
         if v is None:
             return None
-        by_leg = v.reshape(len(v), -1, 3)
-        return stance_means(inputs.bins.t, by_leg, np.isfinite(by_leg[..., 0])).reshape(v.shape)
+        return _means_of_stances(inputs.bins, v)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)
+
+    def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
+        """The same shares as of the leg velocity."""
+        if inputs.bins.feet is None:
+            return ()
+        ways = travel_regressors(inputs.bins)
+        return [np.nan_to_num(_means_of_stances(inputs.bins, way)) for way in ways]
+
+
+def _means_of_stances(bins: Bins, v: np.ndarray) -> np.ndarray:
+    """Means over stances of leg velocities (M, 3 L), in the middle bin of each; else NaN."""
+    by_leg = v.reshape(len(v), -1, 3)
+    return stance_means(bins.t, by_leg, np.isfinite(by_leg[..., 0])).reshape(v.shape)
 
 
 class StanceDisplacement(Channel):
@@ -136,7 +170,7 @@ class StanceDisplacement(Channel):
         return _of_legs("moved", self.unit, limbs, AXES[:2])
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not _stands(inputs):
+        if not inputs.feet_stand:
             return None
         assert isinstance(inputs.robot, Robot)
         return stance_displacement(inputs.log, inputs.robot, inputs.motion)
@@ -151,6 +185,7 @@ class FootHeight(Channel):
     name = "foot_height"
     unit = "m"
     needs = ("q", "contact", "reference")
+    on_given_feet = True
     on_level_ground = True
     masked_by = ("slid", "elsewhere")
     least_noise = 2e-4
@@ -162,9 +197,9 @@ class FootHeight(Channel):
         return tuple(Column(f"height_{leg}", self.unit, leg, "", i) for i, leg in legs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not (_stands(inputs) and inputs.motion.level):
+        if not (inputs.feet_stand and inputs.motion.level):
             return None
-        assert isinstance(inputs.robot, Robot)
+        assert not isinstance(inputs.robot, FixedBase)
         return foot_heights(inputs.bins, inputs.robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -258,6 +293,7 @@ class ContactTiming(Channel):
     name = "contact_timing"
     unit = "s"
     needs = ("q", "contact", "reference")
+    on_given_feet = True
     least_noise = 1e-3
     """A contact changes at a row, so its time is known to half a sample [s]."""
     has_chain_rule = True
@@ -276,9 +312,9 @@ class ContactTiming(Channel):
         )
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not _stands(inputs):
+        if not inputs.feet_stand:
             return None
-        assert isinstance(inputs.robot, Robot)
+        assert not isinstance(inputs.robot, FixedBase)
         return contact_timing(inputs.log, inputs.robot, inputs.motion)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
@@ -310,10 +346,6 @@ def per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
         Column(f"{what}_{name}", of, name, limbs.kind(i))
         for i, (name, of) in enumerate(zip(limbs.joints, units, strict=True))
     )
-
-
-def _stands(inputs: ResidualInputs) -> bool:
-    return inputs.log.has("q") and bool(inputs.bins.standing.any())
 
 
 def rows_of_bin(rate: float) -> float:

@@ -40,7 +40,7 @@ class CommandedTorque(Channel):
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))
 
-    def is_available(self, log: Log, fixed: bool, level: bool) -> bool:
+    def is_available(self, log: Log, fixed: bool, level: bool, by_feet: bool = False) -> bool:
         return log.has("tau") and commanded_torque(log) is not None
 
 

@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.models.residuals.binning import STANCE_MARGIN, ReferenceMotion, at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.models.residuals.leg_velocity import leg_velocity_of
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.given_feet import Walker, foot_columns
 from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 from surefoot.sim.sensors.stances import changes, inside_stances
 
@@ -32,25 +33,30 @@ CHANGE_WINDOW = 0.08
 """Time before and after a contact change in which the foot's motion is examined [s]."""
 CLOSE_WINDOW = 0.024
 """Time from a contact change, into the stance, within which nearly all feet stop and start [s]."""
+SWING_WINDOW = 0.04
+"""The same into the swing: a foot is sensed as lifted for up to 0.03 s before it moves [s]."""
 USUAL_DELAY = (-0.0005, -0.018)
 """Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
 on models of seven robots.
 """
 
 
-def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarray:
+def contact_timing(log: Log, robot: Walker, motion: ReferenceMotion) -> np.ndarray:
     """Delay of contact changes (M, 2 legs) [s]: touchdowns of the feet, then their lift-offs.
 
     Each change is in the bin in which the foot stopped or started to move; all other bins are NaN.
     """
     rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
+    geometry = ()
+    if isinstance(robot, Robot):
+        geometry = robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI
     moves = log.cached(
         "when touching points stop and start",
-        log.columns_of("q", "dq", "imu", "contact", "reference", "ref_v"),
+        (*foot_columns(log, robot), *log.columns_of("imu", "contact", "reference", "ref_v")),
         lambda: _all_motion_changes(log, robot, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
-        *(robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
+        *geometry,
     )
     late = np.full((len(motion.first), 2 * len(turns)), np.nan)
     # A debounced contact begins late by the debounce time.
@@ -67,7 +73,7 @@ def contact_timing(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarra
     return late
 
 
-def within_windows(motion: ReferenceMotion, log: Log, robot: Robot) -> ReferenceMotion:
+def within_windows(motion: ReferenceMotion, log: Log, robot: Walker) -> ReferenceMotion:
     """Restrict stances and swings of the reference motion to the feet's actual ones.
 
     Where contacts end late or begin early relative to the foot's motion, stances are shortened by
@@ -96,7 +102,7 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Robot) -> Reference
 
 def _all_motion_changes(
     log: Log,
-    robot: Robot,
+    robot: Walker,
     motion: ReferenceMotion,
     turns: Sequence[np.ndarray],
     rows: int,
@@ -104,8 +110,8 @@ def _all_motion_changes(
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """`motion_changes` of each foot, at its contact changes `turns`.
 
-    Most feet stop and start close to the change of contact, so the search goes on into the stance
-    only for those that do not.
+    Most feet stop and start close to the change of contact, so the search begins far from it, and
+    goes on into the stance, only for those that do not.
 
     Args:
         log: the measured log.
@@ -115,26 +121,28 @@ def _all_motion_changes(
         rows: to search on either side.
         bounce: rows up to which a foot in the air has only bounced.
     """
-    close = max(1, round(CLOSE_WINDOW * log.rate))
-    where = near_changes(turns, log.contact, rows, close) & motion.ok[:, None]
-    speed = speed_over_ground(log, robot, motion, where)
 
-    def search() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def search(
+        asked: Sequence[np.ndarray], in_swing: int, in_stance: int
+    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        near = near_changes(asked, log.contact, in_swing, in_stance) & motion.ok[:, None]
+        speed = speed_over_ground(log, robot, motion, near)
         return [
-            motion_changes(log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce)
+            motion_changes(log.t, log.contact[:, leg], speed[:, leg], change, in_swing, bounce)
             for leg, change in enumerate(turns)
         ]
 
-    moves = search()
-    left = [
-        change[np.isnan(when) & (at > 0)]
-        for change, (at, when, _) in zip(turns, moves, strict=True)
-    ]
-    more = near_changes(left, log.contact, rows, rows) & motion.ok[:, None] & ~where
-    if not more.any():
-        return moves
-    speed = np.where(more, speed_over_ground(log, robot, motion, more), speed)
-    return search()
+    in_swing, in_stance = (
+        min(rows, max(1, round(window * log.rate))) for window in (SWING_WINDOW, CLOSE_WINDOW)
+    )
+    close = search(turns, in_swing, in_stance)
+    missed = [np.isnan(when) & (at > 0) for at, when, _ in close]
+    left = [change[unseen] for change, unseen in zip(turns, missed, strict=True)]
+    moves = []
+    for unseen, far, near in zip(missed, search(left, rows, rows), close, strict=True):
+        at, when, lifts = (np.where(unseen, *pair) for pair in zip(far, near, strict=True))
+        moves.append((at, when, lifts))
+    return moves
 
 
 def near_changes(
@@ -157,13 +165,13 @@ def near_changes(
 
 
 def speed_over_ground(
-    log: Log, robot: Robot, motion: ReferenceMotion, where: np.ndarray
+    log: Log, robot: Walker, motion: ReferenceMotion, where: np.ndarray
 ) -> np.ndarray:
     """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
     elsewhere.
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
-    v = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, where)
+    v = leg_velocity_of(log, robot, omega, motion.up_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
     return np.sqrt(x * x + y * y + z * z)
 
@@ -186,7 +194,7 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
     Returns:
         The row and the time [s] of each, NaN where not seen within `rows` or where the foot
         bounced, and whether the foot lifts, (K,) each. Where the search ended at a row without a
-        speed, that row, and NaN for the time.
+        speed, or `rows` did not reach one at which the foot moves, that row, and NaN for the time.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
     lifts = np.zeros(len(changes), np.bool_)
@@ -202,6 +210,8 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
         step = -1 if lifts[k] else 1
         row = change - step * far
         if not speed[row] > STANDING_SPEED:
+            if far == rows:
+                at[k] = row
             continue
         for _ in range(far + rows):
             row += step

@@ -3,19 +3,25 @@
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins
-from surefoot.models.residuals.leg_velocity import leg_velocity
-from surefoot.sim.robot import Robot
+from surefoot.models.residuals.leg_velocity import leg_velocity, velocity_by_feet
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.robot.given_feet import GivenFeet, Walker
+from surefoot.sim.robot.kinematics import leg_forward
 
 HALFWAY = 0.5
 """Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
 
 
-def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
+def leg_velocities(bins: Bins, robot: Walker) -> np.ndarray:
     """Velocity of the body by each standing foot minus the reference's, (M, 3 legs) [m/s] in I.
 
     With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r, v_I = -J dq
-    - omega x f + (omega + omega_foot) x r n, all in I.
+    - omega x f + (omega + omega_foot) x r n, all in I. Feet that a log gives are points, r = 0.
     """
+    if isinstance(robot, GivenFeet):
+        assert bins.feet is not None
+        v = velocity_by_feet(*bins.feet, bins.omega, bins.standing) - bins.v_I[:, None]
+        return v.reshape(len(v), -1)
     v = leg_velocity(robot, bins.q, bins.dq, bins.omega, bins.R_GI[:, 2], bins.standing)
     v -= bins.v_I[:, None]
     if bins.depth is not None and bins.v_sole is not None:
@@ -23,6 +29,24 @@ def leg_velocities(bins: Bins, robot: Robot) -> np.ndarray:
         rise = HALFWAY * bins.depth[:, :, None] * bins.R_GI[:, None, 2]
         v += bins.v_sole - np.cross(spin, rise)
     return v.reshape(len(v), -1)
+
+
+def travel_regressors(bins: Bins) -> list[np.ndarray]:
+    """Regressors (M, 3 L) [m/s] of leg velocities in which each point foot moves over the ground by
+    a share of its way relative to the body, forwards and sideways.
+
+    A foot of unknown size that rolls under a leg does so, and one that creeps with it. NaN where no
+    foot stands.
+    """
+    assert bins.feet is not None
+    v_I = velocity_by_feet(*bins.feet, bins.omega, bins.standing)
+    regressors = []
+    for leg in range(v_I.shape[1]):
+        for axis in range(2):
+            share = np.where(bins.standing[..., None], np.zeros_like(v_I), np.nan)
+            share[:, leg, axis] = v_I[:, leg, axis]
+            regressors.append(share.reshape(len(v_I), -1))
+    return regressors
 
 
 def between_feet(v: np.ndarray) -> np.ndarray:
@@ -40,17 +64,40 @@ def between_feet(v: np.ndarray) -> np.ndarray:
     return np.where(before > 0, against, np.nan).reshape(v.shape)
 
 
-def foot_heights(bins: Bins, robot: Robot) -> np.ndarray:
+def foot_heights(bins: Bins, robot: Walker) -> np.ndarray:
     """Height (M, legs) [m] of each standing foot's sole in the world."""
-    feet_I = robot.feet_I(bins.q)
-    z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], feet_I)
-    z -= robot.foot_radius
-    if bins.depth is not None:
-        z = z + bins.depth
-    return np.where(bins.standing, z, np.nan)
+    if isinstance(robot, GivenFeet):
+        assert bins.feet is not None
+        z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], bins.feet.feet_I)
+        return np.where(bins.standing, z, np.nan)
+    up_B = bins.R_GI[:, 2] @ robot.R_BI.T
+    z = _heights_in_base(robot.legs, np.ascontiguousarray(bins.q), up_B, bins.standing)
+    z += (bins.p_GI[:, 2] - up_B @ robot.p_BI)[:, None] - robot.foot_radius
+    return z if bins.depth is None else z + bins.depth
 
 
-def level_ground(bins: Bins, robot: Robot, within: float = 0.006) -> bool:
+@kernel
+def _heights_in_base(legs, q, up, standing):
+    """Height (M, L) [m] of each standing foot's centre over the base's origin; NaN for the others.
+
+    Args:
+        legs: geometry of the legs, as of `leg_forward`.
+        q: (M, J) [rad].
+        up: (M, 3), the world's vertical in B.
+        standing: (M, L) bool.
+    """
+    out = np.full(standing.shape, np.nan)
+    most = legs.q_zero.shape[1]
+    foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
+    for k in range(len(q)):
+        for leg in range(standing.shape[1]):
+            if standing[k, leg]:
+                leg_forward(legs, leg, q[k], foot, J, axes)
+                out[k, leg] = up[k, 0] * foot[0] + up[k, 1] * foot[1] + up[k, 2] * foot[2]
+    return out
+
+
+def level_ground(bins: Bins, robot: Walker, within: float = 0.006) -> bool:
     """Whether the feet stand on one plane.
 
     True if heights vary by less than `within` [m] about a plane through all feet plus a constant

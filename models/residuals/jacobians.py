@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.feet import between_feet, foot_heights, leg_velocities
 from surefoot.models.residuals.registry import BUNDLED_CHANNELS, channels
 from surefoot.models.residuals.residual import ResidualTable, filled
@@ -24,10 +25,11 @@ from surefoot.models.residuals.torques import (
     slope,
     smooth_121,
     standing_feet_wrenches,
+    with_link_change,
 )
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
 
 DIFFERENCE_STEP = 1e-5  # rad, rad/s
 
@@ -104,7 +106,7 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
     height_q = np.zeros((m, legs, per))
     if np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
-        assert isinstance(robot, Robot)
+        assert not isinstance(robot, FixedBase)
         # Of each foot alone: contrasts between feet are taken in `wrt_readings`.
         velocities = leg_velocities(bins, robot)
 
@@ -244,17 +246,28 @@ def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -
     The channels are recomputed from the same bin means. Times of contact changes are kept, since a
     small step moves them by less than a row.
     """
-    inputs, needed = parts.inputs, parts.inputs.inverse_dynamics
-    if needed is not None:
-        if _same_bodies(robot, one):
-            more = load_wrench(inputs.steps, one) - load_wrench(inputs.steps, robot)
-            needed = replace(needed, wrench=needed.wrench + more)
-        else:
-            needed = inverse_dynamics(inputs.steps, one)
     same = unchanged_channels(robot, one)
     again = [n for n, channel in channels().items() if not (channel.of_events or n in same)]
-    table = filled(parts.layout, inputs.under_model(one, needed), again)
-    return (table - parts.table) / step
+    inputs = parts.inputs.under_model(one, _inverse_dynamics_under(parts.inputs, robot, one))
+    return (filled(parts.layout, inputs, again) - parts.table) / step
+
+
+def _inverse_dynamics_under(
+    inputs: ResidualInputs, robot: Machine, one: Machine
+) -> InverseDynamics | None:
+    """Inverse dynamics of `inputs`, which are under the model `robot`, under the model `one`."""
+    needed, steps = inputs.inverse_dynamics, inputs.steps
+    if needed is None:
+        return None
+    if not _same_joints(robot, one):
+        return inverse_dynamics(steps, one)
+    links = one.extras.links
+    if links[:-1] == robot.extras.links and links:
+        needed = with_link_change(needed, links[-1], inputs.link_jacobians, steps, robot)
+    elif links != robot.extras.links:
+        return inverse_dynamics(steps, one)
+    more = load_wrench(steps, one) - load_wrench(steps, robot)
+    return replace(needed, wrench=needed.wrench + more)
 
 
 def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
@@ -275,10 +288,8 @@ def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
     return tuple(kind.name for kind in BUNDLED_CHANNELS if kind.name not in touched)
 
 
-def _same_bodies(robot: Machine, one: Machine) -> bool:
-    """Whether both models have the same joints and links for inverse dynamics."""
-    if robot.extras.links != one.extras.links:
-        return False
+def _same_joints(robot: Machine, one: Machine) -> bool:
+    """Whether both models have their joints at the same places."""
     if not (isinstance(robot, Robot) and isinstance(one, Robot)):
         return True
     own, other = robot.legs, one.legs

@@ -90,6 +90,8 @@ def layout_for(limbs: Limbs) -> Layout:
     columns: list[Column] = []
     places: dict[str, slice] = {}
     for name, channel in channels().items():
+        if limbs.feet_alone and not channel.on_given_feet:
+            continue
         own = channel.columns(limbs)
         if own:
             places[name] = slice(len(columns), len(columns) + len(own))

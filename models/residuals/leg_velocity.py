@@ -3,8 +3,44 @@
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.log import Log, foot_velocity, joint_velocity
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.given_feet import GivenFeet, Walker
 from surefoot.sim.robot.kinematics import leg_forward
+
+
+def leg_velocity_of(
+    log: Log, robot: Walker, omega: np.ndarray, up: np.ndarray, standing: np.ndarray
+) -> np.ndarray:
+    """Velocity of the IMU in I (N, L, 3) [m/s] by each standing foot of a log; NaN for the others.
+
+    Args:
+        log: with joint angles, or with positions of the feet where the machine is known by these.
+        robot: the machine.
+        omega: rate (N, 3) [rad/s] of the IMU, in I.
+        up: the ground's unit normal (N, 3) in I.
+        standing: feet (N, L) for which to compute it.
+    """
+    if isinstance(robot, GivenFeet):
+        return velocity_by_feet(log.foot_I, foot_velocity(log), omega, standing)
+    return leg_velocity(robot, log.q, joint_velocity(log), omega, up, standing)
+
+
+def velocity_by_feet(
+    feet_I: np.ndarray, rates_I: np.ndarray, omega: np.ndarray, standing: np.ndarray
+) -> np.ndarray:
+    """Velocity of the IMU in I (N, L, 3) [m/s] by each standing point foot; NaN for the others.
+
+    A foot that does not move over the ground gives v_I = -rate - omega x foot.
+
+    Args:
+        feet_I: positions (N, L, 3) [m] in I.
+        rates_I: their derivatives (N, L, 3) [m/s].
+        omega: rate (N, 3) [rad/s] of the IMU, in I.
+        standing: feet (N, L) for which to compute it.
+    """
+    v_I = -rates_I - np.cross(omega[:, None], feet_I)
+    return np.where(standing[..., None], v_I, np.nan)
 
 
 def leg_velocity(

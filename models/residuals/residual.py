@@ -13,8 +13,8 @@ from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.without_reference import motion_without_reference
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.given_feet import shows_feet
 
 
 @dataclass(frozen=True)
@@ -67,17 +67,20 @@ def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion
 
     Without a reference, the motion by IMU and legs.
     """
-    if not fixed and isinstance(robot, Robot) and not log.has("reference"):
+    if fixed or isinstance(robot, FixedBase):
+        return reference_motion(log, robot.limbs, fixed)
+    if not log.has("reference"):
         return motion_without_reference(log, robot)
-    motion = reference_motion(log, robot.limbs, fixed)
-    if fixed or not isinstance(robot, Robot) or not (log.has("q") and motion.standing.any()):
+    motion = reference_motion(log, robot.limbs)
+    if not (shows_feet(log, robot) and motion.standing.any()):
         return motion
     return within_windows(motion, log, robot)
 
 
 def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
     """Detect whether the ground is level, so that heights of feet can be compared."""
-    stands = motion.by_reference and log.has("q") and motion.standing.any()
-    if not (isinstance(robot, Robot) and stands):
+    if isinstance(robot, FixedBase) or not (motion.by_reference and motion.standing.any()):
+        return motion
+    if not shows_feet(log, robot):
         return motion
     return replace(motion, level=level_ground(binned(log, robot, motion), robot))

@@ -13,6 +13,7 @@ import numpy as np
 
 from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
@@ -106,13 +107,18 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine, every: bool = False) -> 
 
     Bins that no residual needs are zero, unless `every` bin is requested.
     """
-    use = np.flatnonzero(dilate(s.swings.any(axis=1) | s.steady) | every)
+    use = np.flatnonzero(needed_bins(s) | every)
     dynamics = dynamics_of(robot.file, robot.joint_names)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
     wrench[use], torque[use] = dynamics.inverse(
         s.q[use], s.dq[use], s.ddq[use], s.base[use], body_changes(robot)
     )
     return InverseDynamics(wrench + load_wrench(s, robot), torque)
+
+
+def needed_bins(s: DynamicsInputs) -> np.ndarray:
+    """Bins (M,) whose inverse dynamics a residual needs."""
+    return dilate(s.swings.any(axis=1) | s.steady)
 
 
 def inverse_dynamics_jacobians(
@@ -125,6 +131,40 @@ def inverse_dynamics_jacobians(
     """
     dynamics = dynamics_of(robot.file, robot.joint_names)
     return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, body_changes(robot), step)
+
+
+def link_jacobians(s: DynamicsInputs, robot: Machine) -> np.ndarray:
+    """Derivatives (5, J, nv, K) of the generalised forces by each link's mass, centre and inertia,
+    in the K needed bins.
+    """
+    use, dynamics = needed_bins(s), dynamics_of(robot.file, robot.joint_names)
+    motion = s.q[use], s.dq[use], s.ddq[use], s.base[use]
+    return dynamics.link_derivatives(*motion, body_changes(robot))
+
+
+def with_link_change(
+    needed: InverseDynamics,
+    change: LinkChange,
+    by_links: np.ndarray,
+    s: DynamicsInputs,
+    robot: Machine,
+) -> InverseDynamics:
+    """Inverse dynamics with one more change of a link, to first order.
+
+    Args:
+        needed: inverse dynamics without the change.
+        change: of one link.
+        by_links: `link_jacobians` of the robot.
+        s: inputs of both.
+        robot: without the change.
+    """
+    sizes = (change.mass, *change.com, change.inertia)
+    gained = np.tensordot(sizes, by_links[:, change.joint], 1).T
+    use, wrench, torque = needed_bins(s), needed.wrench.copy(), needed.torque.copy()
+    more = dynamics_of(robot.file, robot.joint_names).parted(gained)
+    wrench[use] += more[0]
+    torque[use] += more[1]
+    return InverseDynamics(wrench, torque)
 
 
 def load_wrench(s: DynamicsInputs, robot: Machine) -> np.ndarray:

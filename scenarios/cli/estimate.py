@@ -3,7 +3,7 @@
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from tyro.conf import Positional, arg
 
@@ -55,6 +55,13 @@ def _walk_enough(gamma: str) -> str:
     return f"{seconds:g} s of walk with a reference suffice at {gamma}. (default: {gamma})"
 
 
+InputNames = Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"]
+_INPUTS_HELP = (
+    f"Inputs of the observer, which the log must have: {' | '.join(get_args(InputNames))}. q: "
+    "joint angles, dq: joint velocities, tau: joint torques, feet: leg odometry of the declared "
+    "robot, computed from q and dq."
+)
+
 Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
@@ -63,29 +70,32 @@ class Train:
     """Train a velocity observer on one or more logs; an interrupted training is resumed."""
 
     logs: Logs
-    """Logs of at least ten seconds, with a reference."""
+    """Logs with a reference, of at least ten seconds each."""
     out: Out
-    """File for the observer."""
+    """File for the observer (.pt)."""
     loss: one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
-    """Mean squared error, or Gaussian likelihood, which also predicts a covariance."""
-    inputs: Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"] = "q,dq,tau"
-    """Inputs, which the log must have: joint angles, velocities, torques. feet is leg odometry of
-    the declared robot from q and dq, which the network corrects.
+    """Loss: mean squared error (mse), or Gaussian maximum likelihood (gml), with which the observer
+    also predicts a covariance.
     """
+    inputs: Annotated[InputNames, arg(metavar="INPUTS", help=_INPUTS_HELP)] = "q,dq,tau"
     model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
-    """Architecture; a bigru reads a log from both ends, so it works on whole logs only."""
+    """Architecture: gru, rnn and lstm are recurrent, mlp and tcn see a window of fixed length;
+    bigru reads a log from both ends, so it works on whole logs only.
+    """
     steps: int = 1200
-    """Maximum steps of the training; it stops earlier if the validation no longer improves."""
+    """Maximum number of training steps; training stops earlier if the validation error no longer
+    improves.
+    """
     batch: int = 4
-    """Windows of ten seconds in each step."""
+    """Number of ten-second windows in each step."""
     rate: OptionalFloat = None
     """Largest learning rate; by default the architecture's own."""
     width: OptionalInt = None
-    """Width of the network's layers; by default the architecture's own, with some 20 000
+    """Number of units in each layer; by default the architecture's own, which gives about 20 000
     weights.
     """
-    device: str = "cpu"
-    """PyTorch device for the training, such as cuda or mps; the observer runs on the CPU."""
+    device: Annotated[str, arg(metavar="DEVICE")] = "cpu"
+    """PyTorch device for the training, such as cuda or mps; the observer itself runs on the CPU."""
     robot: RobotName = None
     seed: int = 0
     """Seed of the initial weights and of the order of the windows."""
@@ -121,8 +131,8 @@ class Train:
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
             "(forward, lateral, vertical)\n"
-            f"next: surefoot calibrate {self.out} LOG -o BOUNDS.json; LOG is a walk that it has "
-            f"not seen, of which {walk_enough():g} s with a reference suffice"
+            f"next: surefoot calibrate {self.out} LOG -o BOUNDS.json; LOG is a walk that the "
+            f"observer has not seen, of which {walk_enough():g} s with a reference suffice"
         )
 
 
@@ -131,24 +141,27 @@ class Calibrate:
     """Calibrate bounds on an observer's velocity errors, from a log it has not seen."""
 
     observer: Annotated[Positional[Path], arg(metavar="OBSERVER")]
+    """Observer, a file from `train`."""
     log: Annotated[Positional[Path], arg(metavar="LOG")]
-    """A log that the observer was not trained on."""
+    """Log with a reference that the observer was not trained on."""
     out: Out
     """File for the bounds (JSON)."""
     gamma: Annotated[float, arg(help_behavior_hint=_walk_enough)] = 0.8
-    """Joint level."""
+    """Joint level: probability that the velocity errors of all three axes are within the bounds."""
     method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
-    """Method, which determines what the bounds state."""
+    """Calibration method."""
     confidence: float = 0.95
-    """Confidence of scenario bounds, over possible calibrations."""
+    """Confidence of the bounds of --method scenario, over possible calibration walks."""
     K: OptionalInt = None
-    """Steps of 10 ms between errors taken as independent; by default from the mixing curve."""
-    report: OptionalPath = None
-    """Folder for a report: mixing curve, methods, and coverage on the walks of --on."""
+    """Number of 10 ms steps between errors that are treated as independent; by default from the
+    decay of their dependence.
+    """
+    report: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint=OPTIONAL)] = None
+    """Folder for a report: decay of dependence, methods, and coverage on the walks of --on."""
     on: Annotated[tuple[Path, ...], arg(metavar="LOG...", help_behavior_hint=OPTIONAL)] = ()
-    """Logs on which the report evaluates the bounds."""
+    """Logs on which the report evaluates the bounds; needs --report."""
     page: OptionalPath = None
-    """Page of results to write besides the report, such as docs/results/bounds.md."""
+    """Page of results to write as well, such as docs/results/bounds.md; needs --report."""
     robot: RobotName = None
     strict: Strict = False
     as_json: Json = False
@@ -163,7 +176,7 @@ class Calibrate:
         refuse_overwrite(self.out, self.force)
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
-                raise SurefootError(f"--{name}: it is for the report; give --report DIR too")
+                raise SurefootError(f"--{name}: needs --report DIR")
         recorded = read_logs((self.log, *self.on), self.robot) if self.report else []
         if self.report:
             refuse_full(self.report, self.force)
@@ -188,9 +201,9 @@ class Calibrate:
             return
         x, y, z = bounds.epsilon
         print(
-            f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s jointly at gamma "
-            f"{bounds.gamma:g} ({bounds.method}, quantile {bounds.level_per_axis:.4f}), from "
-            f"{bounds.n} errors {bounds.K} steps apart"
+            f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), "
+            f"jointly at gamma {bounds.gamma:g} ({bounds.method}, quantile "
+            f"{bounds.level_per_axis:.4f}), from {bounds.n} errors {bounds.K} steps of 10 ms apart"
         )
         if bounds.mixing is not None and not bounds.mixing.mixed:
             print(
@@ -209,12 +222,15 @@ class Estimate:
     """
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
-    filter: Annotated[str, arg(help=f"One of {', '.join(ESTIMATORS)}.")]
+    """Log with IMU, and with what the filter needs besides."""
+    filter: Annotated[str, arg(metavar="NAME", help=f"One of {', '.join(ESTIMATORS)}.")]
     robot: RobotName = None
     observer: Observers = ()
     bounds: BoundsFiles = ()
     out: OptionalOut = None
-    """Trajectory with covariances (.parquet); a .tum file is written beside it."""
+    """File for the trajectory with covariances (.parquet); its poses are also written beside it as
+    a .tum file.
+    """
     settings: SettingsFile = None
     set_lines: SettingLines = ()
     strict: Strict = False
@@ -229,8 +245,11 @@ class Estimate:
 
         reader = LogReader(self.log)
         if self.out:
-            if self.out.suffix == ".tum":
-                raise SurefootError(f"-o {self.out}: name the .parquet; the .tum goes beside it")
+            if self.out.suffix != ".parquet":
+                raise SurefootError(
+                    f"-o {self.out}: give a .parquet file; the .tum is written beside it, and "
+                    "`surefoot export` writes CSV or MCAP"
+                )
             refuse_overwrite(self.out, self.force)
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
         learnt = learnt_from(self.observer, self.bounds)
@@ -262,7 +281,7 @@ class Estimate:
         b_a, b_g = health.biases[:3].max(), health.biases[3:].max()
         print(
             f"\nbiases moved by at most {b_a:.1f} (accelerometer) and {b_g:.1f} (gyro) standard "
-            "deviations of their priors"
+            "deviations of their prior and random walk"
         )
 
 
@@ -271,9 +290,11 @@ class NoiseCommand:
     """Estimate the sensor noise of a log in which the robot rests, as settings of the filters."""
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
-    """A log with a rest, of a minute or more for the random walks of biases."""
+    """Log in which the robot rests; the random walks of the biases need a minute or more."""
     out: OptionalOut = None
-    """Settings (.toml) for --settings; the Allan deviations are plotted in a .png beside it."""
+    """File for the settings (.toml), which --settings reads; the Allan deviations are plotted in a
+    .png file beside it.
+    """
     as_json: Json = False
     force: Force = False
 
@@ -291,7 +312,9 @@ class Compare:
     """Run every filter that the inputs allow on every log: table, figures, report, recordings."""
 
     logs: Logs
+    """Logs to compare the filters on; errors are computed for those with a reference."""
     out: Out
+    """Folder for table.csv, table.md, report.html, figures and recordings."""
     observer: Observers = ()
     bounds: BoundsFiles = ()
     robot: RobotName = None
@@ -315,7 +338,7 @@ class Compare:
         names = [log.name for log in logs]
         for path, name in zip(self.logs, names, strict=True):
             if names.count(name) > 1:
-                raise SurefootError(f"{path}: another log has the same name; give each its own")
+                raise SurefootError(f"{path}: another log has the same name; rename one of them")
         settings = read_settings(self.settings, self.set_lines)
         warnings = not_plausible(logs, self.robot, self.strict)
         found = [

@@ -65,12 +65,13 @@ COMMANDS: dict[str, type] = {
 
 
 ABOUT = """A testbed for legged state estimation from proprioception alone. Begin with `surefoot
-demo`, which runs the whole chain in a few minutes.
+demo`, which runs the whole chain in a few minutes. `surefoot COMMAND --help` lists the options of a
+command.
 
 --version prints the version. --plugin FILE.py, given with any command and as often as needed, adds
 the estimators, effects, channels, architectures, calibrators and gaits of your own that the file
-names in PLUGINS: it is run as a program of yours."""
-NO_TORCH = "observers need PyTorch, which is not installed: the extra surefoot[learn] brings it"
+lists in PLUGINS. The file is executed as Python code."""
+NO_TORCH = "observers need PyTorch, which is not installed: pip install 'surefoot[learn]'"
 
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
@@ -89,7 +90,7 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
         return first, tyro.cli(COMMANDS[first], prog=f"surefoot {first}", args=rest, config=config)
     if not first.startswith("-"):
         hint = did_you_mean(first, COMMANDS) or ";"
-        print(f"surefoot: no command '{first}'{hint} `surefoot --help` lists them", file=sys.stderr)
+        print(f"surefoot: no command '{first}'{hint} see `surefoot --help`", file=sys.stderr)
         sys.exit(2)
     choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())
     command = tyro.cli(
@@ -131,6 +132,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         sys.exit(f"surefoot: {name}: {NO_TORCH}")
     except MemoryError:
-        sys.exit(f"surefoot: {name}: more memory was asked for than there is")
+        sys.exit(f"surefoot: {name}: not enough memory")
     except OSError as error:
         sys.exit(f"surefoot: {name}: {one_line(error)}")

@@ -21,8 +21,11 @@ NEEDED = "(required)"
 """Texts of --help for optional options and for lists that must not be empty, instead of tyro's
 `(default: None)` and `(default: )`.
 """
+FLAG = ""
+"""Text of --help for a flag, instead of tyro's `(default: False)`."""
 
 Logs = Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...", help_behavior_hint=NEEDED)]
+Flag = Annotated[bool, arg(help_behavior_hint=FLAG)]
 # Each has a metavar, since tyro would print `{None}|PATH`.
 OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint=OPTIONAL)]
 OptionalOut = Annotated[
@@ -33,11 +36,13 @@ OptionalSeeds = Annotated[str | None, arg(metavar="SEEDS", help_behavior_hint=OP
 OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint=OPTIONAL)]
 OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint=OPTIONAL)]
 Out = Annotated[Path, arg(aliases=["-o"])]
-Force = Annotated[bool, arg(help="Replace what an earlier run of this command wrote.")]
+Force = Annotated[
+    bool, arg(help="Replace what an earlier run of this command wrote.", help_behavior_hint=FLAG)
+]
 RobotName = Annotated[
     str | None,
     arg(
-        help="Name of the robot, or its MJCF or URDF; the log's own where left out.",
+        help="Name of the robot, or its file (MJCF or URDF); by default the one named in the log.",
         metavar="NAME|FILE",
         help_behavior_hint=OPTIONAL,
     ),
@@ -45,8 +50,9 @@ RobotName = Annotated[
 Declared = Annotated[
     Path | None,
     arg(
-        help="Effects (TOML, such as a trace's effects.toml) that belong to the model: what is "
-        "traced is what has changed since. Zeros and clocks are then the log's own.",
+        help="File of effects (TOML, such as the effects.toml of an earlier trace) to include in "
+        "the model, so that only what has changed since is found. Encoder zeros, sensor biases and "
+        "the reference's clock are fitted to each log.",
         metavar="PATH",
         help_behavior_hint=OPTIONAL,
     ),
@@ -54,39 +60,53 @@ Declared = Annotated[
 Holdout = Annotated[
     tuple[Path, ...],
     arg(
-        help="Logs of the same machine that no fit sees and that judge what was found.",
+        help="Further logs of the same robot, used by no fit, on which the result is checked.",
         metavar="LOG...",
         help_behavior_hint=OPTIONAL,
     ),
 ]
 Observers = Annotated[
     UseAppendAction[tuple[Path, ...]],
-    arg(help="An observer; may be given twice, once trained with mse and once with gml."),
+    arg(
+        help="Observer, a file from `train`; give one trained with --loss mse, one with gml, or "
+        "both."
+    ),
 ]
 BoundsFiles = Annotated[
-    UseAppendAction[tuple[Path, ...]], arg(help="Bounds; each belongs to one observer.")
+    UseAppendAction[tuple[Path, ...]],
+    arg(help="Bounds (JSON), a file from `calibrate`, of an observer that is also given."),
 ]
 SettingsFile = Annotated[
     Path | None,
     arg(
-        help="Noise, priors and start of the filters (TOML), as `noise` writes it.",
+        help="File of sensor noise, initial state and its standard deviations for the filters "
+        "(TOML), such as `noise` writes.",
         metavar="PATH",
         help_behavior_hint=OPTIONAL,
     ),
 ]
 SettingLines = Annotated[
     UseAppendAction[tuple[str, ...]],
-    arg(name="set", help="A line of such a file, as noise.gyro=1e-3; may be given several times."),
+    arg(
+        name="set",
+        help="One setting as in the file of --settings, which it overrides, such as "
+        "noise.gyro=1e-3 [rad/s/sqrt(Hz)].",
+        metavar="KEY=VALUE",
+    ),
 ]
-Workers = Annotated[int, arg(help="Number of processes on this machine.")]
-Json = Annotated[bool, arg(name="json", help="Print the results as JSON.")]
+Workers = Annotated[int, arg(help="Number of parallel processes on this machine.")]
+Json = Annotated[bool, arg(name="json", help="Print the results as JSON.", help_behavior_hint=FLAG)]
 Strict = Annotated[
-    bool, arg(help="Stop where a log's numbers are not plausible, instead of warning.")
+    bool,
+    arg(
+        help="Stop with an error, instead of a warning, if a log contains implausible values.",
+        help_behavior_hint=FLAG,
+    ),
 ]
 Cluster = Annotated[
     str | None,
     arg(
-        help="Address of a Dask scheduler to run on, such as tcp://127.0.0.1:8786.",
+        help="Address of a Dask scheduler that runs the work, such as tcp://127.0.0.1:8786.",
         metavar="ADDRESS",
         help_behavior_hint=OPTIONAL,
     ),
@@ -133,7 +153,8 @@ def not_plausible(
             print(f"{'error' if strict else 'warning'}: {log.name}: {line}", file=sys.stderr)
     if strict and found:
         count = sum(map(len, found.values()))
-        raise SurefootError(f"--strict: {count} things in {', '.join(found)} are not plausible")
+        what = "finding" if count == 1 else "findings"
+        raise SurefootError(f"--strict: {count} implausible {what} in {', '.join(found)}")
     return found
 
 

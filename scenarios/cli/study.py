@@ -12,6 +12,7 @@ from surefoot.scenarios.cli.options import (
     BoundsFiles,
     Cluster,
     Declared,
+    Flag,
     Force,
     Holdout,
     Json,
@@ -31,17 +32,18 @@ from surefoot.scenarios.cli.options import (
     read_logs,
 )
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
+from surefoot.scenarios.studies.bench.items import ITEMS
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 
 
 @dataclass(frozen=True)
 class Demo:
-    """The whole workflow: walk, train, calibrate, compare filters, report, recording, trace."""
+    """Run the whole workflow in minutes: walk, train, calibrate, compare filters, trace."""
 
     out: Out = Path("out/demo")
     """Folder for all outputs."""
     seed: int = 0
-    """Seed of walks and trainings."""
+    """Seed of the walks and of the training."""
     force: Force = False
 
     def run(self) -> None:
@@ -52,17 +54,17 @@ class Demo:
 
 @dataclass(frozen=True)
 class TraceCommand:
-    """Find the effect that a model lacks; reports errors before and after it is added."""
+    """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
     logs: Logs
     """Logs of one robot, traced together."""
     out: Out
-    """Folder for trace.json, effects.toml, report.html and trace.rrd."""
+    """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
     robot: RobotName = None
     declared: Declared = None
     holdout: Holdout = ()
     seed: int = 0
-    """Seed of the bootstrap for the intervals."""
+    """Seed of the bootstrap from which the intervals are computed."""
     strict: Strict = False
     force: Force = False
 
@@ -125,7 +127,7 @@ class LoopCommand:
     declared: Declared = None
     holdout: Holdout = ()
     seed: int = 0
-    """Seed of walks, training and intervals."""
+    """Seed of the walks, the training and the intervals."""
     page: OptionalPath = None
     """Page of results to write as well, such as docs/results/loop.md."""
     force: Force = False
@@ -157,7 +159,9 @@ class LoopCommand:
 
 @dataclass(frozen=True)
 class Realism:
-    """Compare a measured log with simulated walks in its style, quantity by quantity."""
+    """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride
+    period and posture.
+    """
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles, contacts and reference."""
@@ -166,12 +170,12 @@ class Realism:
     robot: RobotName = None
     effects: OptionalPath = None
     """File of effects (TOML) for the simulated robot."""
-    as_walked: bool = False
-    """Also compare walks with the gait, sensors and effects measured on a real robot; the effects
-    are those of --effects if given.
+    as_walked: Flag = False
+    """Also compare walks with the gait, sensors and effects measured on a real robot. Effects given
+    with --effects replace the measured ones.
     """
     walker: OptionalNamed = None
-    """Another robot to simulate; measured values are scaled to it."""
+    """Robot to simulate instead of the log's; measured values are scaled to it."""
     seed: int = 0
     """Seed of the walks and the intervals."""
     page: OptionalPath = None
@@ -215,20 +219,26 @@ class GridOptions:
     """Options shared by `experiment` and `suite`."""
 
     out: Out
-    """Folder for tables, report and recordings."""
+    """Folder for tables, report.html and recordings."""
     workers: Workers = 1
     seeds: OptionalSeeds = None
-    """One seed, or a range such as 0:8; by default the file's (three in a suite)."""
+    """One seed, or a range such as 0:8, which is 0 to 7; by default the file's (0 to 2 in a
+    suite).
+    """
     cache: OptionalPath = None
-    """Folder of intermediate products, reused by later runs; by default `cache` in the output."""
-    recordings: bool = True
-    """Whether to write a rerun recording of each sequence."""
+    """Folder of walks, observers, bounds and estimates, which later runs reuse; by default `cache`
+    in the output.
+    """
+    recordings: Flag = True
+    """Write no rerun recordings of the sequences; by default there is one of each."""
     page: OptionalPath = None
     """Page of results to write as well, such as docs/results/suite_spot.md."""
     data: OptionalPath = None
-    """Folder of finished rows, one for each walk, which are reused; such as docs/data/spot."""
-    force: bool = False
-    """Write tables and report again; cached products are reused."""
+    """Folder of finished rows, one for each walk, which later runs reuse, such as
+    docs/data/suite_spot; by default none are stored.
+    """
+    force: Flag = False
+    """Write tables and report again; what is in the cache is reused."""
 
     def experiment(self, file: str) -> None:
         from surefoot.scenarios.experiments.report import experiment
@@ -248,10 +258,10 @@ class GridOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentCommand(GridOptions):
-    """A grid over scenarios, robots, conditions, gamma, filters and seeds: one tidy table."""
+    """Run a grid of scenarios, robots, conditions, gammas, filters and seeds: one tidy table."""
 
     file: Annotated[Positional[str], arg(metavar="FILE")]
-    """Experiment file (TOML), or the name of a bundled one: spot, vision60."""
+    """Experiment file (TOML), or the name of a bundled suite: spot, vision60."""
 
     def run(self) -> None:
         experiment_file(self.file)  # before anything heavy is imported
@@ -260,9 +270,15 @@ class ExperimentCommand(GridOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Suite(GridOptions):
-    """Reproduce the paper's two tables on the simulated suites, from simulation to table."""
+    """Reproduce the paper's two tables on the simulated suites, from simulation to table.
+
+    Conditions: as drawn (each robot equals its model), as built (with errors drawn within
+    tolerances, unknown to the filters), as walked (in addition with the gait, sensors and effects
+    measured on a real robot).
+    """
 
     name: Annotated[Positional[str], arg(metavar=f"{{{','.join(SUITES)}}}")]
+    """Suite: spot has ten courses, vision60 seven."""
 
     def run(self) -> None:
         if self.name not in SUITES:
@@ -276,14 +292,16 @@ class Montecarlo:
     """Reproduce the paper's runtime-accuracy and consistency tables, with further regimes."""
 
     out: Out
+    """Folder for the tables and report.html."""
     trials: OptionalInt = None
-    """Trials in each regime; by default those of montecarlo.toml."""
+    """Trials in each regime, at least two; by default those of the bundled montecarlo.toml."""
     seed: OptionalInt = None
+    """Seed of the trials; by default that of the bundled montecarlo.toml."""
     workers: OptionalInt = None
-    """Processes on this machine; by default one for each core."""
+    """Number of parallel processes on this machine; by default one for each core."""
     cluster: Cluster = None
     data: OptionalPath = None
-    """Folder of finished regimes, which are reused; by default `cases` in the output."""
+    """Folder of finished regimes, which later runs reuse; by default `cases` in the output."""
     page: OptionalPath = None
     """Page of results to write as well, such as docs/results/montecarlo.md."""
     force: Force = False
@@ -307,21 +325,24 @@ class Montecarlo:
 
 @dataclass(frozen=True)
 class Walking:
-    """Measure how robots walk: falls, tracking, slip, creep and pace on four grounds and courses.
+    """Measure how robots walk: falls, tracking, slip, creep and speed on four grounds and courses.
 
     Without --robot and --course: every known robot, and the courses of both suites.
     """
 
     out: Out
-    robot: UseAppendAction[tuple[str, ...]] = ()
-    """Name, MJCF or URDF; it walks on flat ground, a slope, a slippery patch and stairs."""
-    course: UseAppendAction[tuple[str, ...]] = ()
-    """Scenario (file or bundled name), walked by its own robot with every seed."""
+    """Folder for walking.md and finished walks."""
+    robot: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME|FILE")] = ()
+    """Name of a robot, or its file (MJCF or URDF); it walks on flat ground, a slope, a slippery
+    patch and stairs.
+    """
+    course: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME|FILE")] = ()
+    """Scenario (TOML file or bundled name), walked by its own robot with every seed."""
     seeds: int = 5
-    """Seeds of each course, from 0."""
+    """Number of seeds of each course, from 0."""
     workers: Workers = 1
     data: OptionalPath = None
-    """Folder of finished walks, which are reused; by default `walks` in the output."""
+    """Folder of finished walks, which later runs reuse; by default `walks` in the output."""
     page: OptionalPath = None
     """Page of results to write as well, such as docs/results/walking.md."""
     force: Force = False
@@ -348,24 +369,26 @@ class Walking:
 
 @dataclass(frozen=True)
 class Tune:
-    """Search the parameters of any filter, with one budget; an interrupted run is resumed.
+    """Search the best parameters of filters, with the same budget for each; an interrupted run is
+    resumed.
 
-    Writes tuned.toml, which every command reads if $SUREFOOT_TUNED names it.
+    Writes tuned.toml, which every command uses if the environment variable SUREFOOT_TUNED is set to
+    its path.
     """
 
     logs: Logs
     """Logs with a reference, not used to train observers or calibrate bounds."""
     out: Out
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
-    filter: UseAppendAction[tuple[str, ...]] = ()
-    """A filter to tune; may be given several times. By default all that the inputs allow."""
+    filter: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
+    """Filter to tune; by default all that the inputs allow."""
     robot: RobotName = None
     observer: Observers = ()
     bounds: BoundsFiles = ()
     budget: int = 16
-    """Runs of each filter over all logs of a robot."""
+    """Number of runs of each filter over all logs of a robot."""
     longest: float = 120.0
-    """Length of each log, from its start, on which filters are evaluated [s]."""
+    """Part of each log, from its start, on which filters are evaluated [s]."""
     workers: Workers = 1
     force: Force = False
 
@@ -394,9 +417,11 @@ class Bench:
     """Measure run times, each as a ratio to a reference timed in the same run."""
 
     rounds: int = 12
-    """Repetitions of each pair, alternating; the shortest counts."""
-    only: UseAppendAction[tuple[str, ...]] = ()
-    """Items to run; by default all."""
+    """Number of repetitions of each pair, alternating; the shortest time counts."""
+    only: Annotated[
+        UseAppendAction[tuple[str, ...]],
+        arg(metavar="ITEM", help=f"One of {', '.join(ITEMS)}; by default all."),
+    ] = ()
     page: OptionalPath = None
     """Page of results to write as well, such as docs/results/bench.md."""
 
@@ -408,15 +433,15 @@ class Bench:
 
 @dataclass(frozen=True)
 class PlanCommand:
-    """Plan which motion reveals each effect, how long it takes, and which other effect masks it."""
+    """Plan which motion reveals each effect, how long it takes, and which effect could mask it."""
 
-    robot: str
-    """Name or file of the robot, a quadruped that walks in simulation."""
+    robot: Annotated[str, arg(metavar="NAME|FILE")]
+    """Name of the robot, or its file (MJCF or URDF): a quadruped that walks in simulation."""
     effects: Annotated[
         Positional[tuple[str, ...]],
         arg(
             metavar="EFFECT...",
-            help=f"Any of {', '.join(EFFECT_NAMES)}, or your own.",
+            help=f"Effects: {', '.join(EFFECT_NAMES)}, or your own.",
             help_behavior_hint=NEEDED,
         ),
     ]

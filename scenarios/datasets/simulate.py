@@ -128,7 +128,7 @@ def simulate_all(
         walk = f"{row.scenario}, {row.robot}, seed {row.seed}"
         print(f"fell: {walk}, at {row.fell_at:.1f} s {row.fall}")
         if (log := fall_path(out, job)).is_file():
-            print(f"  its walk until then: {log}")
+            print(f"  the walk up to the fall: {log}")
     if len(fallen) == len(jobs):
         raise SurefootError(f"{out}: no walk was made, as every one ended in a fall")
     return made

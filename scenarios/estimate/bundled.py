@@ -48,27 +48,31 @@ def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
     return (
         Parameter("accel", accel, "m/s^2/sqrt(Hz)", "noise density of the accelerometer"),
         Parameter("gyro", 3e-4, "rad/s/sqrt(Hz)", "noise density of the gyro"),
-        Parameter("accel_walk", 1e-4, "m/s^3/sqrt(Hz)", "walk of the accelerometer's bias", True),
-        Parameter("gyro_walk", 1e-5, "rad/s^2/sqrt(Hz)", "walk of the gyro's bias", True),
+        Parameter("accel_walk", 1e-4, "m/s^3/sqrt(Hz)", "accelerometer bias random walk", True),
+        Parameter("gyro_walk", 1e-5, "rad/s^2/sqrt(Hz)", "gyro bias random walk", True),
     )
 
 
 VELOCITY = _imu_parameters(0.03)
 PERSISTENT = (
     *VELOCITY,
-    Parameter("persistent", 1.0, "1", "factor of the prior deviations of the persistent error"),
+    Parameter(
+        "persistent", 1.0, "1", "factor of the prior standard deviations of the persistent error"
+    ),
 )
 LEG = (
     *_imu_parameters(0.01),
-    Parameter("contact", 0.02, "m/s/sqrt(Hz)", "velocity noise density of a standing foot"),
+    Parameter("contact", 0.02, "m/s/sqrt(Hz)", "velocity noise density of a foot in stance"),
     Parameter(
-        "encoder", 2e-3, "rad", "of a joint angle: step, zero, what a loaded drive gives", True
+        "encoder", 2e-3, "rad", "std of a joint angle: resolution, zero, compliance of drives", True
     ),
-    Parameter("kinematics", 2e-3, "m", "of a foot's place: links, mounts and its shape", True),
+    Parameter(
+        "kinematics", 2e-3, "m", "std of a foot's position: links, mounts, shape of the foot", True
+    ),
 )
 LEG_SLIP = (
     *LEG,
-    Parameter("slip_gate", 16.27, "1", "squared Mahalanobis distance (3 degrees of freedom)"),
+    Parameter("slip_gate", 16.27, "1", "largest squared Mahalanobis distance (3 dof)"),
 )
 
 
@@ -150,7 +154,7 @@ class VelocityInflated(Velocity):
     color, line = "#455815", ":"
     variant = True
     description = (
-        "The same, its covariance times a factor chosen on training and calibration courses."
+        "velocity with its covariance times a factor chosen on training and calibration courses."
     )
     parameters = (
         *VELOCITY,
@@ -237,7 +241,7 @@ class Imu:
     """Integration of the IMU alone: the baseline of all other estimators."""
 
     name, label, color, line = "imu", "IMU alone", "#7F3485", "-"
-    description = "Integrates the IMU alone."
+    description = "Integration of the IMU alone."
     needs = Needs(robot=False)
     parameters = _imu_parameters(0.01)
     floor = True

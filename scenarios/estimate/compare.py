@@ -61,7 +61,7 @@ MEANINGS = {
     "NEES_vel": "the same of velocity",
     "NEES_att": "the same of attitude",
     LOST_FROM: "when innovations, biases or rejected measurements showed that the filter was lost",
-    "step [us]": "time of one IMU sample, observer and legs included (varies by machine)",
+    "step [us]": "computing time per IMU sample, observer and legs included (varies by machine)",
 }
 
 
@@ -231,7 +231,9 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
     return [
         Section("Filters compared", "\n\n".join(first), with_best_marked(found)),
         Section(
-            "How to read the table", "\n\n".join(["The best is in bold.", *left_out]), glossary
+            "How to read the table",
+            "\n\n".join(["The best values are in bold.", *left_out]),
+            glossary,
         ),
     ]
 
@@ -254,7 +256,7 @@ def _walk_prose(comparison: Comparison) -> str:
     if comparison.drawn is not None:
         text += f". Recording: surefoot view {log.name}.rrd"
     elif log.has("reference"):
-        text += ". No recording: it would draw the joints of a robot that is known"
+        text += ". No recording, which needs joint angles and a known robot"
     if log.meta.seed is not None:
         text += f". Simulated from {log.meta.scenario}, seed {log.meta.seed}"
     return text + "."

@@ -25,8 +25,8 @@ def error_summary(log: str, metrics: Mapping[str, Metrics]) -> str:
         return f"On {log}: no errors to compare, without a reference or a filter that held."
     errors = {name: one.ape_trans for name, one in metrics.items()}
     best = min(errors, key=lambda name: errors[name])
-    alone = "alone, " if len(errors) == 1 else "errs least, "
-    text = f"On {log}: {best} {alone}{cell(errors[best])} m (APE_trans)"
+    what = "has an error of" if len(errors) == 1 else "has the least error,"
+    text = f"On {log}: {best} {what} {cell(errors[best])} m (APE_trans)"
     nees = {name: one.nees_position for name, one in metrics.items()}
     low, high = ONE_WALK
     for what, names in (

@@ -55,7 +55,9 @@ Three = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class NoiseSettings:
-    """Noise densities and deviations of sensors, in the units above; None keeps a filter's own."""
+    """Noise of sensors, densities and standard deviations in the units above; None keeps a
+    filter's own.
+    """
 
     gyro: Positive | None = None
     gyro_walk: Positive | None = None
@@ -130,7 +132,7 @@ class FilterSettings:
             return initial_state(log)
         std = replace(REFERENCE_STD if log.has("reference") else GRAVITY_STD, **start)
         found, _ = initial_state(log, std)
-        # A given gyro bias, or its deviation, overrides that from standing still.
+        # A given gyro bias, or its standard deviation, overrides that from standing still.
         if not {"b_g"} & (start.keys() | state.keys()):
             _, std = still_gyro_bias(log, std)
         if "q_GI" in state:

@@ -54,9 +54,9 @@ from surefoot.sim.common.files import (
 
 PATHS = "Paths: "
 LEARNT = (
-    "Averages over the test sequences. inputs: of the observers, q,dq,tau in the paper; feet is "
-    "leg odometry with the robot as drawn. method: of the calibration of each axis' bound, "
-    "conformal at gamma^(1/3) or outer at its 99 % quantile."
+    "Averages over the test sequences. inputs: those of the observers, q,dq,tau in the paper; feet "
+    "is leg odometry computed with the model as drawn. method: how the bound of each axis is "
+    "calibrated, conformal at level γ^(1/3), outer at the 99 % quantile."
 )
 
 
@@ -195,7 +195,7 @@ def falls(outcome: Outcome, condition: str) -> str:
     walks = "; ".join(f"{name} (seed {', '.join(own)})" for name, own in seeds.items())
     return (
         f"The robot fell on these walks: {walks}. There is nothing to estimate or to learn from, "
-        "so filters that learn from such a walk have no row under that seed."
+        "so filters that learn from such a walk have no row for that seed."
     )
 
 

@@ -84,7 +84,7 @@ def methods_table(calibration: CalibratedWalk, tests: Sequence[CalibratedWalk]) 
         if region.shape is not None:
             rows.append(
                 {"method": f"{method}, its box", "errors": len(chosen)}
-                | _region_row(region.box, judged, "what the filters take")
+                | _region_row(region.box, judged, "the box that filters use")
             )
     return pd.DataFrame(rows)
 

@@ -84,7 +84,7 @@ def error_words(
     sentences.append(
         f"Shapes are tested at p < {LEVEL:g} on errors far enough apart to be independent, "
         f"{train[0].thinned} in training and {test[0].thinned} on {where}; with few of them a "
-        "deviation may go undetected."
+        "departure from a Gaussian may go undetected."
     )
     return "\n\n".join(sentences)
 

@@ -102,9 +102,7 @@ def error_bounds(
         ax = axes[0, k]
         edge = max(1.6 * epsilon[k], *[np.quantile(np.abs(e[:, k]), 0.995) for e in (train, test)])
         ax.axvspan(0, epsilon[k], color=BOUNDS, alpha=0.18, label="Bounds |e| ≤ ε")
-        ax.axhline(
-            100 * level, color=INK, linewidth=1.0, linestyle=":", label="meant for each axis"
-        )
+        ax.axhline(100 * level, color=INK, linewidth=1.0, linestyle=":", label="level of each axis")
         shares = []
         for name, e, color, line in (("Training", train, TRAIN, "-"), ("Test", test, TEST, "--")):
             sizes = np.sort(np.abs(e[:, k]))

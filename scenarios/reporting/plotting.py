@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -125,7 +126,8 @@ def png(figure: Figure) -> bytes:
     """The figure as PNG bytes; equal figures give equal bytes."""
     stream = BytesIO()
     with rc_context(_STYLE):
-        figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
+        # `savefig` would draw the figure twice, first for its layout alone.
+        FigureCanvasAgg(figure).print_png(stream, metadata={"Software": None})
     return stream.getvalue()
 
 

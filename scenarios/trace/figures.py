@@ -92,7 +92,7 @@ def candidate_gains(
     ax.margins(x=0.12)
     ax.grid(False, axis="y")
     set_title(ax, title)
-    ax.bar([0], [0], color=AFTER, label="put into the model")
-    ax.bar([0], [0], color=BEFORE, label="not taken")
+    ax.bar([0], [0], color=AFTER, label="added to the model")
+    ax.bar([0], [0], color=BEFORE, label="not added")
     legend_below(figure, ax)
     return figure

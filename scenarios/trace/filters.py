@@ -17,13 +17,14 @@ from surefoot.estimator.metrics import (
     path_length,
 )
 from surefoot.models.residuals.binning import at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity
+from surefoot.models.residuals.leg_velocity import leg_velocity_of
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
-from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.given_feet import Walker, shows_feet
 
 REPORTED = (
     "ape_trans",
@@ -57,7 +58,7 @@ class BeforeAfter:
 
 
 def before_and_after(
-    log: Log, robot: Robot, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
+    log: Log, robot: Walker, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
     """Run every filter for which log and `learnt` suffice on a part of a log, without and with
     effects.
@@ -68,7 +69,7 @@ def before_and_after(
 
     Args:
         log: the measured log.
-        robot: as declared.
+        robot: as declared. Filters run without a robot on the feet that a log gives.
         effects: to compensate.
         learnt: observers and bounds.
         begin: of the part, in the log's time [s].
@@ -93,7 +94,8 @@ def before_and_after(
     # Leg filters first, since a better model of the legs affects them most.
     of_filter = {one.filter: traits(one.filter) for one in done}
     done.sort(key=lambda one: of_filter[one.filter].variant or not of_filter[one.filter].of_legs)
-    if all(plain_part.has(group) for group in ("q", "contact")) and plain_part.contact.any():
+    stands = plain_part.has("contact") and plain_part.contact.any()
+    if stands and shows_feet(plain_part, robot):
         before = dead_reckoned(plain_part, robot)
         after = dead_reckoned(compensated_part, corrected)
         done.append(_compared(DEAD_RECKONING, plain_part, truth, before, after))
@@ -127,13 +129,13 @@ def drift(truth: Trajectory, estimate: Trajectory) -> float:
     return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
 
 
-def dead_reckoned(log: Log, robot: Robot) -> Trajectory:
+def dead_reckoned(log: Log, robot: Walker) -> Trajectory:
     """Leg odometry: the mean velocity by the standing feet, rotated by the reference's attitude and
     integrated. While no foot stands, the last velocity in the IMU's frame is held.
     """
     R_GI, stands = log.ref_R_GI, log.contact
     omega = at_rows(log.gyro) if log.has("imu") else np.zeros((len(log.t), 3))
-    v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, R_GI[:, 2], stands)
+    v_I = leg_velocity_of(log, robot, omega, R_GI[:, 2], stands)
     supported = np.flatnonzero(stands.any(axis=1))
     mean = np.nansum(v_I[supported], axis=1) / stands[supported].sum(axis=1, keepdims=True)
     latest = np.searchsorted(supported, np.arange(len(log.t)), side="right") - 1
@@ -143,20 +145,28 @@ def dead_reckoned(log: Log, robot: Robot) -> Trajectory:
     return Trajectory(log.t, R_GI, v_GI, p_GI, zeros, zeros)
 
 
-def filtered(name: str, log: Log, robot: Robot, learnt: Learnt) -> Trajectory:
+def filtered(name: str, log: Log, robot: Walker, learnt: Learnt) -> Trajectory:
     """One filter's estimate over a log, until it diverged.
 
     Raises SurefootError naming what the log or `learnt` lacks for it.
     """
-    robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
-    (found,) = estimated_in_chunks(estimator_named(name), [log], robot, learnt)
+    known = _known_to_filters(robot)
+    (found,) = estimated_in_chunks(estimator_named(name), [log], known, learnt)
     return found
 
 
-def doubts(name: str, log: Log, robot: Robot, estimate: Trajectory) -> str:
+def _known_to_filters(robot: Walker) -> Robot | None:
+    """The robot that a filter runs with; None where only its feet are known."""
+    if not isinstance(robot, Robot):
+        return None
+    return replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
+
+
+def doubts(name: str, log: Log, robot: Walker, estimate: Trajectory) -> str:
     """Why a filter's estimate over a log should not be trusted; "" if it can be."""
     run = [summary_of_run(estimate, log)]
-    return health_of(run, estimator_named(name), robot, log).sentence(name)
+    known = robot if isinstance(robot, Robot) else None
+    return health_of(run, estimator_named(name), known, log).sentence(name)
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:

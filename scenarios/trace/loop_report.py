@@ -275,10 +275,10 @@ def _prose(found: dict[str, Any], worlds: Sequence[LoopWorld]) -> str:
     if warned := caution(found):
         text += f"\n\n{warned[0].upper()}{warned[1:]}."
     text += (
-        "\n\nObservers are trained and calibrated in simulation only, on walks in the style of the "
-        "measured one, each with sizes drawn from the intervals of those found. The coverage is "
-        "the share of the measured errors within the bounds; their level holds only as far as the "
-        "simulation is like the robot."
+        "\n\nObservers are trained and calibrated in simulation only, on walks with the speeds, "
+        "stride and posture of the measured one, each with sizes drawn from the intervals of those "
+        "found. The coverage is the share of the measured errors within the bounds; their level "
+        "holds only as far as the simulation resembles the robot."
     )
     for world in worlds:
         for name, why in world.comparison.left_out.items():

@@ -34,13 +34,13 @@ WALKS_EACH = 3
 REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 """Factors on the measured velocities, tried in turn until no simulated robot falls."""
 _MODULE = "surefoot.scenarios.trace.realism"
-TITLE = "Realism: a measured walk beside simulated ones in its manner"
+TITLE = "Realism: a measured walk compared with simulated walks"
 REALISM_FILES = ("realism.json", "realism.csv", "drift.csv", "table.md", "report.html")
 DRIFT_WORDS = (
-    "RPE over 1 m [m/m] on the measured walk and on the simulated ones, by a model that knows "
-    "nothing of what the simulated robot has. A robot that walks like the measured one is as hard "
-    "for it. The interval of their ratio is over the seeds of the simulated walks: where it "
-    "reaches into the 15 %, that is left open."
+    "RPE over 1 m [m/m] on the measured and on the simulated walks, with a model that does not "
+    "include the effects of the simulated robot. If the simulated robot walks like the measured "
+    "one, both are alike. The 95 % interval of their ratio is over the seeds of the simulated "
+    "walks; where it contains values on both sides of the limit, the result is open."
 )
 
 
@@ -200,8 +200,8 @@ def _walks(
         except Fallen as fall:
             fallen = fall
     raise SurefootError(
-        f"realism: {robot.name} falls in simulation when it walks in the style of the log, even at "
-        f"{100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
+        f"realism: {robot.name} falls in simulation with the stride and posture of the log, even "
+        f"at {100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
     )
 
 

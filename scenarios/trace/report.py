@@ -175,10 +175,10 @@ def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]
 
 
 def _sentences(found: Trace) -> list[str]:
-    lines = [f"Since {why}." for why in found.reasons]
-    lines += [f"Lacks {one}." for one in sizes_in_words(found, found.found)]
+    lines = [f"Reason: {why}." for why in found.reasons]
+    lines += [f"The model lacks {one}." for one in sizes_in_words(found, found.found)]
     lines += [
-        f"Or {r['name']} {r['target']}: their regressors overlap by {r['overlap']:.2f}."
+        f"Or it lacks {r['name']} {r['target']}: their regressors overlap by {r['overlap']:.2f}."
         for r in found.rivals
     ]
     lines += [f"To distinguish them: {found.motion}."] if found.rivals else []

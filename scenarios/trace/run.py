@@ -21,8 +21,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_overwrite, whole_folder
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
@@ -69,7 +68,11 @@ def trace(
     out = Path(out)
     if not logs:
         raise SurefootError("trace: needs at least one log")
-    seen = {contents_digest(log) for log in logs} if holdout else set()
+    seen = set()
+    for log in logs:
+        if (digest := contents_digest(log)) in seen:
+            raise SurefootError(f"{log.name}: the same log is given twice")
+        seen.add(digest)
     for log in holdout:
         if contents_digest(log) in seen:
             raise SurefootError(f"--holdout {log.name}: is also a log to fit on")
@@ -101,7 +104,8 @@ def trace_logs(
 
     Args:
         logs: of one machine.
-        robot: the declared model: a legged robot, or a machine on a fixed base.
+        robot: the declared model: a legged robot, a machine on a fixed base, or one that is known
+            by its feet alone.
         seed: of the noise floor and the bootstraps.
         progress: called with the share done, 0 to 1.
         declared: effects already in the model, as in `trace`.
@@ -161,7 +165,7 @@ def _filtered(
     """
     done: list[BeforeAfter] = []
     for case in cases:
-        if case.fixed or not isinstance(case.robot, Robot):
+        if case.fixed or isinstance(case.robot, FixedBase):
             continue
         if not (case.log.has("imu") and case.log.has("reference")):
             continue

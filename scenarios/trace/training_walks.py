@@ -160,6 +160,6 @@ def _walk(scenario: Scenario, robot: Robot, seed: int, effects: Sequence[Effect]
         except Fallen as fall:
             fallen = fall
     raise SurefootError(
-        f"loop: in simulation {robot.name} falls in the style of the log, even at "
+        f"loop: in simulation {robot.name} falls with the stride and posture of the log, even at "
         f"{100 * PACES[-1]:.0f} % of its speed ({fallen})"
     )

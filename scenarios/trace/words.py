@@ -117,7 +117,7 @@ def beyond_bounds(found: Trace) -> list[str]:
         kind = known_effects()[one.key[0]]
         unit = found.unit_of(*one.key)
         factor, unit = _SCALE.get(unit, (1.0, unit))
-        low, high = (factor * x for x in kind.bounds_on(found.limbs))
+        low, high = (factor * x for x in kind.bounds_on(found.limbs, one.key[1]))
         lines.append(
             f"  {one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
             f"{100 * one.share:.0f} % of the remaining residual, but its bounds are {low:.3g} and "

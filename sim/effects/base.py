@@ -24,6 +24,9 @@ from surefoot.sim.sensors.streams import Reference, Streams
 
 __all__ = ["AXES", "Effect", "changed_columns", "joint_sizes", "turn_about", "with_columns"]
 
+_ESTIMATED = 1.25
+"""What a machine may lose of a declared size, as a multiple: the size is an estimate too."""
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -43,6 +46,10 @@ class Effect:
     bounds: ClassVar[tuple[float, float]]
     bounds_on_legs: ClassVar[tuple[float, float] | None] = None
     """Narrower bounds within which `trace` looks on a machine with legs, whose parts are small."""
+    may_lessen: ClassVar[bool] = False
+    """Whether sizes below zero are valid as well, down to minus the upper bound: the machine may
+    have less than what was declared before. The bounds are then those of what it may have more.
+    """
     unit_of_slides: ClassVar[str | None] = None
     """Unit on a joint that slides, whose angle is a distance and whose torque a force, if it
     differs.
@@ -83,10 +90,16 @@ class Effect:
     and the links if only the feet yield, remain at the encoders' angles.
     """
 
+    on_given_feet: ClassVar[bool] = False
+    """Whether `compensate` also works for a machine that is known by its feet alone
+    (`sim.robot.given_feet`), by changing the readings or `extras` only.
+    """
+
     def __post_init__(self):
         if isinstance(self.targets, tuple) and self.target not in self.targets:
             raise SurefootError(self._unknown(self.target, self.targets))
         low, high = self.bounds
+        low = -high if self.may_lessen else low
         if not low <= self.value <= high:
             raise SurefootError(
                 f"effect {self.name}: value must lie between {low:g} and {high:g} {self.unit}, "
@@ -176,10 +189,16 @@ class Effect:
         return cls.starts or (cls.step_of(target),)
 
     @classmethod
-    def bounds_on(cls, limbs: Limbs | None) -> tuple[float, float]:
-        """The bounds on a machine with these limbs; `bounds` if it is not known."""
+    def bounds_on(cls, limbs: Limbs | None, target: str | None = None) -> tuple[float, float]:
+        """The bounds on a machine with these limbs, and for this target where the machine may have
+        less than was declared; `bounds` if it is not known.
+        """
         legs = bool(limbs and limbs.legs)
-        return cls.bounds_on_legs if legs and cls.bounds_on_legs else cls.bounds
+        low, high = cls.bounds_on_legs if legs and cls.bounds_on_legs else cls.bounds
+        if cls.may_lessen and limbs and limbs.declared and target:
+            sizes, members = dict(limbs.declared), cls.members_of(target, limbs)
+            low -= _ESTIMATED * max(0.0, min(sizes.get((cls.name, one), 0.0) for one in members))
+        return low, high
 
     @classmethod
     def unit_on(cls, target: str, limbs: Limbs) -> str:
@@ -196,7 +215,7 @@ class Effect:
         """The bounds (`bounds_on`), reduced by a little more than a step at each end, for
         derivatives within them.
         """
-        (low, high), step = cls.bounds_on(limbs), cls.step_of(target)
+        (low, high), step = cls.bounds_on(limbs, target), cls.step_of(target)
         return low + 1.1 * step, high - 1.1 * step
 
     @classmethod

@@ -56,6 +56,7 @@ from surefoot.sim.effects.timing import (
     TorqueDelay,
 )
 from surefoot.sim.log import Log
+from surefoot.sim.robot.given_feet import GivenFeet
 
 M = TypeVar("M")
 
@@ -157,10 +158,17 @@ def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, 
 
     Effects that no model can compensate (`Effect.is_compensated`) stay in the log; those that take
     loads from the log come last (`Effect.uses_loads`). The machine may have a fixed base if no
-    effect changes its body.
+    effect changes its body. Raises SurefootError for an effect on a body of which only the feet
+    are known.
     """
     known: Any = robot
+    by_feet = isinstance(robot, GivenFeet)
     for one in sorted(effects, key=lambda e: e.uses_loads):
         if one.is_compensated():
+            if by_feet and not one.on_given_feet:
+                raise SurefootError(
+                    f"effect {one.name}: needs joint angles and a robot model; {log.name} gives "
+                    "the feet alone"
+                )
             log, known = one.compensate(log, known)
     return log, known

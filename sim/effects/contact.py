@@ -9,6 +9,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
@@ -29,6 +30,7 @@ class ViscousFriction(Effect):
     unit = "N m s/rad"
     bounds = (0.0, 1e4)
     bounds_on_legs = (0.0, 100.0)
+    may_lessen = True
     unit_of_slides = "N s/m"
     channels = ("joint_torque",)
     targets = "joint"
@@ -39,7 +41,7 @@ class ViscousFriction(Effect):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         # MuJoCo's damping is a polynomial; its first coefficient multiplies the rate itself.
         for joint in _joints(spec, robot, self):
-            joint.damping[0] += self.value
+            joint.damping[0] = _changed(joint.damping[0], self, joint)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(log, robot, self, lambda rate: rate), robot
@@ -57,6 +59,7 @@ class CoulombFriction(Effect):
     unit = "N m"
     bounds = (0.0, 2e3)
     bounds_on_legs = (0.0, 100.0)
+    may_lessen = True
     unit_of_slides = "N"
     channels = ("joint_torque",)
     targets = "joint"
@@ -66,7 +69,7 @@ class CoulombFriction(Effect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in _joints(spec, robot, self):
-            joint.frictionloss += self.value
+            joint.frictionloss = _changed(joint.frictionloss, self, joint)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(log, robot, self, lambda rate: np.tanh(rate / _stiction(rate))), robot
@@ -83,6 +86,7 @@ class Armature(Effect):
     unit = "kg m^2"
     bounds = (0.0, 1e3)
     bounds_on_legs = (0.0, 10.0)
+    may_lessen = True
     unit_of_slides = "kg"
     channels = ("joint_torque",)
     targets = "joint"
@@ -92,7 +96,7 @@ class Armature(Effect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in _joints(spec, robot, self):
-            joint.armature += self.value
+            joint.armature = _changed(joint.armature, self, joint)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(log, robot, self, lambda rate: np.gradient(rate, log.t)), robot
@@ -197,3 +201,13 @@ def _less_torque(
 def _joints(spec: mujoco.MjSpec, robot: Robot, one: Effect) -> list[mujoco.MjsJoint]:
     names = dict(zip(robot.limbs.joints, robot.joint_names, strict=True))
     return [spec.joint(names[joint]) for joint in one.members(robot.limbs)]
+
+
+def _changed(size: float, one: Effect, joint: mujoco.MjsJoint) -> float:
+    """What a joint has with the effect. Raises SurefootError below zero."""
+    if size + one.value < 0.0:
+        raise SurefootError(
+            f"effect {one.name} {one.target}: {joint.name} has only {size:g} {one.unit}, and "
+            f"{-one.value:g} less is not possible"
+        )
+    return size + one.value

@@ -4,7 +4,6 @@ The deflection of a spring is its load times its compliance. The simulation incl
 and damping (`sim.physics.springs`); a model that compensates a spring takes the load from the log.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import mujoco
@@ -22,6 +21,7 @@ from surefoot.sim.physics.leg_loads import (
 from surefoot.sim.physics.momentum_balance import feet_jacobian_B, load_parameters
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import last_links
 
 LOAD_WINDOW = 0.05
 """Window of the quadratic fits to a load before differentiation [s].
@@ -128,9 +128,9 @@ def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> n
     rows, legs = np.nonzero(force_B.any(axis=2))
     # The springs rotate with the last link; in the home pose their axes are the base's.
     links_B = log.cached(
-        "last links", log.columns_of("q"), lambda: _last_links_B(robot, log.q), robot.legs
+        "last links", log.columns_of("q"), lambda: last_links(robot.legs, log.q), robot.legs
     )
-    at_home = _last_links_B(robot, robot.q_home[None])
+    at_home = last_links(robot.legs, robot.q_home[None])
     axes_B = links_B[rows, legs] @ (np.swapaxes(at_home, 2, 3) @ along.T)[0, legs]
     given_B = axes_B @ (np.swapaxes(axes_B, 1, 2) @ force_B[rows, legs, :, None])
     J_B = feet_jacobian_B(log, robot)
@@ -144,18 +144,6 @@ def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> n
     for leg, chain in enumerate(robot.limbs.chains):
         turned[:, chain] = by_leg[:, leg, : len(chain)]
     return turned
-
-
-def _last_links_B(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Rotations (N, L, 3, 3) of the links that carry the feet, in B, at angles q (N, J) [rad]."""
-    own, at_origin = robot.legs, replace(robot, R_BI=np.eye(3))
-    feet = at_origin.feet_I(q)
-    # A foot's position in B is linear in its position on its link.
-    columns = [
-        replace(at_origin, legs=own._replace(foot=own.foot + one)).feet_I(q) - feet
-        for one in np.eye(3)
-    ]
-    return np.stack(columns, axis=3)
 
 
 def _deflection(log: Log, angle: np.ndarray) -> Deflection:

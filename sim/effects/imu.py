@@ -26,6 +26,7 @@ class ImuRotation(Effect):
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
     targets = AXES
     needs = ("imu",)
+    on_given_feet = True
     step = 1e-3
     chain_rule = "readings"
 
@@ -54,6 +55,7 @@ class GyroScale(Effect):
     channels = ("imu_gyro", "leg_velocity")
     targets = AXES
     needs = ("imu",)
+    on_given_feet = True
     step = 1e-3
     chain_rule = "readings"
 
@@ -79,6 +81,7 @@ class AccelScale(Effect):
     channels = ("imu_accel",)
     targets = AXES
     needs = ("imu",)
+    on_given_feet = True
     step = 1e-3
     chain_rule = "readings"
 
@@ -104,6 +107,7 @@ class GyroBias(Effect):
     channels = ("imu_gyro", "leg_velocity")
     targets = AXES
     needs = ("imu",)
+    on_given_feet = True
     step = 1e-3
     chain_rule = "readings"
 
@@ -127,6 +131,7 @@ class AccelBias(Effect):
     channels = ("imu_accel",)
     targets = AXES
     needs = ("imu",)
+    on_given_feet = True
     step = 1e-2
     chain_rule = "readings"
 
@@ -150,6 +155,7 @@ class GyroGSensitivity(Effect):
     channels = ("imu_gyro", "leg_velocity")
     targets = AXES
     needs = ("imu",)
+    on_given_feet = True
     step = 1e-4
     chain_rule = "readings"
 
@@ -175,6 +181,7 @@ class ImuPosition(Effect):
     channels = ("imu_accel",)
     targets = AXES
     needs = ("imu",)
+    on_given_feet = True
     lossy = True
     step = 1e-3
     chain_rule = "readings"
@@ -204,6 +211,7 @@ class ImuLowpass(Effect):
     channels = ("imu_gyro", "imu_accel")
     targets = ("all",)
     needs = ("imu",)
+    on_given_feet = True
     lossy = True
     step = 1e-3
 

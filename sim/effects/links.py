@@ -78,6 +78,7 @@ class LinkInertia(Effect):
     unit = "kg m^2"
     bounds = (0.0, 20.0)
     bounds_on_legs = (0.0, 0.5)
+    may_lessen = True
     channels = ("joint_torque", "base_wrench")
     targets = "joint"
     groups = True

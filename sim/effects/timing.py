@@ -43,14 +43,21 @@ draws, six in 2 %.
 """
 _TURNING = ("t", "gyro_x", "gyro_y", "gyro_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z")
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
-STREAM_COLUMNS = {**STREAMS, "feet": ("force", "contact"), "reference": ("ref",)}
-"""A log's columns of each stream; contacts belong to the feet's forces, from which they are
-derived.
+STREAM_COLUMNS = {
+    **STREAMS,
+    "joints": (*STREAMS["joints"], "foot"),
+    "feet": ("force", "contact"),
+    "reference": ("ref",),
+}
+"""A log's columns of each stream; positions of the feet belong to the joints, and contacts to the
+feet's forces, from which they are derived.
 """
 
 
 class JointDelay(Effect):
-    """Joint positions, rates and torques arrive late by a constant time."""
+    """Joint positions, rates and torques arrive late by a constant time, and so do positions of the
+    feet that were computed from them.
+    """
 
     name = "joint_delay"
     unit = "s"
@@ -58,6 +65,7 @@ class JointDelay(Effect):
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = ("all",)
     needs = ("reference",)
+    on_given_feet = True
     lossy = True
     # Longer than a row, so that noise is not differentiated as the slope of torques and rates.
     # Delays of 1 and 6 ms are found to 0.01 ms with any step from 0.5 to 4 ms; started from zero,
@@ -68,7 +76,7 @@ class JointDelay(Effect):
         return _late(streams, ("q", "dq", "tau"), self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _moved(log, ("q", "dq", "tau"), log.t + self.value), robot
+        return _moved(log, STREAM_COLUMNS["joints"], log.t + self.value), robot
 
 
 class ImuDelay(Effect):
@@ -80,6 +88,7 @@ class ImuDelay(Effect):
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
     targets = ("all",)
     needs = ("imu",)
+    on_given_feet = True
     lossy = True
     step = 1e-3
     chain_rule = "readings"
@@ -194,7 +203,8 @@ class ContactDelay(Effect):
     bounds = (-0.05, 0.15)
     channels = ("contact_timing",)
     targets = ("touchdown", "liftoff")
-    needs = ("contact", "q", "reference")
+    needs = ("contact", "reference")
+    on_given_feet = True
     # Less than a row: with every row, some bouncing contacts appear and some vanish.
     step = 1e-3
 
@@ -256,6 +266,7 @@ class ReferenceDelay(Effect):
     channels = ("imu_gyro", "imu_accel", "leg_velocity", "foot_height")
     targets = ("all",)
     needs = ("reference",)
+    on_given_feet = True
     lossy = True
     step = 1e-3
 
@@ -357,6 +368,7 @@ class ClockScale(Effect):
     channels = ("imu_gyro", "imu_accel", "leg_velocity", "contact_timing")
     targets = (*STREAMS, "reference")
     needs = ("reference",)
+    on_given_feet = True
     lossy = True
     step = 1e-4
 

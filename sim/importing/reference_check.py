@@ -221,12 +221,16 @@ def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
 
     In these frames the tracker confused the body with another, or flipped its attitude.
     """
-    at = np.flatnonzero(jumps(poses))
-    keep = np.ones(len(poses.t), dtype=bool)
-    for first, last in pairwise(at):
-        if poses.t[last] - poses.t[first] < longest:
-            keep[first + 1 : last + 1] = False
-    return poses.rows(keep)
+    while True:
+        keep, back = np.ones(len(poses.t), dtype=bool), -1
+        for first, last in pairwise(np.flatnonzero(jumps(poses))):
+            # What follows a jump back is good, unless it still jumps once the poses before it are
+            # removed.
+            if first != back and poses.t[last] - poses.t[first] < longest:
+                keep[first + 1 : last + 1], back = False, last
+        if keep.all():
+            return poses
+        poses = poses.rows(keep)
 
 
 def _frames(step: np.ndarray) -> np.ndarray:

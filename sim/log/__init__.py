@@ -1,6 +1,11 @@
 """The Log, the only data passed between the packages: its file, schema and checks."""
 
-from surefoot.sim.log.derived import joint_velocity, reference_velocity, with_velocities
+from surefoot.sim.log.derived import (
+    foot_velocity,
+    joint_velocity,
+    reference_velocity,
+    with_velocities,
+)
 from surefoot.sim.log.log import Log, LogError, LogReader, LogWriter
 from surefoot.sim.log.schema import JOINTS, LEGS, SCHEMA, Meta
 
@@ -13,6 +18,7 @@ __all__ = [
     "LogReader",
     "LogWriter",
     "Meta",
+    "foot_velocity",
     "joint_velocity",
     "reference_velocity",
     "with_velocities",

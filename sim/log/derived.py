@@ -152,6 +152,22 @@ def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
     return log.cached(f"joint velocity {causal}", log.columns_of("q"), made)
 
 
+def foot_velocity(log: Log) -> np.ndarray:
+    """Velocities (N, L, 3) of the feet in I [m/s], relative to the IMU: the zero-phase derivative
+    of the given positions over 25 ms.
+
+    Raises LogError where the log does not give them.
+    """
+    log.require("foot")
+
+    def made() -> np.ndarray:
+        feet_I = log.foot_I
+        flat = derivative(log.t, feet_I.reshape(len(feet_I), -1), JOINT_WINDOW, causal=False)
+        return flat.reshape(feet_I.shape)
+
+    return log.cached("foot velocity", log.columns_of("foot"), made)
+
+
 def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
     """Reference velocity (N, 3) of the IMU frame in G [m/s]: logged, else from ref_p over 0.1 s.
 

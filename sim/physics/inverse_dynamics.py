@@ -112,7 +112,7 @@ class Dynamics:
         out = np.empty((len(q), self.model.nv))
         with self._changed(changes):
             _sweep(self._memory, *motion, out)
-        return self._wrench(out), out[:, self.dof_adr]
+        return self.parted(out)
 
     def derivatives(
         self,
@@ -140,7 +140,40 @@ class Dynamics:
         out = np.empty((3, len(self.dof_adr), len(q), self.model.nv))
         with self._changed(changes):
             _sweep_about(self._memory, *motion, self.qpos_adr, self.dof_adr, step, out)
-        return self._wrench(out), out[..., self.dof_adr]
+        return self.parted(out)
+
+    def link_derivatives(
+        self,
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        base: np.ndarray | None = None,
+        changes: BodyChanges = UNCHANGED_BODY,
+    ) -> np.ndarray:
+        """Derivatives (5, J, nv, N) of the generalised forces by each link's mass, centre of mass
+        (x, y, z) and inertia, as in a LinkChange; `parted` splits them.
+
+        All from one sweep, since only the force on the link itself changes.
+
+        Args:
+            q: (N, J), as for `inverse`.
+            dq: (N, J).
+            ddq: (N, J).
+            base: (N, 9) or None.
+            changes: of joints and links.
+        """
+        motion, model = self._motion(q, dq, ddq, base), self.model
+        # Rows last, so that the joints that carry nothing of a link take no memory.
+        out = np.zeros((5, len(self.dof_adr), model.nv, len(q)))
+        bodies = model.jnt_bodyid[model.dof_jntid[self.dof_adr]]
+        with self._changed(changes):
+            _sweep_links(self._memory, self._tree, *motion, bodies, out)
+        return out
+
+    def parted(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Wrench on the base (..., 6) and joint torques (..., J) of forces (..., nv)."""
+        wrench = forces[..., :6] if self.floating else np.zeros((*forces.shape[:-1], 6))
+        return wrench, forces[..., self.dof_adr]
 
     def _motion(self, q, dq, ddq, base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The motion in MuJoCo's coordinates: positions (N, nq), rates and accelerations (N,
@@ -156,9 +189,6 @@ class Dynamics:
                 V[:, 3:6], A[:, 3:6] = base[:, :3], base[:, 3:6]
                 A[:, :3] = base[:, 6:] + model.opt.gravity
         return Q, V, A
-
-    def _wrench(self, forces: np.ndarray) -> np.ndarray:
-        return forces[..., :6] if self.floating else np.zeros((*forces.shape[:-1], 6))
 
     @contextmanager
     def _changed(self, changes: BodyChanges) -> Iterator[None]:
@@ -189,6 +219,15 @@ class Dynamics:
         state = d.qpos, d.qvel, d.qacc, d.qfrc_passive
         return _Memory(*where, *state, model.dof_armature, *_dry_friction(model))
 
+    @property
+    def _tree(self) -> "_Tree":
+        model, d = self.model, self.data
+        return _Tree(
+            *(model.body_parentid, model.body_rootid, model.body_dofadr, model.body_dofnum),
+            *(model.body_mass, model.opt.gravity, d.subtree_com, d.xipos, d.xmat),
+            *(d.cdof, d.cdof_dot, d.cvel),
+        )
+
 
 class _Memory(NamedTuple):
     """Arrays that a sweep reads and writes.
@@ -218,6 +257,23 @@ class _Memory(NamedTuple):
     dry: np.ndarray
     stiff: np.ndarray
     lead: np.ndarray
+
+
+class _Tree(NamedTuple):
+    """Bodies of a model and their motion in its data, named as in MuJoCo."""
+
+    parent: np.ndarray  # (B,)
+    root: np.ndarray  # (B,)
+    dofadr: np.ndarray  # (B,)
+    dofnum: np.ndarray  # (B,)
+    mass: np.ndarray  # (B,)
+    gravity: np.ndarray  # (3,)
+    subtree_com: np.ndarray  # (B, 3)
+    xipos: np.ndarray  # (B, 3)
+    xmat: np.ndarray  # (B, 9)
+    cdof: np.ndarray  # (nv, 6)
+    cdof_dot: np.ndarray  # (nv, 6)
+    cvel: np.ndarray  # (B, 6)
 
 
 def _dry_friction(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -325,6 +381,101 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
             _fill_forces(memory, there)
             _difference(there, here, step, out[0, j, k])
             copy_row(Q[k], qpos)
+
+
+@kernel(nogil=True)
+def _sweep_links(memory, tree, Q, V, A, bodies, out):
+    """Derivatives of the generalised forces of N motions by mass, centre and inertia of links.
+
+    A point with the acceleration a takes a force a per unit of mass. Shifted along e, it gains the
+    acceleration of e, which is fixed to the link.
+
+    Args:
+        memory: a _Memory.
+        tree: a _Tree.
+        Q: (N, nq), positions.
+        V: (N, nv), velocities.
+        A: (N, nv), accelerations.
+        bodies: (J,), of the links.
+        out: (5, J, nv, N), added to.
+    """
+    moved = np.empty((len(tree.parent), 6))  # accelerations, about the tree's centre of mass
+    for k in range(len(Q)):
+        copy_row(Q[k], memory.qpos)
+        copy_row(V[k], memory.qvel)
+        copy_row(A[k], memory.qacc)
+        _take_positions(memory)
+        _take_velocities(memory)
+        _fill_accelerations(memory, tree, moved)
+        for j, body in enumerate(bodies):
+            centre, mass, R = tree.root[body], tree.mass[body], tree.xmat[body]
+            p = _minus(tree.xipos[body], tree.subtree_com[centre])
+            w, v = _halves(tree.cvel[body])
+            spin, rise = _halves(moved[body])
+            # a = rise + spin x p + w x (v + w x p)
+            a = _plus(_plus(rise, _cross(spin, p)), _cross(w, _plus(v, _cross(w, p))))
+            _add_wrench(tree, body, _cross(p, a), a, out[0, j, :, k])
+            for axis in range(3):
+                e = (mass * R[axis], mass * R[3 + axis], mass * R[6 + axis])
+                gained = _plus(_cross(spin, e), _cross(w, _cross(w, e)))
+                moment = _plus(_cross(e, a), _cross(p, gained))
+                _add_wrench(tree, body, moment, gained, out[1 + axis, j, :, k])
+            _add_wrench(tree, body, spin, (0.0, 0.0, 0.0), out[4, j, :, k])
+
+
+@kernel(nogil=True)
+def _fill_accelerations(memory, tree, moved):
+    """Spatial accelerations (B, 6) of the bodies as MuJoCo has them: gravity is an acceleration of
+    the world upwards.
+    """
+    for i in range(3):
+        moved[0, i], moved[0, 3 + i] = 0.0, -tree.gravity[i]
+    for body in range(1, len(moved)):
+        copy_row(moved[tree.parent[body]], moved[body])
+        first = tree.dofadr[body]
+        for dof in range(first, first + tree.dofnum[body]):
+            for i in range(6):
+                moved[body, i] += tree.cdof_dot[dof, i] * memory.qvel[dof]
+                moved[body, i] += tree.cdof[dof, i] * memory.qacc[dof]
+
+
+@kernel(nogil=True)
+def _add_wrench(tree, body, moment, force, out):
+    """Add the share of each degree of freedom that carries a body in a wrench on it.
+
+    Args:
+        tree: a _Tree.
+        body: its index.
+        moment: (3,) about the centre of mass of the tree, in world axes [N m].
+        force: (3,) in world axes [N].
+        out: (nv,), added to.
+    """
+    while body:
+        first = tree.dofadr[body]
+        for dof in range(first, first + tree.dofnum[body]):
+            for i in range(3):
+                out[dof] += tree.cdof[dof, i] * moment[i] + tree.cdof[dof, 3 + i] * force[i]
+        body = tree.parent[body]
+
+
+@kernel(nogil=True)
+def _halves(x):
+    return (x[0], x[1], x[2]), (x[3], x[4], x[5])
+
+
+@kernel(nogil=True)
+def _minus(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel(nogil=True)
+def _plus(a, b):
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@kernel(nogil=True)
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel(nogil=True)

@@ -12,7 +12,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.plausibility.attitude import AttitudeFault, attitude_fault
 from surefoot.sim.plausibility.axes import AxesMatch, match_axes
 from surefoot.sim.plausibility.stance import Stance, stance_of
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.fixed_base import FixedBase, Machine
 from surefoot.sim.robot.robot import Robot
 
 STEP = 0.02
@@ -63,13 +63,13 @@ class LogView:
 
     @property
     def robot(self) -> Robot | None:
-        """The machine, if it has legs."""
+        """The machine, if it is a robot with a model of its legs."""
         return self.machine if isinstance(self.machine, Robot) else None
 
     @property
     def on_fixed_base(self) -> bool:
         """Whether the machine is known and has no legs."""
-        return self.machine is not None and self.robot is None
+        return isinstance(self.machine, FixedBase)
 
     def means(self, x: np.ndarray) -> np.ndarray:
         """Means (M, D) of a stream x (N, D) about the times `at`."""

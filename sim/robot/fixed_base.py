@@ -11,6 +11,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, is_file
 from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.given_feet import GivenFeet, Walker
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.model_file import compiled_model
 from surefoot.sim.robot.model_of_log import robot_of_log
@@ -30,6 +31,7 @@ class FixedBase:
         extras: properties beyond the file, from a log's map or effects.
         legless: why no legs were found in a URDF, which may be of a robot with legs; empty where
             the file says that the base is fixed.
+        declared: as of `Limbs`.
     """
 
     name: str
@@ -37,6 +39,7 @@ class FixedBase:
     joint_names: tuple[str, ...]
     extras: DeclaredExtras = field(default_factory=DeclaredExtras)
     legless: str = ""
+    declared: tuple[tuple[tuple[str, str], float], ...] = ()
 
     @cached_property
     def limbs(self) -> Limbs:
@@ -51,13 +54,16 @@ class FixedBase:
             slides=tuple(joint.name for joint in joints if int(joint.type[0]) == slide),
             inertia=tuple(float(model.dof_M0[joint.dofadr[0]]) for joint in joints),
             mass=float(model.body_mass[model.body_weldid != 0].sum()),
+            declared=self.declared,
         )
 
 
-Machine = Robot | FixedBase
+Machine = Walker | FixedBase
 
 
-def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None) -> Machine:
+def load_machine(
+    name_or_path: str | Path, feet: Mapping[str, str] | None = None
+) -> Robot | FixedBase:
     """Load a robot with legs, or a fixed base if the model has no free joint or is a URDF without
     legs.
 
@@ -81,14 +87,16 @@ def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None
 
 
 def machine_for_log(log: Log, name: str | Path | None = None) -> Machine:
-    """The machine `name`, or else the one the log names, with the values of the log's map.
+    """The machine `name`, or else the one the log names, with the values of the log's map; without
+    either, that of the feet that the log gives.
 
     Raises SurefootError where a fixed base lacks a joint that the log has, and where no legs were
     found for a log with feet.
     """
     chosen = name or robot_of_log(log)
     if not chosen:
-        return Robot.for_log(log)  # which says what the log lacks
+        # `Robot.for_log` says what the log lacks.
+        return GivenFeet.of_log(log) if log.has("foot") else Robot.for_log(log)
     machine = load_machine(chosen, log.meta.model.get("feet"))
     if isinstance(machine, Robot):
         return Robot.for_log(log, chosen)

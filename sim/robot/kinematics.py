@@ -202,3 +202,19 @@ def feet(legs, q, R_BI, p_BI):
                     jacobian[k, leg, a, j] = column[a]
                     axes[k, leg, a, j] = axis[a]
     return position, jacobian, axes
+
+
+@kernel
+def last_links(legs, q):
+    """Rotations (N, L, 3, 3) of the links that carry the feet, in B, for q (N, J)."""
+    out = np.empty((len(q), len(legs.joint_count), 3, 3))
+    for k in range(len(q)):
+        for leg in range(out.shape[1]):
+            R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+            for j in range(legs.joint_count[leg]):
+                angle = q[k, legs.joints[leg, j]] - legs.q_zero[leg, j]
+                R = _times(R, _numbers(legs.rotation[leg, j]))
+                R = _times(R, axis_rotation(legs.axis[leg, j], angle))
+            for i in range(9):
+                out[k, leg, i // 3, i % 3] = R[i]
+    return out

@@ -22,6 +22,8 @@ class Limbs:
         inertia: (J,) moved by each joint in the zero posture, by the model [kg m^2; kg of slides];
             empty for a machine with legs, as is `slides`.
         mass: all that the joints move, by the model [kg]; 0 for a machine with legs.
+        declared: ((effect, joint), size) of what a fixed base has by declaration and may have less
+            of, such as friction.
     """
 
     legs: tuple[str, ...]
@@ -31,6 +33,7 @@ class Limbs:
     slides: tuple[str, ...] = ()
     inertia: tuple[float, ...] = ()
     mass: float = 0.0
+    declared: tuple[tuple[tuple[str, str], float], ...] = ()
 
     @cached_property
     def leg_of(self) -> tuple[int | None, ...]:
@@ -41,6 +44,11 @@ class Limbs:
     def kind(self, joint: int) -> str:
         """Name that a joint shares with its counterparts on other legs: "thigh" for "FL_thigh"."""
         return self._kinds[joint]
+
+    @property
+    def feet_alone(self) -> bool:
+        """Whether nothing is known of the legs but their feet (`sim.robot.given_feet`)."""
+        return bool(self.legs) and not self.chains
 
     @cached_property
     def point_feet(self) -> bool:

@@ -115,7 +115,7 @@ class Robot:
         """
         chosen = name or robot_of_log(log)
         if not chosen:
-            feet = "; its foot positions suffice for estimate, compare and align, but not here"
+            feet = "; its foot positions suffice for estimate, compare, align and trace"
             raise SurefootError(f"{log.name}: {NO_ROBOT}{feet if log.has('foot') else ''}")
         mapped = log.meta.model
         robot = cls.load(chosen, mapped.get("feet")).in_order_of(log)

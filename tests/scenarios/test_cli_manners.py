@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -274,3 +275,26 @@ def test_help_is_in_words_and_not_in_pythons(command, capsys):
     assert not ended(f"{command} --help")
     text = capsys.readouterr().out
     assert [word for word in ("None", "default: )", "default: '')") if word in text] == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_a_sentence_for_each_option(command, capsys):
+    """What tyro adds in brackets follows a full stop, and each flag has a text."""
+    assert not ended(f"{command} --help")
+    text = " ".join(re.sub("[─│╭╮╰╯]", " ", capsys.readouterr().out.partition("╭")[2]).split())
+    bare = r"\S*[^.\s] \((?:required|optional|repeatable|default: [^)]*)\)"
+    assert re.findall(rf"{bare}|--[\w-]+(?= -|$)", text) == []
+
+
+def test_help_of_train_lists_the_inputs_apart(capsys):
+    """tyro joins choices by commas, which these contain, and wraps lines at them."""
+    assert not ended("train --help")
+    text = "".join(capsys.readouterr().out.replace("│", "").split())
+    assert ":q|q,dq|q,dq,tau|feet|tau,feet|q,dq,tau,feet." in text
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_flag_is_shown_without_its_default(command, capsys):
+    assert not ended(f"{command} --help")
+    text = capsys.readouterr().out
+    assert [word for word in ("default: False", "default: True") if word in text] == []

@@ -30,7 +30,7 @@ def test_the_summary_names_the_least_error_and_who_claims_too_much(metrics):
     bold = replace(metrics, ape_trans=0.5, nees_position=149.0)
     shy = replace(metrics, ape_trans=0.02, nees_position=0.01)
     text = error_summary("yard", {"bold": bold, "even": metrics, "shy": shy})
-    assert text.startswith("On yard: shy errs least, 0.020 m (APE_trans)")
+    assert text.startswith("On yard: shy has the least error, 0.020 m (APE_trans)")
     assert "overconfident (NEES_pos, 3 if consistent): bold (149.00)" in text
     assert "underconfident (NEES_pos, 3 if consistent): shy (0.01)" in text
     assert "even" not in text

@@ -113,7 +113,7 @@ def test_text_keeps_every_digit_and_nothing_is_overwritten(files):
     assert "cov_0_0" in pd.read_csv(files / "imu.csv")
     with pytest.raises(SurefootError, match="exists already"):
         export(files / "log.parquet", files / "log.csv")
-    with pytest.raises(SurefootError, match="the ending says the format"):
+    with pytest.raises(SurefootError, match=r"give a file ending in \.tum or \.csv or \.mcap"):
         export(files / "log.parquet", files / "log.txt")
     with pytest.raises(SurefootError, match="not a log, which is a Parquet file"):
         export(files / "log.csv", files / "other.csv")

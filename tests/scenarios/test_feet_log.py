@@ -144,8 +144,10 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
     results, left_out = run_all(feet, None, Learnt())
     assert {result.filter for result in results} == {"leg", "leg_slip", "imu"}
     assert "radar_leg" in left_out
-    said = str(stopped("trace", str(path), "-o", str(tmp_path / "traced")))
-    assert "its foot positions suffice for estimate, compare and align, but not here" in said
+    assert stopped("trace", str(path), "-o", str(tmp_path / "traced")) is None
+    assert "too short" in capsys.readouterr().out
+    said = str(stopped("loop", str(path), "-o", str(tmp_path / "looped")))
+    assert "its foot positions suffice for estimate, compare, align and trace" in said
 
 
 def test_what_is_missing_is_one_line(tmp_path, feet):

@@ -135,7 +135,9 @@ def test_a_fall_is_one_clear_line(measured, robot):
     """A robot that nothing holds level, with a load before its feet."""
     soft = [effect("payload", "all", 30.0), effect("com_offset", "x", 0.2)]
     heavy = replace(load_as_walked(), gait=GaitOptions(level=0.0, duty=0.4), size=())
-    with pytest.raises(SurefootError, match="spot_class falls in simulation when it") as caught:
+    with pytest.raises(
+        SurefootError, match="spot_class falls in simulation with the stride"
+    ) as caught:
         compare_walks(measured, robot, "falling", soft, heavy)
     assert "\n" not in str(caught.value)
 

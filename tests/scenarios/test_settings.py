@@ -110,5 +110,9 @@ def test_a_lost_filter_ends_with_code_3_and_its_trajectory(log, tmp_path, capsys
     assert stop.value.code == 3
     assert "leg is not to be trusted: " in capsys.readouterr().err
     assert len(Trajectory.read(out).t) > 100
+    for name in ("other.csv", "other.tum", "other"):
+        with pytest.raises(SystemExit, match=r"give a \.parquet file"):
+            main(f"estimate {path} --filter leg -o {tmp_path / name}".split())
+        assert not (tmp_path / name).exists()
     main([*f"compare {path} -o {tmp_path / 'all'}".split(), *wrong])
     assert "not to be trusted from" in (tmp_path / "all" / "table.md").read_text()

@@ -4,6 +4,8 @@ import json
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
+import pandas as pd
 import pytest
 from pendulum import swung
 
@@ -85,6 +87,25 @@ def test_a_held_out_run_without_the_effect_says_so():
     assert why in found.reasons
 
 
+def test_a_held_out_run_is_not_evaluated_where_its_joint_sticks():
+    """At rest the drive pushes with any torque that dry friction holds."""
+    moves = run(1, friction=0.4)
+    rests = moves.frame.copy()
+    rests["t"] -= rests.t.iloc[-1] + 1.0 / moves.rate
+    noise = np.random.default_rng(0).normal(size=(2, len(rests)))
+    rests["q_shoulder"], rests["dq_shoulder"] = moves.frame.q_shoulder.iloc[0], 0.02 * noise[0]
+    rests["tau_shoulder"] = 0.35 + 0.2 * noise[1]
+    stuck = replace(moves, frame=pd.concat([rests, moves.frame], ignore_index=True))
+    levels = []
+    for log in (moves, stuck):
+        found = trace_logs([run(0, friction=0.4)], PENDULUM, holdout=[log])
+        assert names(found) == [("coulomb_friction", "shoulder")]
+        assert found.held_out is not None
+        assert found.held_out.worsened == ()
+        levels.append(found.held_out.channels["joint_torque"].after)
+    assert levels[1] == pytest.approx(levels[0], rel=0.1)
+
+
 @pytest.mark.parametrize("zero", [0.0, 0.1])
 def test_nothing_has_changed_but_a_zero(zero):
     found = trace_logs([run(3, zero, armature=0.03)], PENDULUM, declared=[ROTOR])
@@ -97,6 +118,21 @@ def test_what_has_changed_is_named_and_what_was_declared_is_not():
     found = trace_logs([run(3, armature=0.03, friction=0.3)], PENDULUM, declared=[ROTOR])
     assert names(found)[0] == ("coulomb_friction", "shoulder")
     assert "armature" not in [e.name for e in found.effects]
+
+
+def test_less_friction_than_was_declared_is_named_and_less_than_none_is_not():
+    had, has = 0.5, 0.3
+    declared = [effect("coulomb_friction", "shoulder", had)]
+    found = trace_logs([run(3, friction=has)], PENDULUM, declared=declared)
+    assert names(found) == [("coulomb_friction", "shoulder")]
+    assert found.effects[0].value == pytest.approx(has - had, rel=0.1)
+    assert found.verdict == "attributed"
+    # Together they are what the drive has.
+    both = trace_logs([run(4, friction=has)], PENDULUM, declared=[*declared, *found.effects])
+    assert (both.verdict, names(both)) == ("no_residual", [])
+    # Without a declaration there is nothing to lose.
+    scaled = trace_logs([run(3, scale=0.9)], PENDULUM)
+    assert all(e.value > 0.0 for e in scaled.effects if e.name == "coulomb_friction")
 
 
 def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
@@ -129,6 +165,11 @@ def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
 def test_targets_read_as_one_would_say_them(name, target, words):
     one = effect(name, target, 0.006)
     assert size_in_words(Found(one, (0.0, 0.01)), one.unit).startswith(words)
+
+
+def test_a_log_is_given_once(tmp_path):
+    with pytest.raises(SurefootError, match="run_0: the same log is given twice"):
+        trace([run(0), run(1), run(0)], PENDULUM, tmp_path)
 
 
 def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):

@@ -9,13 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.sim.effects import effect
-from surefoot.sim.effects.elastic import _deflection, _last_links_B
+from surefoot.sim.effects.elastic import _deflection
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
 from surefoot.sim.physics.scene import build_world, robot_spec
 from surefoot.sim.physics.springs import share_moved_at_once
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.kinematics import last_links
 from surefoot.sim.robot.legs import find_legs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import inside_stances
@@ -97,7 +98,7 @@ def test_truth_knows_that_elastic_legs_stand(calves):
 def test_a_foot_gives_along_the_axes_that_it_says_and_by_its_load():
     log, motion = walked("foot_elasticity", "normal", 2e-5)
     inside = inside_stances(log.t, log.contact, 0.03, 0.03)
-    R = _last_links_B(GO1, motion.q[1:])
+    R = last_links(GO1.legs, motion.q[1:])
     assert motion.give is not None
     given_B = np.einsum("nlij,nlj->nli", R, motion.give.foot[1:])
     known, _ = effect("foot_elasticity", "normal", 2e-5).compensate(log, GO1)

@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.effects import effect
+from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import BodyChanges, body_changes, dynamics_of
 from surefoot.sim.robot import Robot
 
@@ -66,6 +67,24 @@ def test_slopes_skip_work_and_nothing_else():
             after = dynamics.inverse(q, dq, ddq, base, shift)
             for slope, there, here in zip(slopes, after, before, strict=True):
                 assert_array_equal(slope[kind, joint], (there - here) / step)
+
+
+@pytest.mark.parametrize("joint", [0, 2, 7])
+def test_derivatives_by_a_links_inertia(joint):
+    robot, rng, step = Robot.load("spot_class"), np.random.default_rng(5), 1e-6
+    dynamics = dynamics_of(robot.file, robot.joint_names)
+    motion, base = rng.standard_normal((3, 6, 12)), rng.standard_normal((6, 9))
+    known = LinkChange(2, mass=0.1, com=(0.01, 0.0, 0.02), inertia=1e-3)
+    found = dynamics.link_derivatives(*motion, base, BodyChanges(links=(known,)))
+    for kind, size in enumerate(step * np.eye(5)):
+        change = LinkChange(joint, size[0], tuple(size[1:4]), size[4])
+        there, here = (
+            dynamics.inverse(*motion, base, BodyChanges(links=links))
+            for links in ((known, change), (known,))
+        )
+        slopes = dynamics.parted(found[kind, joint].T)
+        for slope, after, before in zip(slopes, there, here, strict=True):
+            assert_allclose(slope, (after - before) / step, atol=2e-4)
 
 
 @pytest.mark.parametrize("friction", ["", "solreffriction='0.01 1'", "solreffriction='-100 -5'"])

@@ -113,6 +113,21 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
 
 
+def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_removed():
+    t = 0.01 * np.arange(1000)
+    true = poses(t)
+    p, gone = true.p.copy(), np.r_[300:304, 310:315, 600:603, 603:607]
+    for rows, aside in (
+        (slice(300, 304), 0.1),
+        (slice(310, 315), 0.1),
+        (slice(600, 603), 0.1),
+        (slice(603, 607), 0.3),
+    ):
+        p[rows] += [aside, 0.0, 0.0]
+    left = without_jumps(Poses(t, p, true.q))
+    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[gone])
+
+
 def test_the_largest_jump_is_told_by_its_size_and_time():
     """One that a tracker spreads over three samples, after a smaller one."""
     t = 0.01 * np.arange(1000)

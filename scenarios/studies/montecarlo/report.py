@@ -164,8 +164,8 @@ def study_sections(
             "Randomized quasi-Monte Carlo (Genz's separation of variables on a shifted lattice) "
             "and our deterministic rule, compiled and timed in one run on the same ten boxes; "
             "errors are root mean squares over boxes and shifts, in units of the prior's "
-            "deviations. Columns named (paper) are the paper's own numbers, of other boxes and "
-            "another machine.",
+            "standard deviations. Columns named (paper) are the paper's own numbers, of other "
+            "boxes and another machine.",
             runtime_table(runtime),
             (pictures["runtime"],),
         ),

@@ -1,0 +1,147 @@
+"""A machine whose logs give its feet instead of joint angles is traced without a robot model."""
+
+import json
+
+import pytest
+from given_feet import with_feet_for_joints
+
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.studies.hardware.walks_by_feet import aligned_walk
+from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.run import trace_logs
+from surefoot.scenarios.trace.words import summary
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.recording import read_recording
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+SPOT = Robot.load("spot_class")
+SCALER = measured_folder() / "scaler_trot"
+COURSE = Scenario(
+    "turns",
+    (
+        Segment(3.2, 0.6, turn=0.3),
+        Segment(3.2, 0.3, 0.1, turn=-0.5),
+        Segment(3.2, 0.7),
+        Segment(3.2, 0.5, -0.1, turn=0.5),
+    ),
+    Ground(0.8),
+)
+
+
+def walked(*sizes: tuple[str, str, float], seed: int = 0) -> Log:
+    """A walk with effects of these names, targets and sizes, as a log with feet."""
+    effects = tuple(effect(*one) for one in sizes)
+    return with_feet_for_joints(walk(COURSE, SPOT, seed, effects), SPOT)
+
+
+def traced(log: Log) -> Trace:
+    return trace_logs([log], machine_for_log(log))
+
+
+def found_in(found: Trace) -> dict[tuple[str, str], tuple[float, float]]:
+    """Interval of each effect found."""
+    return {(f.effect.name, f.effect.target): f.interval for f in found.found}
+
+
+def test_a_walk_without_an_effect_has_none():
+    """Although its feet roll, which positions of their centres do not show."""
+    found = traced(walked())
+    assert found.verdict == "no_residual"
+    assert found.effects == ()
+    assert found.channels["imu_gyro"].at_floor
+    assert "point feet leave on simulated walks of other robots" in found.floor
+    said = summary(found)
+    needing = "since they need joint angles and a robot model"
+    assert f"channels not used, {needing}: stance_displacement, joint_torque" in said
+    assert f"effects not tried, {needing}: armature, backlash" in said
+    assert "leg filter" in said
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        (("gyro_scale", "z", 0.03), ("joint_delay", "all", 0.006)),
+        pytest.param((("contact_delay", "liftoff", 0.04),), marks=pytest.mark.long),
+        pytest.param((("reference_delay", "all", 0.01),), marks=pytest.mark.long),
+        pytest.param((("imu_rotation", "y", 0.03),), marks=pytest.mark.long),
+        pytest.param((("gyro_bias", "y", 0.02),), marks=pytest.mark.long),
+    ],
+    ids=lambda sizes: "_and_".join(name for name, *_ in sizes),
+)
+def test_an_effect_of_imu_clock_contacts_or_late_feet_is_named(sizes):
+    """A bias to within the turn-on bias of the declared IMU, which adds to it."""
+    found = traced(walked(*sizes))
+    assert found.verdict == "attributed"
+    intervals = found_in(found)
+    assert set(intervals) == {(name, target) for name, target, _ in sizes}
+    for name, target, size in sizes:
+        low, high = intervals[name, target]
+        margin = 0.005 * abs(size)
+        assert low - margin < size < high + margin, (name, low, high)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "size",
+    [("encoder_offset", "FL_thigh", 0.03), ("link_length", "calf", 0.015)],
+    ids=lambda size: size[0],
+)
+def test_an_effect_that_needs_joints_gets_no_other_name(size):
+    found = traced(walked(size))
+    assert found.verdict == "none_of_these"
+    assert found.effects == ()
+    assert any("above its noise floor" in why for why in found.reasons)
+
+
+def test_without_a_reference_rolling_is_no_scale_of_the_gyro():
+    log = walked(("gyro_scale", "z", 0.05))
+    kept = [name for name in log.frame if not str(name).startswith("ref_")]
+    found = traced(Log(log.frame.filter(items=kept), log.meta, log.name))
+    assert found.verdict == "not_identifiable"
+    assert "need a reference" in found.reasons[0]
+
+
+@pytest.mark.long
+def test_several_runs_of_one_machine_and_one_held_out(tmp_path, capsys):
+    """The scale belongs to the machine and the clock to each run, on the held-out one as well."""
+    paths = []
+    for k in range(3):
+        log = walked(("gyro_scale", "z", 0.03), ("reference_delay", "all", 0.004 * (k + 1)), seed=k)
+        paths.append(str(tmp_path / f"run{k}.parquet"))
+        log.write(paths[-1])
+    assert main(["trace", *paths[:2], "--holdout", paths[2], "-o", str(tmp_path / "out")]) is None
+    assert "verdict: attributed" in capsys.readouterr().out
+    said = json.loads((tmp_path / "out" / "trace.json").read_text())
+    assert [(e["name"], e["target"]) for e in said["effects"]] == [("gyro_scale", "z")]
+    clocks = [
+        one["value"]
+        for run in (*said["runs"], *said["holdout"]["runs"])
+        for one in run
+        if one["name"] == "reference_delay"
+    ]
+    assert clocks == pytest.approx([0.004, 0.008, 0.012], abs=2e-4)
+    gyro = said["holdout"]["channels"]["imu_gyro"]
+    assert gyro["after"] < 0.2 * gyro["before"]
+    assert {"leg", "leg_slip", "imu", "dead_reckoning"} <= set(said["holdout"]["filters"])
+    assert not (tmp_path / "out" / "trace.rrd").exists()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not SCALER.is_dir(), reason=f"the measured walks are not here ({SCALER})")
+def test_no_effect_is_attributed_to_measured_walks_of_five_bar_legs():
+    """Legs, feet and IMU of a real robot are not known well enough to leave only noise."""
+    walks = [
+        aligned_walk(read_recording(SCALER / "logs" / f"scaler_{k}.csv", "scaler_trot")).log
+        for k in ("06", "08", "10")
+    ]
+    found = trace_logs(walks[:2], machine_for_log(walks[0]), holdout=walks[2:])
+    assert found.verdict == "none_of_these"
+    assert found.held_out is not None
+    assert {"imu_gyro", "leg_velocity", "contact_timing"} <= set(found.held_out.channels)
+    assert all("angle" not in name for form in found.unexplained for name in form.regressors)
