@@ -9,6 +9,7 @@ from surefoot.scenarios.studies.blind import study
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.scenarios.studies.blind.plan import PLAN, draw_cases
 from surefoot.scenarios.studies.blind.report import (
+    count,
     made_worse,
     names_both_twins,
     points,
@@ -167,3 +168,9 @@ def test_the_blind_study(tmp_path):
     clean = [bool(r["effects_found"]) for r in records if r["kind"] == "clean"]
     assert sum(single) >= 0.8 * len(single)
     assert sum(clean) <= 1
+
+
+def test_one_case_in_many_is_not_none():
+    assert count([]) == "no case"
+    assert count([False] * 20).startswith("0 of 20 (0.0..")
+    assert count([False] * 291 + [True]) == "1 of 292 (0.1..1.9 %)"
