@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from surefoot.estimator.core.checks import DivergedError, SampleError, check_sound, vector
+from surefoot.estimator.core.checks import (
+    DivergedError,
+    SampleError,
+    check_sound,
+    spd_3,
+    vector,
+)
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.leg import LegFilter
 from surefoot.sim.common.errors import SurefootError
@@ -21,6 +27,29 @@ def test_whatever_holds_three_numbers_is_a_vector(value):
     assert found.dtype == float
     assert found.flags.carray
     assert found.tolist() == list(value)
+
+
+@pytest.mark.parametrize("given", [np.asarray, np.ndarray.tolist, np.asfortranarray])
+def test_a_covariance_is_symmetric_and_definite_in_whatever_form(given):
+    right = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.2], [0.1, 0.2, 3.0]])
+    found = spd_3("R", given(right))
+    assert type(found) is np.ndarray
+    np.testing.assert_array_equal(found, right)
+    skew, infinite = right.copy(), right.copy()
+    skew[0, 2] += 0.1
+    infinite[1, 1] = np.inf
+    for wrong in (-right, right - 1.5 * np.eye(3), skew, infinite, np.eye(2), np.eye(4)):
+        with pytest.raises(SurefootError, match="R: "):
+            spd_3("R", given(wrong))
+
+
+@pytest.mark.parametrize("name", ["v_GI", "p_GI", "b_a", "b_g"])
+def test_a_state_has_vectors_of_three_numbers(name):
+    found = getattr(NavState(**{name: [1, 2, 3]}), name)
+    assert (type(found), found.dtype, found.tolist()) == (np.ndarray, float, [1.0, 2.0, 3.0])
+    for wrong in ([1.0, 2.0], np.zeros((3, 1)), [0.0, np.nan, 0.0]):
+        with pytest.raises(SurefootError, match=name):
+            NavState(**{name: wrong})
 
 
 def test_a_foot_is_within_a_hundred_metres():
