@@ -67,6 +67,21 @@ def residual_of(log, robot=ROBOT, explained=()):
     return Left(residual(log, robot, frame))
 
 
+def test_leg_velocity_is_the_rigid_body_formula():
+    """Against the plain vector formula with numpy, foot by foot, on random motions."""
+    rng = np.random.default_rng(0)
+    q, dq, omega = rng.normal(size=(5, 12)), rng.normal(size=(5, 12)), rng.normal(size=(5, 3))
+    up = rng.normal(size=(5, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    turned = replace(ROBOT, R_BI=np.linalg.qr(rng.normal(size=(3, 3)))[0])
+    got = leg_velocity(turned, q, dq, omega, up, np.ones((5, 4), bool))
+    arm = turned.foot_radius[:, None] * up[:, None]
+    jdq = np.einsum("nlij,nlj->nli", turned.feet_jacobian_I(q), dq.reshape(5, 4, 3))
+    rolling = np.cross(omega[:, None] + turned.foot_rates_I(q, dq), arm)
+    expected = -jdq - np.cross(omega[:, None], turned.feet_I(q)) + rolling
+    assert_allclose(got, expected, atol=1e-12)
+
+
 def test_a_walk_as_declared_leaves_the_noise_of_its_imu():
     """Bins of 20 ms of white noise: density over the root of the bin, and the ADC's rounding."""
     left, s = residual_of(log_with()), Sensors()
@@ -106,21 +121,6 @@ def test_foot_rolling_shows_as_speed_of_every_foot():
     clean = residual_of(log_with()).leg
     slower = np.nanmean(clean[..., 0], axis=0) - np.nanmean(hurt[..., 0], axis=0)
     assert np.all((slower > 4e-3) & (slower < 14e-3))
-
-
-def test_leg_velocity_is_the_rigid_body_formula():
-    """Against the plain vector formula with numpy, foot by foot, on random motions."""
-    rng = np.random.default_rng(0)
-    q, dq, omega = rng.normal(size=(5, 12)), rng.normal(size=(5, 12)), rng.normal(size=(5, 3))
-    up = rng.normal(size=(5, 3))
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    turned = replace(ROBOT, R_BI=np.linalg.qr(rng.normal(size=(3, 3)))[0])
-    got = leg_velocity(turned, q, dq, omega, up, np.ones((5, 4), bool))
-    arm = turned.foot_radius[:, None] * up[:, None]
-    jdq = np.einsum("nlij,nlj->nli", turned.feet_jacobian_I(q), dq.reshape(5, 4, 3))
-    rolling = np.cross(omega[:, None] + turned.foot_rates_I(q, dq), arm)
-    expected = -jdq - np.cross(omega[:, None], turned.feet_I(q)) + rolling
-    assert_allclose(got, expected, atol=1e-12)
 
 
 def test_stance_edges_are_left_out():
