@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from given_feet import with_feet_for_joints
 
@@ -15,7 +16,7 @@ from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import machine_for_log
 from surefoot.sim.robot.given_feet import GivenFeet
@@ -47,6 +48,20 @@ def test_feet_fixed_to_the_ground_give_the_velocity_of_the_body():
     assert np.isnan(found[~standing]).all()
     expected = np.broadcast_to(v_I[:, None], feet_I.shape)
     np.testing.assert_allclose(found[standing], expected[standing], atol=1e-12)
+
+
+def test_a_log_of_feet_that_pass_by_gives_the_velocity_of_the_body():
+    t, v_I = 0.005 * np.arange(200), np.array([0.5, -0.2, 0.1])
+    feet_I = np.array([[0.3, 0.2, -0.5], [0.3, -0.2, -0.5]]) - t[:, None, None] * v_I
+    columns = {
+        f"foot_{leg}_{axis}": feet_I[:, i, k]
+        for i, leg in enumerate(("left", "right"))
+        for k, axis in enumerate("xyz")
+    }
+    log = Log(pd.DataFrame({"t": t, **columns}), Meta(rate=200.0), "feet")
+    standing, still = np.ones((200, 2), dtype=bool), np.zeros((200, 3))
+    found = leg_velocity_of(log, GivenFeet.of_log(log), still, still, standing)
+    np.testing.assert_allclose(found, np.broadcast_to(v_I, found.shape), atol=1e-9)
 
 
 def test_feet_say_what_joint_angles_do_of_a_robot_with_point_feet(log, feet):
