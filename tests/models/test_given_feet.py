@@ -12,11 +12,13 @@ from surefoot.models.attribution.evidence import all_keys, channels_of
 from surefoot.models.residuals.binning import binned
 from surefoot.models.residuals.feet import foot_heights, leg_velocities, travel_regressors
 from surefoot.models.residuals.leg_velocity import leg_velocity_of, velocity_by_feet
+from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import machine_for_log
 from surefoot.sim.robot.given_feet import GivenFeet
@@ -139,3 +141,16 @@ def test_late_joints_make_feet_late(feet):
     fixed, _ = effect("joint_delay", "all", late).compensate(feet, SPOT)
     rows = round(late * feet.rate)
     np.testing.assert_allclose(fixed.foot_I[:-rows], feet.foot_I[rows:], atol=1e-9)
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_only_heights_need_level_ground(level):
+    t = 0.01 * np.arange(100)
+    names = [*GROUPS["reference"], "q_knee", "contact_left", "gyro_x", "gyro_y", "gyro_z"]
+    log = Log(pd.DataFrame({"t": t, **dict.fromkeys(names, 1.0)}), Meta(rate=100.0), "any")
+    there = [n for n in ("leg_velocity", "foot_height") if available(n, log, level)]
+    assert there == ["leg_velocity", "foot_height"][: 1 + level]
+
+
+def available(name, log, level):
+    return channels()[name].is_available(log, fixed=False, level=level)

@@ -345,6 +345,26 @@ def test_a_cell_is_a_number_or_is_named(tmp_path, row, cell):
         read_csv(path, ["a"])
 
 
+@pytest.mark.parametrize(
+    ("of", "columns", "needs"),
+    [
+        ("torque", "", True),
+        ("kinematics", "", True),
+        ("torque", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', True),
+        ("kinematics", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', False),
+    ],
+)
+def test_contacts_from_joints_need_a_robot(tmp_path, of, columns, needs):
+    """Those from kinematics do with the feet that a recording gives."""
+    path = tmp_path / "map.toml"
+    path.write_text(f'[columns]\nt = "t"\n{columns}[contact]\nof = "{of}"\non = 1\noff = 1\n')
+    if needs:
+        with pytest.raises(SurefootError, match=rf"\[contact\] of {of} needs a \[robot\]"):
+            ImportMap.read(path)
+    else:
+        assert ImportMap.read(path).contact is not None
+
+
 @FUZZ
 @given(
     table=st.dictionaries(

@@ -141,6 +141,17 @@ def test_the_largest_jump_is_told_by_its_size_and_time():
     assert "s after the first sample" in largest.words
 
 
+@pytest.mark.parametrize("first", [1, 2, 5, 990, 998])
+def test_a_jump_near_an_end_has_its_size_too(first):
+    t = 0.01 * np.arange(1000)
+    true = poses(t)
+    p = true.p + np.column_stack([0.0 * t, 0.1 * (np.arange(1000) >= first), 0.0 * t])
+    largest = check_reference(Poses(t, p, true.q)).largest
+    assert largest is not None
+    assert largest.after == pytest.approx(t[first], abs=0.011)
+    assert largest.moved == pytest.approx(0.1, abs=0.005)
+
+
 def test_a_blow_is_no_jump_at_any_rate():
     t = 0.002 * np.arange(1000)
     true = poses(t)
