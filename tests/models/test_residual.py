@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from surefoot.models.residuals.binning import STANCE_MARGIN, reference_motion
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.residual import ResidualTable, residual
+from surefoot.models.residuals.torques import torque_residual
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import LogError
@@ -65,6 +67,15 @@ def residual_of(log, robot=ROBOT, explained=()):
     for one in explained:
         log, robot = one.compensate(log, robot)
     return Left(residual(log, robot, frame))
+
+
+def test_torques_are_compared_where_the_leg_swings():
+    swings = np.ones((9, 2), dtype=bool)
+    swings[4:, 1] = False
+    steps = SimpleNamespace(swings=swings, tau=np.full((9, 2), 5.0))
+    left = torque_residual(steps, SimpleNamespace(torque=np.full((9, 2), 3.0)))  # pyright: ignore
+    assert_allclose(left[swings], 2.0)
+    assert np.isnan(left[~swings]).all()
 
 
 def test_leg_velocity_is_the_rigid_body_formula():

@@ -108,6 +108,7 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     assert (found.jumps, found.held, found.gaps) == (3, 1, 1)
     assert found.longest_gap == pytest.approx(0.1, abs=0.011)
     assert "3 jumps of position or attitude, the largest by" in "".join(found.faults)
+    assert "1 samples repeat the one before while the body moves" in "".join(found.faults)
     np.testing.assert_array_equal(np.flatnonzero(jumps(Poses(t, p, q))), [299, 599, 603])
     left = without_jumps(Poses(t, p, q))
     np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
