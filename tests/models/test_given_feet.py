@@ -164,5 +164,17 @@ def test_derived_velocities_are_no_reference_of_an_accelerometer_by_feet_alone()
         assert accel.missing_groups(log, fixed=False) == ()
 
 
+@pytest.mark.parametrize(
+    ("lacks", "named"), [("q", "q"), ("contact", "contact"), ("reference", "imu")]
+)
+def test_what_a_channel_lacks_of_a_walk_is_named(lacks, named):
+    """Without a reference, an IMU would do."""
+    groups = {"q": ["q_knee"], "contact": ["contact_left"], "reference": GROUPS["reference"]}
+    names = [name for group, own in groups.items() if group != lacks for name in own]
+    frame = pd.DataFrame({"t": np.arange(9.0), **dict.fromkeys(names, 1.0)})
+    log = Log(frame, Meta(rate=1.0), "any")
+    assert channels()["leg_velocity"].missing_groups(log, fixed=False) == (named,)
+
+
 def available(name, log, level):
     return channels()[name].is_available(log, fixed=False, level=level)

@@ -9,12 +9,15 @@ from scipy.interpolate import CubicSpline
 from synthetic import synthetic_walk
 
 from surefoot.sim.effects.base import with_columns
+from surefoot.sim.effects.body import FootRolling
 from surefoot.sim.effects.contact import CoulombFriction, FootSlip, ViscousFriction
 from surefoot.sim.effects.imu import AccelScale, GyroScale
 from surefoot.sim.effects.joint import Backlash, TorqueScale
 from surefoot.sim.effects.timing import ContactDelay, ImuDelay, JointDelay, TorqueDelay
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import JOINTS, LEGS, Log
+from surefoot.sim.physics.scene import robot_spec
+from surefoot.sim.physics.springs import foot_parts
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Streams
@@ -150,3 +153,13 @@ def test_what_was_declared_of_one_joint_may_be_less_there_alone():
     assert CoulombFriction.bounds_on(limbs, "b") == (0.0, most)
     assert CoulombFriction.bounds_on(limbs) == CoulombFriction.bounds_on(None, "a") == (0.0, most)
     assert ViscousFriction.bounds_on(limbs, "a") == ViscousFriction.bounds
+
+
+@pytest.mark.parametrize("size", [0.01, -0.01])
+def test_a_foot_that_rolls_has_a_larger_radius_in_the_simulator(size):
+    spec = robot_spec(ROBOT)
+    before = [foot_parts(spec, leg)[0].size[0] for leg in LEGS]
+    FootRolling("FR", size).edit_spec(spec, ROBOT)
+    after = [foot_parts(spec, leg)[0].size[0] for leg in LEGS]
+    assert_allclose(np.subtract(after, before), size * (np.array(LEGS) == "FR"), atol=1e-12)
+    assert foot_parts(spec, "FR")[1].size[0] == pytest.approx(1.3 * after[LEGS.index("FR")])
