@@ -33,8 +33,6 @@ CHANGE_WINDOW = 0.08
 """Time before and after a contact change in which the foot's motion is examined [s]."""
 CLOSE_WINDOW = 0.024
 """Time from a contact change, into the stance, within which nearly all feet stop and start [s]."""
-SWING_WINDOW = 0.04
-"""The same into the swing: a foot is sensed as lifted for up to 0.03 s before it moves [s]."""
 USUAL_DELAY = (-0.0005, -0.018)
 """Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
 on models of seven robots.
@@ -110,8 +108,8 @@ def _all_motion_changes(
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """`motion_changes` of each foot, at its contact changes `turns`.
 
-    Most feet stop and start close to the change of contact, so the search begins far from it, and
-    goes on into the stance, only for those that do not.
+    Most feet stop and start close to the change of contact, so the search goes on into the stance
+    only for those that do not.
 
     Args:
         log: the measured log.
@@ -121,28 +119,26 @@ def _all_motion_changes(
         rows: to search on either side.
         bounce: rows up to which a foot in the air has only bounced.
     """
+    close = max(1, round(CLOSE_WINDOW * log.rate))
+    where = near_changes(turns, log.contact, rows, close) & motion.ok[:, None]
+    speed = speed_over_ground(log, robot, motion, where)
 
-    def search(
-        asked: Sequence[np.ndarray], in_swing: int, in_stance: int
-    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        near = near_changes(asked, log.contact, in_swing, in_stance) & motion.ok[:, None]
-        speed = speed_over_ground(log, robot, motion, near)
+    def search() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         return [
-            motion_changes(log.t, log.contact[:, leg], speed[:, leg], change, in_swing, bounce)
+            motion_changes(log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce)
             for leg, change in enumerate(turns)
         ]
 
-    in_swing, in_stance = (
-        min(rows, max(1, round(window * log.rate))) for window in (SWING_WINDOW, CLOSE_WINDOW)
-    )
-    close = search(turns, in_swing, in_stance)
-    missed = [np.isnan(when) & (at > 0) for at, when, _ in close]
-    left = [change[unseen] for change, unseen in zip(turns, missed, strict=True)]
-    moves = []
-    for unseen, far, near in zip(missed, search(left, rows, rows), close, strict=True):
-        at, when, lifts = (np.where(unseen, *pair) for pair in zip(far, near, strict=True))
-        moves.append((at, when, lifts))
-    return moves
+    moves = search()
+    left = [
+        change[np.isnan(when) & (at > 0)]
+        for change, (at, when, _) in zip(turns, moves, strict=True)
+    ]
+    more = near_changes(left, log.contact, rows, rows) & motion.ok[:, None] & ~where
+    if not more.any():
+        return moves
+    speed = np.where(more, speed_over_ground(log, robot, motion, more), speed)
+    return search()
 
 
 def near_changes(
@@ -194,7 +190,7 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
     Returns:
         The row and the time [s] of each, NaN where not seen within `rows` or where the foot
         bounced, and whether the foot lifts, (K,) each. Where the search ended at a row without a
-        speed, or `rows` did not reach one at which the foot moves, that row, and NaN for the time.
+        speed, that row, and NaN for the time.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
     lifts = np.zeros(len(changes), np.bool_)
@@ -210,8 +206,6 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
         step = -1 if lifts[k] else 1
         row = change - step * far
         if not speed[row] > STANDING_SPEED:
-            if far == rows:
-                at[k] = row
             continue
         for _ in range(far + rows):
             row += step

@@ -245,12 +245,12 @@ class Estimate:
 
         reader = LogReader(self.log)
         if self.out:
+            refuse_overwrite(self.out, self.force)
             if self.out.suffix != ".parquet":
                 raise SurefootError(
                     f"-o {self.out}: give a .parquet file; the .tum is written beside it, and "
                     "`surefoot export` writes CSV or MCAP"
                 )
-            refuse_overwrite(self.out, self.force)
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
         learnt = learnt_from(self.observer, self.bounds)
         settings = read_settings(self.settings, self.set_lines)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from surefoot.scenarios.datasets.cluster import walk_on_cluster
 from surefoot.scenarios.datasets.index import (
+    INDEX_FOLDER,
     IndexRow,
     Journal,
     facts_of_file,
@@ -107,6 +108,7 @@ def simulate_all(
     check_space(out, BYTES_PER_SECOND * seconds)
     names = {f".{log_name(job)}.parquet" for job in todo}
     clear_debris(p for p in out.glob(".*.tmp") if p.stem.rpartition(".")[0] in names)
+    clear_debris((out / INDEX_FOLDER).rglob(".*.tmp"))
     with percent_bar("simulate") as progress:
         if cluster:
             rows = walk_on_cluster(cluster, todo, out, force, progress)

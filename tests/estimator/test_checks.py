@@ -10,7 +10,7 @@ from surefoot.estimator.core.checks import (
     spd_3,
     vector,
 )
-from surefoot.estimator.core.state import NavState
+from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.leg import LegFilter
 from surefoot.sim.common.errors import SurefootError
 
@@ -50,6 +50,17 @@ def test_a_state_has_vectors_of_three_numbers(name):
     for wrong in ([1.0, 2.0], np.zeros((3, 1)), [0.0, np.nan, 0.0]):
         with pytest.raises(SurefootError, match=name):
             NavState(**{name: wrong})
+
+
+@pytest.mark.parametrize("name", ["gyro", "accel", "gyro_walk", "accel_walk"])
+def test_a_density_is_one_or_three_finite_numbers_from_zero(name):
+    for wrong in (-1e-3, np.inf, np.nan, [1e-3, 1e-3], [1e-3, 1e-3, -1e-3], np.zeros((3, 1))):
+        with pytest.raises(SurefootError, match=f"noise: {name} must be"):
+            FilterNoise(**{name: wrong}).packed()
+    row = ("accel", "gyro", "accel_walk", "gyro_walk").index(name)
+    for right in (0.0, 0.5, [0.1, 0.2, 0.3]):
+        packed = FilterNoise(**{name: right}).packed()
+        np.testing.assert_array_equal(packed[row], np.broadcast_to(right, 3) ** 2)
 
 
 def test_a_foot_is_within_a_hundred_metres():

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from given_feet import with_feet_for_joints
 
@@ -11,11 +12,13 @@ from surefoot.models.attribution.evidence import all_keys, channels_of
 from surefoot.models.residuals.binning import binned
 from surefoot.models.residuals.feet import foot_heights, leg_velocities, travel_regressors
 from surefoot.models.residuals.leg_velocity import leg_velocity_of, velocity_by_feet
+from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import machine_for_log
 from surefoot.sim.robot.given_feet import GivenFeet
@@ -47,6 +50,20 @@ def test_feet_fixed_to_the_ground_give_the_velocity_of_the_body():
     assert np.isnan(found[~standing]).all()
     expected = np.broadcast_to(v_I[:, None], feet_I.shape)
     np.testing.assert_allclose(found[standing], expected[standing], atol=1e-12)
+
+
+def test_a_log_of_feet_that_pass_by_gives_the_velocity_of_the_body():
+    t, v_I = 0.005 * np.arange(200), np.array([0.5, -0.2, 0.1])
+    feet_I = np.array([[0.3, 0.2, -0.5], [0.3, -0.2, -0.5]]) - t[:, None, None] * v_I
+    columns = {
+        f"foot_{leg}_{axis}": feet_I[:, i, k]
+        for i, leg in enumerate(("left", "right"))
+        for k, axis in enumerate("xyz")
+    }
+    log = Log(pd.DataFrame({"t": t, **columns}), Meta(rate=200.0), "feet")
+    standing, still = np.ones((200, 2), dtype=bool), np.zeros((200, 3))
+    found = leg_velocity_of(log, GivenFeet.of_log(log), still, still, standing)
+    np.testing.assert_allclose(found, np.broadcast_to(v_I, found.shape), atol=1e-9)
 
 
 def test_feet_say_what_joint_angles_do_of_a_robot_with_point_feet(log, feet):
@@ -124,3 +141,40 @@ def test_late_joints_make_feet_late(feet):
     fixed, _ = effect("joint_delay", "all", late).compensate(feet, SPOT)
     rows = round(late * feet.rate)
     np.testing.assert_allclose(fixed.foot_I[:-rows], feet.foot_I[rows:], atol=1e-9)
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_only_heights_need_level_ground(level):
+    t = 0.01 * np.arange(100)
+    names = [*GROUPS["reference"], "q_knee", "contact_left", "gyro_x", "gyro_y", "gyro_z"]
+    log = Log(pd.DataFrame({"t": t, **dict.fromkeys(names, 1.0)}), Meta(rate=100.0), "any")
+    there = [n for n in ("leg_velocity", "foot_height") if available(n, log, level)]
+    assert there == ["leg_velocity", "foot_height"][: 1 + level]
+
+
+def test_derived_velocities_are_no_reference_of_an_accelerometer_by_feet_alone():
+    t, readings = np.arange(9.0), [*GROUPS["imu"], *GROUPS["reference"]]
+    log, accel = Log(pd.DataFrame({"t": t}), Meta(rate=1.0), "any"), channels()["imu_accel"]
+    for known, lacks in (
+        (readings, ("ref_v",)),
+        ([*readings, *GROUPS["ref_v"]], ()),
+    ):
+        log = Log(pd.DataFrame({"t": t, **dict.fromkeys(known, 1.0)}), Meta(rate=1.0), "any")
+        assert accel.missing_groups(log, fixed=False, by_feet=True) == lacks
+        assert accel.missing_groups(log, fixed=False) == ()
+
+
+@pytest.mark.parametrize(
+    ("lacks", "named"), [("q", "q"), ("contact", "contact"), ("reference", "imu")]
+)
+def test_what_a_channel_lacks_of_a_walk_is_named(lacks, named):
+    """Without a reference, an IMU would do."""
+    groups = {"q": ["q_knee"], "contact": ["contact_left"], "reference": GROUPS["reference"]}
+    names = [name for group, own in groups.items() if group != lacks for name in own]
+    frame = pd.DataFrame({"t": np.arange(9.0), **dict.fromkeys(names, 1.0)})
+    log = Log(frame, Meta(rate=1.0), "any")
+    assert channels()["leg_velocity"].missing_groups(log, fixed=False) == (named,)
+
+
+def available(name, log, level):
+    return channels()[name].is_available(log, fixed=False, level=level)

@@ -213,3 +213,15 @@ def test_a_constant_part_leaves_nothing_to_the_courses():
     rng = np.random.default_rng(10)
     found = estimate_bias_model([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
     assert np.all(np.diag(found.course) < 0.5 * np.diag(found.covariance))
+
+
+def test_axes_that_move_apart_are_correlated_below_zero():
+    """Pairs of block means: two axes opposed, a third on its own."""
+    rng = np.random.default_rng(0)
+    own = gauss_markov(rng, 4000, 0.95, np.ones(3))
+    y = np.stack([own[:, 0], 0.2 * own[:, 1] - own[:, 0], own[:, 2]], axis=1)
+    found = _correlation(y, np.arange(4000) == 0, 0.95, 200.0)
+    assert np.diag(found) == pytest.approx(1.0)
+    assert found == pytest.approx(found.T)
+    assert found[0, 1] == pytest.approx(-1.0 / np.hypot(1.0, 0.2), abs=0.05)
+    assert np.abs(found[2, :2]).max() < 0.3

@@ -207,10 +207,23 @@ def test_the_scenario_box_is_the_linear_program_of_what_is_kept(seed, n):
     assert np.exp(solved.x) == pytest.approx(box, rel=1e-7)
 
 
-def test_what_frees_most_is_discarded_first():
+@pytest.mark.parametrize("turn", range(3))
+def test_what_frees_most_is_discarded_first(turn):
     """A sample that is the largest of two axes, before one that is larger on a third."""
     sizes = np.array([[2.0, 2.0, 1.0], [1.0, 1.0, 3.0], [1.0, 1.0, 1.0]])
-    assert _discarded_box(sizes, 1).tolist() == [1.0, 1.0, 3.0]
+    turned = np.ascontiguousarray(np.roll(sizes, turn, axis=1))
+    assert _discarded_box(turned, 1).tolist() == np.roll([1.0, 1.0, 3.0], turn).tolist()
+
+
+def test_a_volume_is_that_of_the_box_or_of_the_ellipsoid():
+    axes = np.array([0.1, 0.2, 0.4])
+    turned = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    assert Region(axes).volume == pytest.approx(8.0 * 0.1 * 0.2 * 0.4)
+    ellipsoid = Region(axes, turned @ np.diag(axes**2) @ turned.T)
+    assert ellipsoid.volume == pytest.approx(4.0 / 3.0 * np.pi * 0.1 * 0.2 * 0.4)
+    drawn = np.random.default_rng(1).uniform(-0.4, 0.4, (200_000, 3))
+    share = np.mean(ellipsoid.contains(drawn))
+    assert ellipsoid.volume == pytest.approx(share * 0.8**3, rel=0.03)
 
 
 def test_the_discarding_bound_by_hand():

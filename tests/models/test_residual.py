@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from surefoot.models.residuals.binning import STANCE_MARGIN, reference_motion
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.residual import ResidualTable, residual
+from surefoot.models.residuals.torques import torque_residual
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import LogError
@@ -67,6 +69,30 @@ def residual_of(log, robot=ROBOT, explained=()):
     return Left(residual(log, robot, frame))
 
 
+def test_torques_are_compared_where_the_leg_swings():
+    swings = np.ones((9, 2), dtype=bool)
+    swings[4:, 1] = False
+    steps = SimpleNamespace(swings=swings, tau=np.full((9, 2), 5.0))
+    left = torque_residual(steps, SimpleNamespace(torque=np.full((9, 2), 3.0)))  # pyright: ignore
+    assert_allclose(left[swings], 2.0)
+    assert np.isnan(left[~swings]).all()
+
+
+def test_leg_velocity_is_the_rigid_body_formula():
+    """Against the plain vector formula with numpy, foot by foot, on random motions."""
+    rng = np.random.default_rng(0)
+    q, dq, omega = rng.normal(size=(5, 12)), rng.normal(size=(5, 12)), rng.normal(size=(5, 3))
+    up = rng.normal(size=(5, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    turned = replace(ROBOT, R_BI=np.linalg.qr(rng.normal(size=(3, 3)))[0])
+    got = leg_velocity(turned, q, dq, omega, up, np.ones((5, 4), bool))
+    arm = turned.foot_radius[:, None] * up[:, None]
+    jdq = np.einsum("nlij,nlj->nli", turned.feet_jacobian_I(q), dq.reshape(5, 4, 3))
+    rolling = np.cross(omega[:, None] + turned.foot_rates_I(q, dq), arm)
+    expected = -jdq - np.cross(omega[:, None], turned.feet_I(q)) + rolling
+    assert_allclose(got, expected, atol=1e-12)
+
+
 def test_a_walk_as_declared_leaves_the_noise_of_its_imu():
     """Bins of 20 ms of white noise: density over the root of the bin, and the ADC's rounding."""
     left, s = residual_of(log_with()), Sensors()
@@ -106,21 +132,6 @@ def test_foot_rolling_shows_as_speed_of_every_foot():
     clean = residual_of(log_with()).leg
     slower = np.nanmean(clean[..., 0], axis=0) - np.nanmean(hurt[..., 0], axis=0)
     assert np.all((slower > 4e-3) & (slower < 14e-3))
-
-
-def test_leg_velocity_is_the_rigid_body_formula():
-    """Against the plain vector formula with numpy, foot by foot, on random motions."""
-    rng = np.random.default_rng(0)
-    q, dq, omega = rng.normal(size=(5, 12)), rng.normal(size=(5, 12)), rng.normal(size=(5, 3))
-    up = rng.normal(size=(5, 3))
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    turned = replace(ROBOT, R_BI=np.linalg.qr(rng.normal(size=(3, 3)))[0])
-    got = leg_velocity(turned, q, dq, omega, up, np.ones((5, 4), bool))
-    arm = turned.foot_radius[:, None] * up[:, None]
-    jdq = np.einsum("nlij,nlj->nli", turned.feet_jacobian_I(q), dq.reshape(5, 4, 3))
-    rolling = np.cross(omega[:, None] + turned.foot_rates_I(q, dq), arm)
-    expected = -jdq - np.cross(omega[:, None], turned.feet_I(q)) + rolling
-    assert_allclose(got, expected, atol=1e-12)
 
 
 def test_stance_edges_are_left_out():

@@ -9,6 +9,7 @@ from surefoot.models.attribution.outside_forces import Push
 from surefoot.models.attribution.search import _is_insignificant
 from surefoot.models.attribution.verdict import verdict_of
 from surefoot.sim.effects import effect
+from surefoot.sim.robot.limbs import QUADRUPED
 
 CALF = Found(effect("link_length", "FL_calf", 0.004), (0.003, 0.005))
 PUSH = Push(log=0, begin=4.0, end=5.0, force=21.0)
@@ -96,8 +97,8 @@ def test_outside_forces_are_no_effect_of_the_robot(found, away, name):
 def test_what_every_machine_has_is_left_out_only_where_it_is_as_little_as_can_be():
     late = effect("contact_delay", "liftoff", 0.0145)
     unsure, sure = Found(late, (-0.0002, 0.029)), Found(late, (0.001, 0.028))
-    assert _is_insignificant(unsure, certain=False)
-    assert not _is_insignificant(unsure, certain=True)
-    assert not _is_insignificant(sure, certain=False)
+    assert _is_insignificant(unsure, QUADRUPED, certain=False)
+    assert not _is_insignificant(unsure, QUADRUPED, certain=True)
+    assert not _is_insignificant(sure, QUADRUPED, certain=False)
     least = effect("contact_delay", "liftoff", type(late).interior_bounds("liftoff")[0])
-    assert _is_insignificant(Found(least, (0.001, 0.002)), certain=True)
+    assert _is_insignificant(Found(least, (0.001, 0.002)), QUADRUPED, certain=True)

@@ -9,6 +9,7 @@ from surefoot.scenarios.studies.blind import study
 from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.scenarios.studies.blind.plan import PLAN, draw_cases
 from surefoot.scenarios.studies.blind.report import (
+    count,
     made_worse,
     names_both_twins,
     points,
@@ -144,7 +145,7 @@ def test_the_report_is_written_from_what_was_run(tmp_path):
     assert headings[4:] == ["## Every miss", "## Two effects at once", "## Every case"]
     assert (tmp_path / "report.html").stat().st_size > 10_000
     measured = {row["rule"]: row["measured"] for row in rules(records)}
-    assert measured["a false name on a clean log"].startswith("0 %")
+    assert measured["a false name on a clean log"].startswith("0 of ")
 
 
 def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
@@ -167,3 +168,9 @@ def test_the_blind_study(tmp_path):
     clean = [bool(r["effects_found"]) for r in records if r["kind"] == "clean"]
     assert sum(single) >= 0.8 * len(single)
     assert sum(clean) <= 1
+
+
+def test_one_case_in_many_is_not_none():
+    assert count([]) == "no case"
+    assert count([False] * 20).startswith("0 of 20 (0.0..")
+    assert count([False] * 291 + [True]) == "1 of 292 (0.1..1.9 %)"

@@ -210,10 +210,13 @@ def test_debris_of_a_dead_writer_goes_and_that_of_a_living_one_stays(folder):
     gone, ours = (Path(f"walks/.short_0.parquet.{n}.tmp") for n in (dead.pid, os.getpid()))
     other = Path(f"walks/.theirs.parquet.{dead.pid}.tmp")
     living = Path(f"walks/.short_1.parquet.{os.getppid()}.tmp")
-    for path in (gone, ours, other, living):
+    index = Path(f"walks/_dataset/.index.parquet.{dead.pid}.tmp")
+    index.parent.mkdir()
+    for path in (gone, ours, other, living, index):
         path.write_text("half")
     simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
     assert not gone.exists()
+    assert not index.exists()
     assert other.exists()
     assert living.exists()
 

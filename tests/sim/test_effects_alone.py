@@ -9,13 +9,17 @@ from scipy.interpolate import CubicSpline
 from synthetic import synthetic_walk
 
 from surefoot.sim.effects.base import with_columns
-from surefoot.sim.effects.contact import FootSlip
+from surefoot.sim.effects.body import FootRolling
+from surefoot.sim.effects.contact import CoulombFriction, FootSlip, ViscousFriction
 from surefoot.sim.effects.imu import AccelScale, GyroScale
 from surefoot.sim.effects.joint import Backlash, TorqueScale
 from surefoot.sim.effects.timing import ContactDelay, ImuDelay, JointDelay, TorqueDelay
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import JOINTS, LEGS, Log
+from surefoot.sim.physics.scene import robot_spec
+from surefoot.sim.physics.springs import foot_parts
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Streams
 
 ROBOT = Robot.load("spot_class")
@@ -129,3 +133,33 @@ def test_delays_of_logs_one_after_the_other_do_not_mix_them_up(log):
         assert_allclose(other.q, 2.0 * one.q, rtol=1e-12, atol=1e-12)
         assert_array_equal(other.dq, one.dq)
         assert_allclose(one.q, CubicSpline(log.t, log.q)(np.clip(log.t + value, None, log.t[-1])))
+
+
+def test_contacts_that_end_late_end_as_much_earlier_in_a_compensated_log(log):
+    late, stands = int(0.05 * log.rate), np.zeros((len(log.t), len(LEGS)))
+    half = len(log.t) // 2
+    stands[late : half - late], stands[half + late :] = 1.0, 1.0
+    given = with_columns(log, {f"contact_{leg}": stands[:, i] for i, leg in enumerate(LEGS)})
+    found, robot = ContactDelay("liftoff", 0.05).compensate(given, ROBOT)
+    stands[half - 2 * late : half - late] = 0.0
+    assert_array_equal(found.contact, stands.astype(bool))
+    assert robot.extras.liftoff_late == pytest.approx(0.0, abs=1.0 / log.rate)
+
+
+def test_what_was_declared_of_one_joint_may_be_less_there_alone():
+    limbs = Limbs((), ("a", "b"), (), declared=((("coulomb_friction", "a"), 0.4),))
+    most = CoulombFriction.bounds[1]
+    assert CoulombFriction.bounds_on(limbs, "a") == (-0.5, most)
+    assert CoulombFriction.bounds_on(limbs, "b") == (0.0, most)
+    assert CoulombFriction.bounds_on(limbs) == CoulombFriction.bounds_on(None, "a") == (0.0, most)
+    assert ViscousFriction.bounds_on(limbs, "a") == ViscousFriction.bounds
+
+
+@pytest.mark.parametrize("size", [0.01, -0.01])
+def test_a_foot_that_rolls_has_a_larger_radius_in_the_simulator(size):
+    spec = robot_spec(ROBOT)
+    before = [foot_parts(spec, leg)[0].size[0] for leg in LEGS]
+    FootRolling("FR", size).edit_spec(spec, ROBOT)
+    after = [foot_parts(spec, leg)[0].size[0] for leg in LEGS]
+    assert_allclose(np.subtract(after, before), size * (np.array(LEGS) == "FR"), atol=1e-12)
+    assert foot_parts(spec, "FR")[1].size[0] == pytest.approx(1.3 * after[LEGS.index("FR")])

@@ -116,6 +116,23 @@ def fault(folder: Path) -> str:
     return str(caught.value)
 
 
+PREFIXES = {"m": 1e-3, "c": 1e-2, "u": 1e-6, "n": 1e-9, "k": 1e3}
+# By their definitions: a turn is 360 degrees or 2 pi radians, rpm turns a minute, g is standard.
+DEFINED = {
+    "rad": 1.0, "deg": 2.0 * np.pi / 360.0, "turn": 2.0 * np.pi, "rpm": 2.0 * np.pi / 60.0,
+    "g": 9.80665, "s": 1.0, "m": 1.0, "N": 1.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "unit"), [(kind, one) for kind in UNITS for one in UNITS[kind]])
+def test_a_unit_has_the_factor_of_its_definition(kind, unit):
+    factor = 1.0
+    for part in unit.removesuffix("^2").removesuffix("/s").split():
+        prefix, base = ("", part) if part in DEFINED else (part[0], part[1:])
+        factor *= PREFIXES.get(prefix, 1.0) * DEFINED[base]
+    assert UNITS[kind][unit] == pytest.approx(factor, rel=1e-12)
+
+
 def test_units_signs_and_offsets(folder):
     log = import_log(folder, folder / "map.toml")
     raw = pd.read_csv(folder / "robot.csv").iloc[50:451].reset_index(drop=True)
@@ -326,6 +343,26 @@ def test_a_cell_is_a_number_or_is_named(tmp_path, row, cell):
         return
     with pytest.raises(SurefootError, match=f"column 'a', line {row + 2}"):
         read_csv(path, ["a"])
+
+
+@pytest.mark.parametrize(
+    ("of", "columns", "needs"),
+    [
+        ("torque", "", True),
+        ("kinematics", "", True),
+        ("torque", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', True),
+        ("kinematics", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', False),
+    ],
+)
+def test_contacts_from_joints_need_a_robot(tmp_path, of, columns, needs):
+    """Those from kinematics do with the feet that a recording gives."""
+    path = tmp_path / "map.toml"
+    path.write_text(f'[columns]\nt = "t"\n{columns}[contact]\nof = "{of}"\non = 1\noff = 1\n')
+    if needs:
+        with pytest.raises(SurefootError, match=rf"\[contact\] of {of} needs a \[robot\]"):
+            ImportMap.read(path)
+    else:
+        assert ImportMap.read(path).contact is not None
 
 
 @FUZZ

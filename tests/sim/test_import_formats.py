@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -14,12 +15,13 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.array_file import read_hdf5, read_mat
 from surefoot.sim.importing.json_file import read_json
+from surefoot.sim.importing.layout import _separator
 from surefoot.sim.importing.recorded_file import recorded_files
 from surefoot.sim.importing.recording import import_log, read_recording, read_table
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.streams import held_streams
-from surefoot.sim.importing.table import RecordedTable, column_readings
+from surefoot.sim.importing.table import RecordedTable, _oriented, column_readings
 from surefoot.sim.log import Log
 
 MEASURED = measured_folder()
@@ -445,3 +447,32 @@ def test_objects_of_matlab_are_named_and_not_read(tmp_path):
     with h5py.File(tmp_path / "run.mat", "a") as file:
         file.create_dataset("t", data=np.arange(9.0)).attrs["MATLAB_class"] = np.bytes_("double")
     assert list(read_mat(tmp_path / "run.mat").cells) == ["t"]
+
+
+@pytest.mark.parametrize(
+    ("line", "separator"),
+    [
+        ("1,5 2,25 3", r"\s+"),
+        ("1,5 -2 3", r"\s+"),
+        ("1.5, 2.25, 3", ","),
+        ("1.5,2.25,3", ","),
+        ("1,5;2,25;3", ";"),
+        ("1.5\t2.25", "\t"),
+        ("1.5 2.25 3", r"\s+"),
+    ],
+)
+def test_a_comma_beside_another_separator_is_a_decimal_comma(line, separator):
+    assert _separator(line) == separator
+
+
+@pytest.mark.parametrize("rows", [3, 5, 9])
+def test_an_array_has_its_rows_first_by_the_other_columns_or_else_by_its_shape(rows):
+    """Where a column says how many rows there are; else the longer side."""
+    known = RecordedTable(Path("a.mat"), {"t": np.zeros(rows)}, "row", 0)
+    unknown = RecordedTable(Path("a.mat"), {"q": np.zeros((rows, 6))}, "row", 0)
+    if rows != 6:
+        assert _oriented(known, np.zeros((6, rows))).shape == (rows, 6)
+        assert _oriented(known, np.zeros((rows, 6))).shape == (rows, 6)
+    longer = (max(rows, 6), min(rows, 6))
+    assert _oriented(unknown, np.zeros((rows, 6))).shape == longer
+    assert _oriented(unknown, np.zeros((6, rows))).shape == longer

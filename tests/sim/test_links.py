@@ -114,7 +114,7 @@ def test_a_leg_turned_about_its_hips_axis_is_an_error_of_the_hips_encoder():
     [
         ("link_mass", "FL_calf", -20.0, 200.0),
         ("link_com", "FL_calf_z", -0.5, 0.5),
-        ("link_inertia", "FL_calf", 0.0, 20.0),
+        ("link_inertia", "FL_calf", -20.0, 20.0),
     ],
 )
 def test_what_a_file_of_effects_may_say_of_a_link(name, target, least, most):

@@ -108,6 +108,7 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     assert (found.jumps, found.held, found.gaps) == (3, 1, 1)
     assert found.longest_gap == pytest.approx(0.1, abs=0.011)
     assert "3 jumps of position or attitude, the largest by" in "".join(found.faults)
+    assert "1 samples repeat the one before while the body moves" in "".join(found.faults)
     np.testing.assert_array_equal(np.flatnonzero(jumps(Poses(t, p, q))), [299, 599, 603])
     left = without_jumps(Poses(t, p, q))
     np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
@@ -139,6 +140,17 @@ def test_the_largest_jump_is_told_by_its_size_and_time():
     assert largest.after == pytest.approx(8.36, abs=0.02)
     assert largest.moved == pytest.approx(0.1, abs=0.005)
     assert "s after the first sample" in largest.words
+
+
+@pytest.mark.parametrize("first", [1, 2, 5, 990, 998])
+def test_a_jump_near_an_end_has_its_size_too(first):
+    t = 0.01 * np.arange(1000)
+    true = poses(t)
+    p = true.p + np.column_stack([0.0 * t, 0.1 * (np.arange(1000) >= first), 0.0 * t])
+    largest = check_reference(Poses(t, p, true.q)).largest
+    assert largest is not None
+    assert largest.after == pytest.approx(t[first], abs=0.011)
+    assert largest.moved == pytest.approx(0.1, abs=0.005)
 
 
 def test_a_blow_is_no_jump_at_any_rate():

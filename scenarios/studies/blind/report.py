@@ -221,6 +221,15 @@ def share(hits: Sequence[float | bool]) -> str:
     )
 
 
+def count(hits: Sequence[bool]) -> str:
+    """A count that should be zero, with the 95 % interval of its share: '1 of 300 (0.1..1.9 %)'."""
+    if not hits:
+        return "no case"
+    interval = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
+    between = f"{100 * interval.low:.1f}..{100 * interval.high:.1f} %"
+    return f"{sum(hits)} of {len(hits)} ({between})"
+
+
 def rules(records: Sequence[Record]) -> Rows:
     """The study's rules: what each requires, and what was measured."""
     walked = [r for r in records if "fell" not in r]
@@ -234,7 +243,7 @@ def rules(records: Sequence[Record]) -> Rows:
         ("right effect and target first", ">= 90 %", share([points(r) for r in single])),
         ("... of effects above the log's floor", ">= 95 %", share([points(r) for r in above])),
         ("its size within a tenth or its interval", "", share(fits)),
-        ("a false name on a clean log", "none", share([bool(named(r)) for r in clean])),
+        ("a false name on a clean log", "none", count([bool(named(r)) for r in clean])),
         (
             "none_of_these with the right channel, effect in no catalogue",
             ">= 90 %",
@@ -250,7 +259,7 @@ def rules(records: Sequence[Record]) -> Rows:
         (
             "a channel above all walks of its floor, worse by a tenth with what was named",
             "none",
-            share(made_worse(walked)),
+            count(made_worse(walked)),
         ),
         ("the robot fell, no log", "", f"{len(records) - len(walked)} of {len(records)}"),
     ]
