@@ -1,5 +1,7 @@
 """What a filter refuses, and the limits beyond which it has diverged."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -45,21 +47,26 @@ def test_a_covariance_is_symmetric_and_definite_in_whatever_form(given):
 
 @pytest.mark.parametrize("name", ["v_GI", "p_GI", "b_a", "b_g"])
 def test_a_state_has_vectors_of_three_numbers(name):
-    found = getattr(NavState(**{name: [1, 2, 3]}), name)
+    given: dict[str, Any] = {name: [1, 2, 3]}
+    found = getattr(NavState(**given), name)
     assert (type(found), found.dtype, found.tolist()) == (np.ndarray, float, [1.0, 2.0, 3.0])
     for wrong in ([1.0, 2.0], np.zeros((3, 1)), [0.0, np.nan, 0.0]):
+        given[name] = wrong
         with pytest.raises(SurefootError, match=name):
-            NavState(**{name: wrong})
+            NavState(**given)
 
 
 @pytest.mark.parametrize("name", ["gyro", "accel", "gyro_walk", "accel_walk"])
 def test_a_density_is_one_or_three_finite_numbers_from_zero(name):
+    given: dict[str, Any] = {}
     for wrong in (-1e-3, np.inf, np.nan, [1e-3, 1e-3], [1e-3, 1e-3, -1e-3], np.zeros((3, 1))):
+        given[name] = wrong
         with pytest.raises(SurefootError, match=f"noise: {name} must be"):
-            FilterNoise(**{name: wrong}).packed()
+            FilterNoise(**given).packed()
     row = ("accel", "gyro", "accel_walk", "gyro_walk").index(name)
     for right in (0.0, 0.5, [0.1, 0.2, 0.3]):
-        packed = FilterNoise(**{name: right}).packed()
+        given[name] = right
+        packed = FilterNoise(**given).packed()
         np.testing.assert_array_equal(packed[row], np.broadcast_to(right, 3) ** 2)
 
 

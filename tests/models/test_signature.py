@@ -45,6 +45,36 @@ KEYS = [
 ]
 
 
+def still_feet(seconds=1.0, rate=200.0):
+    """Readings of a body that turns and sways over feet that all stand, without a simulation."""
+    t = np.arange(round(seconds * rate)) / rate
+    sway = 0.05 * np.sin(2.0 * np.pi * np.outer(t, 0.5 + 0.1 * np.arange(len(JOINTS))))
+    angles = SPOT.q_home + sway
+    columns = {"t": t, **dict(zip([f"q_{joint}" for joint in JOINTS], angles.T, strict=True))}
+    columns |= {f"dq_{joint}": np.gradient(x, t) for joint, x in zip(JOINTS, angles.T, strict=True)}
+    for axis, gyro in zip("xyz", (0.2, -0.3, 0.5), strict=True):
+        columns |= {f"gyro_{axis}": gyro + 0.0 * t, f"accel_{axis}": 9.81 * (axis == "z") + 0.0 * t}
+        columns |= {f"ref_p_{axis}": 0.3 * (axis == "z") + 0.0 * t, f"ref_v_{axis}": 0.0 * t}
+    columns |= {f"ref_q_{part}": (part == "w") + 0.0 * t for part in "wxyz"}
+    columns |= {f"contact_{leg}": np.ones(len(t)) for leg in LEGS}
+    return Log(pd.DataFrame(columns), Meta(rate=rate, robot="spot_class"), "still_feet")
+
+
+@pytest.mark.parametrize(
+    "key", [("encoder_offset", "RL_thigh"), ("encoder_scale", "FR_calf"), ("gyro_bias", "y")]
+)
+def test_the_chain_rule_by_joints_and_gyro_without_a_walk(key):
+    case = log_under_model(still_feet(), SPOT)
+    slope = slope_of(case, key, 1e-2 * CATALOGUE[key[0]].step_of(key[1]))
+    whole = written_out(_Linear(case, ()).regressor(key), slope)
+    layout = layout_for(QUADRUPED)
+    assert slope[:, layout.of("leg_velocity")].any()
+    for name in ("leg_velocity", "foot_height"):
+        columns = layout.channels[name]
+        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
+        assert apart <= 0.02 * np.linalg.norm(slope[:, columns])
+
+
 @pytest.fixture(scope="module")
 def case():
     return log_under_model(walk(SCENARIO, SPOT, 7), SPOT)
@@ -78,36 +108,6 @@ def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
         # Products of means over a bin are not quite the means of products.
         apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
         assert apart <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
-
-
-def still_feet(seconds=1.0, rate=200.0):
-    """Readings of a body that turns and sways over feet that all stand, without a simulation."""
-    t = np.arange(round(seconds * rate)) / rate
-    sway = 0.05 * np.sin(2.0 * np.pi * np.outer(t, 0.5 + 0.1 * np.arange(len(JOINTS))))
-    angles = SPOT.q_home + sway
-    columns = {"t": t, **dict(zip([f"q_{joint}" for joint in JOINTS], angles.T, strict=True))}
-    columns |= {f"dq_{joint}": np.gradient(x, t) for joint, x in zip(JOINTS, angles.T, strict=True)}
-    for axis, gyro in zip("xyz", (0.2, -0.3, 0.5), strict=True):
-        columns |= {f"gyro_{axis}": gyro + 0.0 * t, f"accel_{axis}": 9.81 * (axis == "z") + 0.0 * t}
-        columns |= {f"ref_p_{axis}": 0.3 * (axis == "z") + 0.0 * t, f"ref_v_{axis}": 0.0 * t}
-    columns |= {f"ref_q_{part}": (part == "w") + 0.0 * t for part in "wxyz"}
-    columns |= {f"contact_{leg}": np.ones(len(t)) for leg in LEGS}
-    return Log(pd.DataFrame(columns), Meta(rate=rate, robot="spot_class"), "still_feet")
-
-
-@pytest.mark.parametrize(
-    "key", [("encoder_offset", "RL_thigh"), ("encoder_scale", "FR_calf"), ("gyro_bias", "y")]
-)
-def test_the_chain_rule_by_joints_and_gyro_without_a_walk(key):
-    case = log_under_model(still_feet(), SPOT)
-    slope = slope_of(case, key, 1e-2 * CATALOGUE[key[0]].step_of(key[1]))
-    whole = written_out(_Linear(case, ()).regressor(key), slope)
-    layout = layout_for(QUADRUPED)
-    assert slope[:, layout.of("leg_velocity")].any()
-    for name in ("leg_velocity", "foot_height"):
-        columns = layout.channels[name]
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 0.02 * np.linalg.norm(slope[:, columns])
 
 
 DIFFERENCED = [

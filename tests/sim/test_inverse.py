@@ -73,13 +73,13 @@ def test_slopes_skip_work_and_nothing_else():
 def test_derivatives_by_a_links_inertia(joint):
     robot, rng, step = Robot.load("spot_class"), np.random.default_rng(5), 1e-6
     dynamics = dynamics_of(robot.file, robot.joint_names)
-    motion, base = rng.standard_normal((3, 6, 12)), rng.standard_normal((6, 9))
+    (q, dq, ddq), base = rng.standard_normal((3, 6, 12)), rng.standard_normal((6, 9))
     known = LinkChange(2, mass=0.1, com=(0.01, 0.0, 0.02), inertia=1e-3)
-    found = dynamics.link_derivatives(*motion, base, BodyChanges(links=(known,)))
+    found = dynamics.link_derivatives(q, dq, ddq, base, BodyChanges(links=(known,)))
     for kind, size in enumerate(step * np.eye(5)):
         change = LinkChange(joint, size[0], tuple(size[1:4]), size[4])
         there, here = (
-            dynamics.inverse(*motion, base, BodyChanges(links=links))
+            dynamics.inverse(q, dq, ddq, base, BodyChanges(links=links))
             for links in ((known, change), (known,))
         )
         slopes = dynamics.parted(found[kind, joint].T)
