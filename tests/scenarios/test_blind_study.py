@@ -15,6 +15,7 @@ from surefoot.scenarios.studies.blind.report import (
     points,
     right_channel,
     rules,
+    share,
     sized,
     write_report_of,
 )
@@ -174,3 +175,9 @@ def test_one_case_in_many_is_not_none():
     assert count([]) == "no case"
     assert count([False] * 20).startswith("0 of 20 (0.0..")
     assert count([False] * 291 + [True]) == "1 of 292 (0.1..1.9 %)"
+
+
+def test_nearly_all_is_not_all():
+    assert share([True] * 212 + [False]).startswith("99.5 % (")
+    assert share([True] * 213).startswith("100 % (")
+    assert share([True] * 91 + [False] * 9).startswith("91 % (")

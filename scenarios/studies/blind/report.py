@@ -216,9 +216,10 @@ def share(hits: Sequence[float | bool]) -> str:
         return "no case"
     ratio = sum(hits) / len(hits)
     interval = binomtest(round(sum(hits)), len(hits)).proportion_ci(method="wilson")
-    return (
-        f"{100 * ratio:.0f} % ({100 * interval.low:.0f}..{100 * interval.high:.0f}) of {len(hits)}"
-    )
+    # Nearly all is not all, nor is hardly any none.
+    digits = 1 if round(100 * ratio) in (0, 100) and 0 < ratio < 1 else 0
+    between = f"{100 * interval.low:.0f}..{100 * interval.high:.0f}"
+    return f"{100 * ratio:.{digits}f} % ({between}) of {len(hits)}"
 
 
 def count(hits: Sequence[bool]) -> str:
