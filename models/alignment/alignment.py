@@ -92,11 +92,11 @@ class Alignment:
     def lines(self) -> tuple[str, ...]:
         """The result in words, faults last."""
         angles = np.degrees(Rotation.from_matrix(self.R_IM).as_rotvec())
-        first, second = 1e3 * self.halves
+        first, second = self.halves
         return (
             f"clock: add {_numbers(np.array([self.offset]), 4)} s to the reference's stamps "
             f"(+-{1e3 * self.offset_half_width:.2g} ms); the log's halves say "
-            f"{first:.1f} and {second:.1f} ms",
+            f"{_numbers(np.array([first]), 4)} and {_numbers(np.array([second]), 4)} s",
             f"place: the tracked point is at ({_numbers(1e3 * self.p_IM, 0)}) mm in the IMU frame "
             f"(+-{_numbers(1e3 * self.p_IM_half_width, 0)})",
             f"rotation: ({_numbers(angles, 1)}) deg from the tracked body's axes to the IMU's "

@@ -46,10 +46,11 @@ class ChannelLevel:
     @property
     def at_floor(self) -> bool:
         """Whether the remaining residual is at the noise floor."""
-        return self.evaluation_only or self._within_floor
+        return self.evaluation_only or self.within_floor
 
     @property
-    def _within_floor(self) -> bool:
+    def within_floor(self) -> bool:
+        """The same of a channel that need not reach its floor."""
         return self.after <= self.settings.at_floor_ratio * self.highest
 
     @property
@@ -76,7 +77,7 @@ class ChannelLevel:
         if self.noise_floor is None:
             return True
         differ = after - before > self.highest - self.noise_floor
-        return differ and not self._within_floor
+        return differ and not self.within_floor
 
 
 def channel_levels(

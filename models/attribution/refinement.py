@@ -30,6 +30,10 @@ from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
 
 
+STEPS = 1.0
+"""Steps within which a derivative need not be computed again: it is a difference over two."""
+
+
 @dataclass(frozen=True)
 class RefinementData:
     """Data on which sizes are refined.
@@ -85,7 +89,7 @@ def _refined(
     known = keys == [(e.name, e.target) for e in data.explained]
     derived = compensated = list(data.explained) if known else []
     for _ in range(settings.newton_steps):
-        if _has_moved(derived, chosen, settings.relinearise_share):
+        if _has_moved(derived, chosen, settings.relinearise_share, STEPS):
             evidence, derived = (
                 linearise(data.cases, chosen, keys, evidence, evaluation_channels=False),
                 chosen,
@@ -107,10 +111,16 @@ def _refined(
     return chosen, evidence
 
 
-def _has_moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
-    """Whether a size has changed by this relative amount, or there are no sizes `before`."""
-    pairs = zip(before, after, strict=False)
-    return not before or any(abs(a.value - b.value) >= share * abs(b.value) for a, b in pairs)
+def _has_moved(
+    before: Sequence[Effect], after: Sequence[Effect], share: float, steps: float = 0.0
+) -> bool:
+    """Whether a size has changed by this relative amount and number of the steps by which its
+    derivative is taken, or there are no sizes `before`.
+    """
+    return not before or any(
+        abs(a.value - b.value) >= max(share * abs(b.value), steps * type(b).step_of(b.target))
+        for a, b in zip(before, after, strict=False)
+    )
 
 
 def remaining_error(data: RefinementData, chosen: Sequence[Effect], report: int) -> np.ndarray:

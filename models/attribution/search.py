@@ -205,12 +205,14 @@ def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
 
 
 def _is_insignificant(one: Found, limbs: Limbs, certain: bool) -> bool:
-    """Whether an effect is insignificant: at a lower bound above zero, or, unless every machine has
-    it for `certain`, with zero inside its interval.
+    """Whether an effect is insignificant: at a lower bound above zero, or with zero inside its 95 %
+    interval; of one that every machine has for `certain`, within one standard error.
     """
-    low = type(one.effect).interior_bounds(one.effect.target, limbs)[0]
-    at_none = low > 0.0 and one.effect.value <= low
-    return at_none or (not certain and one.interval[0] <= 0.0 <= one.interval[1])
+    low, value = type(one.effect).interior_bounds(one.effect.target, limbs)[0], one.effect.value
+    at_none = low > 0.0 and value <= low
+    share = 1.0 / 1.96 if certain else 1.0
+    begin, end = (value + share * (x - value) for x in one.interval)
+    return at_none or begin <= 0.0 <= end
 
 
 def _always_present(keys: Sequence[Key], robot: Machine) -> set[Key]:

@@ -102,14 +102,17 @@ def encoder_noise(q: np.ndarray) -> np.ndarray:
 
 
 def _stance_noise(log: Log) -> np.ndarray:
-    """`encoder_noise` of each joint (J,) over the rows in stance; joints in order of the legs."""
-    if not log.has("contact") or len(log.joints) % len(log.legs):
-        return np.full(len(log.joints), np.nan)
-    each = len(log.joints) // len(log.legs)
-    found = []
+    """`encoder_noise` of each joint (J,) over the rows in which the foot of its leg stands.
+
+    A joint is of the leg whose name its own begins with; NaN where there is none.
+    """
+    found = np.full(len(log.joints), np.nan)
+    if not log.has("contact"):
+        return found
     third = np.diff(log.q, n=3, axis=0)
-    for leg in range(len(log.legs)):
+    for leg, name in enumerate(log.legs):
+        own = [j for j, joint in enumerate(log.joints) if joint.startswith(f"{name}_")]
         stands = np.convolve(log.contact[:, leg], np.ones(4), mode="valid") > 3.5
-        some = third[stands, leg * each : (leg + 1) * each]
-        found.append(some.std(axis=0) / np.sqrt(20.0) if len(some) > 8 else np.full(each, np.nan))
-    return np.concatenate(found)
+        if np.count_nonzero(stands) > 8:
+            found[own] = third[np.ix_(stands, own)].std(axis=0) / np.sqrt(20.0)
+    return found

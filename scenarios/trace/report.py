@@ -161,7 +161,8 @@ def _levels(channels: Mapping[str, ChannelLevel]) -> list[dict[str, Any]]:
             "after": c.after,
             "noise floor": c.noise_floor,
             "unit": c.unit,
-            "at its floor": "yes" if c.at_floor else "no",
+            "at its floor": "yes" if c.within_floor else "no",
+            "fitted": "no" if c.evaluation_only else "yes",
         }
         for name, c in channels.items()
     ]

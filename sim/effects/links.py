@@ -10,6 +10,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inertia import LinkChange, with_own_inertia
@@ -33,6 +34,7 @@ class LinkMass(Effect):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
             body = _link(spec, robot, joint)
+            _require(self, joint, body.mass, "kg", body.mass + self.value > 0.0)
             body.mass = body.mass + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -96,6 +98,10 @@ class LinkInertia(Effect):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
             body = _link(spec, robot, joint)
+            least, middle, most = np.sort(body.inertia)
+            # A body's largest moment is at most the sum of the other two.
+            possible = least + self.value > 0.0 and least + middle - most + self.value >= 0.0
+            _require(self, joint, least, "kg m^2 about an axis", possible)
             body.inertia = body.inertia + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -105,6 +111,15 @@ class LinkInertia(Effect):
 
 def _joints(one: Effect, robot: Robot) -> list[int]:
     return [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
+
+
+def _require(one: Effect, joint: str, own: float, unit: str, possible: bool) -> None:
+    """Raise SurefootError unless a link may lose that much."""
+    if not possible:
+        raise SurefootError(
+            f"effect {one.name} {one.target}: the link of {joint} has only {own:.3g} {unit}, and "
+            f"{-one.value:g} less is not possible"
+        )
 
 
 def _link(spec: mujoco.MjSpec, robot: Robot, joint: str) -> mujoco.MjsBody:

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from surefoot.models.noise.allan import allan_curve, axis_noise
-from surefoot.models.noise.rest import encoder_noise, rest_noise, rest_of
+from surefoot.models.noise.rest import _stance_noise, encoder_noise, rest_noise, rest_of
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.sim.common.errors import SurefootError
@@ -81,6 +81,23 @@ def test_reading_noise_ignores_smooth_motion():
     t = np.arange(4000) / 500.0
     q = np.sin(8.0 * t)[:, None] + np.random.default_rng(4).normal(size=(4000, 1)) * 1e-3
     assert encoder_noise(q) == pytest.approx(1e-3, rel=0.05)
+
+
+def test_noise_in_stance_is_of_the_joints_of_the_standing_leg():
+    """Three joints of one leg and one of the other, each noisier while its leg swings."""
+    rng, stands = np.random.default_rng(5), np.arange(4000) % 800 < 400
+    columns = {"t": np.arange(4000) / RATE, "contact_left": stands, "contact_right": ~stands}
+    for joint, load in (
+        ("left_hip", stands),
+        ("left_knee", stands),
+        ("right_hip", ~stands),
+        ("left_ankle", stands),
+        ("torso", stands),
+    ):
+        columns[f"q_{joint}"] = rng.normal(size=4000) * np.where(load, 1e-4, 1e-3)
+    found = _stance_noise(Log(pd.DataFrame(columns), Meta(rate=RATE), "biped"))
+    assert found[:4] == pytest.approx(1e-4, rel=0.1)
+    assert np.isnan(found[4])
 
 
 def test_the_command_writes_settings_that_filters_take(tmp_path, capsys):

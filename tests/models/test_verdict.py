@@ -1,5 +1,7 @@
 """The verdict's rules, on made-up levels."""
 
+from dataclasses import replace
+
 import pytest
 
 from surefoot.models.attribution.found import Found
@@ -94,11 +96,13 @@ def test_outside_forces_are_no_effect_of_the_robot(found, away, name):
         assert reasons[0] == "link_length FL_calf: explains nothing but outside forces"
 
 
-def test_what_every_machine_has_is_left_out_only_where_it_is_as_little_as_can_be():
+def test_what_every_machine_has_is_left_out_only_where_its_size_is_unknown():
     late = effect("contact_delay", "liftoff", 0.0145)
     unsure, sure = Found(late, (-0.0002, 0.029)), Found(late, (0.001, 0.028))
     assert _is_insignificant(unsure, QUADRUPED, certain=False)
     assert not _is_insignificant(unsure, QUADRUPED, certain=True)
+    unknown = Found(replace(late, value=0.002), (-0.012, 0.016))
+    assert _is_insignificant(unknown, QUADRUPED, certain=True)
     assert not _is_insignificant(sure, QUADRUPED, certain=False)
     least = effect("contact_delay", "liftoff", type(late).interior_bounds("liftoff")[0])
     assert _is_insignificant(Found(least, (0.001, 0.002)), QUADRUPED, certain=True)

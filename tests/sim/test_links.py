@@ -128,6 +128,26 @@ def test_what_a_file_of_effects_may_say_of_a_link(name, target, least, most):
             effect(name, target, value)
 
 
+@pytest.mark.parametrize(
+    ("name", "less", "unit"), [("link_mass", -15.0, "kg"), ("link_inertia", -10.0, "kg m")]
+)
+def test_a_link_cannot_lose_more_than_it_has(name, less, unit):
+    one = effect(name, "FL_calf", less)
+    with pytest.raises(SurefootError, match=rf"the link of FL_calf has only .* {unit}"):
+        one.edit_spec(robot_spec(SPOT), SPOT)
+
+
+def test_the_largest_moment_of_a_link_stays_at_most_the_sum_of_the_others():
+    spec = robot_spec(SPOT)
+    least, middle, most = np.sort(spec.compile().body(spec.joint("FL_calf").parent.name).inertia)
+    spare = least + middle - most
+    assert 0.0 < spare < least
+    effect("link_inertia", "FL_calf", -0.99 * spare).edit_spec(spec, SPOT)
+    assert spec.compile() is not None
+    with pytest.raises(SurefootError, match="less is not possible"):
+        effect("link_inertia", "FL_calf", -1.01 * spare).edit_spec(robot_spec(SPOT), SPOT)
+
+
 def test_inertias_that_logs_show_are_no_bound():
     """Less than 1e-3 kg m^2 of a calf is seen; a size at its bound is never found."""
     for name in ("link_inertia", "armature"):
