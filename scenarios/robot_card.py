@@ -46,6 +46,8 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
         text = f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
         if robot.legless:
             text += f"\nno legs: {robot.legless}"
+        elif robot.file.suffix != ".urdf":
+            text += "\nbase: fixed, as no body has a free joint; that of a walking robot needs one"
         text = "\n".join([text, *changes_on_reading(robot.file)])
         values = {"name": robot.name, "file": robot.file, "joints": robot.joint_names}
         return RobotCard(text, values)

@@ -29,7 +29,6 @@ from surefoot.models.residuals.command import commanded_torque
 from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
 
-
 STEPS = 1.0
 """Steps within which a derivative need not be computed again: it is a difference over two."""
 

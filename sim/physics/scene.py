@@ -44,8 +44,8 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
         if not np.isfinite(limit):
             raise SurefootError(
-                f"robot {robot.name}: no torque limit for joint {joint}; give its actuator a "
-                "forcerange"
+                f"robot {robot.name}: no torque limit for joint {joint}; give its "
+                f"{'limit an effort' if robot.file.suffix == '.urdf' else 'actuator a forcerange'}"
             )
     spec = robot.spec()
     for part in (*spec.sensors, *spec.actuators, *spec.keys):

@@ -107,7 +107,10 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
 def _floating_base(model: mujoco.MjModel, name: str) -> int:
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if len(free) != 1:
-        raise SurefootError(f"robot {name}: expected one free joint (the base), found {len(free)}")
+        raise SurefootError(
+            f"robot {name}: expected one free joint, that of the base, found {len(free)}; in an "
+            "MJCF, <freejoint/> lets a body move freely"
+        )
     return int(model.jnt_bodyid[free[0]])
 
 

@@ -2,6 +2,8 @@
 without its meshes.
 """
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,6 +11,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 
 # Otherwise MuJoCo writes MUJOCO_LOG.TXT to the working directory; unstable walks are reported
@@ -23,6 +26,11 @@ _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-10
 """Mass [kg] and moment of inertia [kg m^2] of a URDF's link that turns on a joint but has neither,
 such as the middle of a universal joint: a milligram of 1 cm in size.
 """
+_POINT_FOOT = 1e-3
+"""Radius of a foot whose shape is a mesh of a URDF [m]."""
+_IMU_LINK = re.compile(r"(base_|trunk_|body_|pelvis_)?imu(_link|_frame|_sensor)?")
+"""Names, in lower case, of a URDF's link that carries the IMU."""
+_PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def model_spec(file: Path) -> mujoco.MjSpec:
@@ -33,7 +41,9 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     separate bodies, so that a sole or a sensor's frame is found by its name. Textures, and meshes
     that neither collide nor have mass, are left out of an MJCF where their files are missing.
     Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
-    corrected, since other readers of URDF accept them; `changes_on_reading` names them.
+    corrected, since other readers of URDF accept them. Feet that are meshes are taken for points.
+    `changes_on_reading` names these links. A link that is fixed to the base and named as an IMU,
+    such as `imu_link`, becomes the site of the IMU.
     """
     return _spec(file)[0]
 
@@ -143,11 +153,23 @@ def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     for mass in robot.findall("link/inertial/mass"):
         if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide
             raise ValueError(f"a mass is below zero, {mass.get('value')}")
+    mended = [
+        link.get("name", "")
+        for link in robot.findall("link")
+        if (inertia := link.find("inertial/inertia")) is not None and _mend(inertia)
+    ]
+    if mended:
+        changes.append(
+            "a moment of inertia is not above zero about every axis; the products of inertia are "
+            f"taken for zero of {', '.join(mended)}"
+        )
     uneven = [
         link.get("name", "")
         for link in robot.findall("link")
         if (moments := _principal_moments(link)) is not None and sum(moments[:2]) < moments[2]
     ]
+    if feet := _add_point_feet(robot):
+        changes.append(f"meshes of a URDF are not read: feet are points at {', '.join(feet)}")
     spec = mujoco.MjSpec.from_string(_floating(robot))
     if uneven:
         spec.compiler.balanceinertia = True
@@ -156,13 +178,86 @@ def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
             f"taken for all three of {', '.join(uneven)}"
         )
     try:
-        spec.copy().compile()
+        model = spec.copy().compile()
     except ValueError as error:
         if "mass and inertia of moving bodies" not in str(error):
             raise
         spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
         changes.append("links that turn on a joint but have no mass were given a milligram")
+        model = spec.copy().compile()
+    for geom in spec.geoms:
+        # Parts of one robot are often drawn into each other; Gazebo, too, lets them by default.
+        geom.contype = 0
+    _mark_imu(spec, model)
     return spec, tuple(changes)
+
+
+def _mark_imu(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Place a site named imu on the floating base where a link fixed to it is named as an IMU."""
+    for link in range(1, model.nbody):
+        if not _IMU_LINK.fullmatch(model.body(link).name.lower()):
+            continue
+        p, quaternion, body = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), link
+        while body and not model.body_jntnum[body]:
+            R = matrix_from_quaternion(model.body_quat[body])
+            mujoco.mju_mulQuat(quaternion, model.body_quat[body].copy(), quaternion.copy())
+            p, body = model.body_pos[body] + R @ p, int(model.body_parentid[body])
+        first = int(model.body_jntadr[body])
+        if body and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
+            base = spec.body(model.body(body).name)
+            base.add_site(name="imu", pos=p, quat=quaternion)
+            return
+
+
+def _mend(inertia: ElementTree.Element) -> bool:
+    """Change an inertia that is not positive definite to one that is; whether it was changed.
+
+    Without products of inertia, moments that are next to zero beside the others become a thousandth
+    of the largest, as of a thin rod. One that is zero, or next to it, is left at zero.
+    """
+    values = {pair: float(inertia.get(f"i{pair}", "0")) for pair in _PAIRS}
+    least, _, most = np.linalg.eigvalsh(_matrix(values))
+    if (least > 1e-9 * most and most > _NO_INERTIA) or not any(values.values()):
+        return False
+    moments = np.array([values["xx"], values["yy"], values["zz"]])
+    if moments.max() < _NO_INERTIA:
+        moments = np.zeros(3)
+    moments = np.maximum(moments, 1e-3 * moments.max())
+    for pair in _PAIRS:
+        inertia.set(f"i{pair}", "0")
+    for axis, moment in zip("xyz", moments, strict=True):
+        inertia.set(f"i{2 * axis}", repr(float(moment)))
+    return True
+
+
+def _add_point_feet(robot: ElementTree.Element) -> list[str]:
+    """Give links named as feet, whose shapes are meshes, a small sphere at their origin.
+
+    Only of legs with at most three joints: a foot on an ankle may be flat. Returns their names.
+    """
+    above = {j.find("child").get("link"): j for j in robot.findall("joint")}  # pyright: ignore
+    parents = {j.find("parent").get("link") for j in above.values()}  # pyright: ignore
+    found = []
+    for link in robot.findall("link"):
+        name = link.get("name", "")
+        shapes = link.findall("collision/geometry/*")
+        if name in parents or not shapes or any(shape.tag != "mesh" for shape in shapes):
+            continue
+        moving, at = 0, name
+        while (joint := above.get(at)) is not None and moving < 4:
+            moving += joint.get("type") != "fixed"
+            at = joint.find("parent").get("link")  # pyright: ignore
+        own = above[name].get("type") == "fixed" if name in above else False
+        if own and 0 < moving < 4 and any(word in name.lower() for word in ("foot", "toe")):
+            geometry = ElementTree.SubElement(ElementTree.SubElement(link, "collision"), "geometry")
+            ElementTree.SubElement(geometry, "sphere", radius=repr(_POINT_FOOT))
+            found.append(name)
+    return found
+
+
+def _matrix(values: Mapping[str, float]) -> np.ndarray:
+    order = ["xx", "xy", "xz", "xy", "yy", "yz", "xz", "yz", "zz"]
+    return np.reshape([values[pair] for pair in order], (3, 3))
 
 
 def _principal_moments(link: ElementTree.Element) -> np.ndarray | None:
@@ -172,9 +267,8 @@ def _principal_moments(link: ElementTree.Element) -> np.ndarray | None:
     inertia = link.find("inertial/inertia")
     if inertia is None:
         return None
-    pairs = ["xx", "xy", "xz", "xy", "yy", "yz", "xz", "yz", "zz"]
-    values = [float(inertia.get(f"i{pair}", "0")) for pair in pairs]
-    return np.linalg.eigvalsh(np.reshape(values, (3, 3)))
+    values = {pair: float(inertia.get(f"i{pair}", "0")) for pair in _PAIRS}
+    return np.linalg.eigvalsh(_matrix(values))
 
 
 def _floating(robot: ElementTree.Element) -> str:
@@ -212,4 +306,7 @@ def _floating(robot: ElementTree.Element) -> str:
     compiler = options.find("compiler")
     compiler = ElementTree.SubElement(options, "compiler") if compiler is None else compiler
     compiler.set("fusestatic", "false")
+    if robot.find("link/inertial") is not None:
+        # A URDF's link without <inertial> has no mass; MuJoCo would take it from its shapes.
+        compiler.attrib.setdefault("inertiafromgeom", "false")
     return ElementTree.tostring(robot, encoding="unicode")

@@ -80,6 +80,8 @@ class _Scan:
     def __init__(self, file: Path):
         self.file = file
         self.folder = file.resolve().parent
+        above = self.folder.parent
+        self.beside = above if above != above.parent else self.folder
         self.elements, self.files = 0, 0
         self.parts = 0.0
 
@@ -123,13 +125,17 @@ class _Scan:
                 admitted(inside, "piece", "robot")
 
     def inside(self, file: Path, tag: str, name: str, folders: dict[str, str]) -> Path:
-        """Path of a file that the model names; it must lie in the model's folder."""
+        """Path of a file that the model names; it must lie in the model's folder, shapes and
+        pictures in that or a folder beside it, such as `../meshes`.
+        """
         own = {"mesh": "meshdir", "skin": "meshdir", "hfield": "meshdir", "texture": "texturedir"}
         folder = folders.get(own.get(tag, ""), folders.get("assetdir", "") if tag in own else "")
         path = (file.parent / folder / name).resolve()
-        if not path.is_relative_to(self.folder) and not _installed(self.file):
-            self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
-        return path
+        if path.is_relative_to(self.folder) or _installed(self.file):
+            return path
+        if tag in own and path.is_relative_to(self.beside) and path.parent != self.beside:
+            return path
+        self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
 
     def repeated(self, tag: str, values: dict[str, str]) -> float:
         """Number of copies that an element makes of its contents."""

@@ -19,6 +19,8 @@ from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_l
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
 from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 ROBOTS = sorted(known_robots())
 
@@ -290,6 +292,19 @@ def test_visuals_whose_files_are_missing_are_left_out(tmp_path, inertial, densit
     assert "missing" not in robot_card(str(whole), None).text
 
 
+def test_meshes_may_lie_in_a_folder_beside_the_models(tmp_path):
+    """As `mjcf/robot.xml` and `meshes/` of many a package; not in a folder above both."""
+    path = tmp_path / "mjcf" / "odd.xml"
+    path.parent.mkdir()
+    text = with_visuals(INERTIAL, UNSEEN).replace("hull.stl", "../meshes/hull.stl")
+    path.write_text(text)
+    assert "files are missing: skin.png, ../meshes/hull.stl" in robot_card(str(path), None).text
+    for above in ("../hull.stl", "../../meshes/hull.stl"):
+        path.write_text(text.replace("../meshes/hull.stl", above))
+        with pytest.raises(SurefootError, match=r"hull\.stl' lies outside"):
+            Robot.load(path)
+
+
 @pytest.mark.parametrize(("inertial", "shape"), [(INERTIAL, ""), ("", UNSEEN)])
 def test_a_missing_mesh_that_collides_or_weighs_is_refused(tmp_path, inertial, shape):
     path = tmp_path / "odd.xml"
@@ -337,6 +352,20 @@ def test_a_urdf_need_not_declare_the_world(tmp_path):
     assert (model.nq, model.body("base").mass[0]) == (1, 5.0)
 
 
+def test_a_link_of_a_urdf_without_inertia_has_no_mass(tmp_path):
+    """Guards and boxes are often drawn as shapes alone, and weigh nothing to other readers."""
+    shape = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    guard = (
+        f'<link name="guard">{shape}</link><joint name="mount" type="fixed">'
+        '<parent link="base"/><child link="guard"/></joint>'
+    )
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF.replace("</robot>", f"{guard}</robot>"))
+    model = compiled_model(file)
+    assert model.ngeom == 1
+    assert model.body_mass.sum() == 6.0
+
+
 def test_a_frame_with_next_to_no_inertia_is_a_frame(tmp_path):
     moments = 'ixx="1e-22" iyy="1e-22" izz="1e-22" ixy="0" ixz="0" iyz="0"'
     imu = (
@@ -368,6 +397,97 @@ def test_inertias_of_a_urdf_that_no_body_has_are_mended_and_named(tmp_path):
     assert "links that turn on a joint but have no mass" in card
     file.write_text(URDF)
     assert changes_on_reading(file) == ()
+
+
+def quadruped_urdf(foot: str) -> str:
+    """A URDF of four legs of three hinges, with this shape for a foot, a box for a thigh that
+    reaches into the base's, and an IMU that is turned.
+    """
+    inertial = (
+        '<inertial><mass value="{}"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    box = '<collision><geometry><box size="{}"/></geometry></collision>'
+    lines = [f'<link name="trunk">{inertial.format(8)}{box.format("0.5 0.3 0.1")}</link>']
+    lines += ['<link name="plate"/>', '<link name="imu_link"/>']
+    weld = '<joint name="{}" type="fixed"><parent link="{}"/><child link="{}"/>{}</joint>'
+    lines.append(weld.format("a", "trunk", "plate", '<origin xyz="0.1 0 0" rpy="0 0 1.5707963"/>'))
+    lines.append(weld.format("b", "plate", "imu_link", '<origin xyz="0.02 0 0.03"/>'))
+    for leg, x, y in (("LF", 0.2, 0.1), ("RF", 0.2, -0.1), ("LH", -0.2, 0.1), ("RH", -0.2, -0.1)):
+        above, place = "trunk", f"{x} {y} 0"
+        for part, axis in (("hip", "1 0 0"), ("thigh", "0 1 0"), ("shank", "0 1 0")):
+            name = f"{leg}_{part}"
+            shape = box.format("0.05 0.05 0.2") if part == "thigh" else ""
+            lines.append(f'<link name="{name}">{inertial.format(0.8)}{shape}</link>')
+            lines.append(
+                f'<joint name="{name}_joint" type="revolute"><parent link="{above}"/>'
+                f'<child link="{name}"/><origin xyz="{place}"/><axis xyz="{axis}"/>'
+                '<limit lower="-2.5" upper="2.5" effort="40" velocity="20"/></joint>'
+            )
+            above, place = name, "0 0 0" if part == "hip" else "0 0 -0.25"
+        shape = f"<collision><geometry>{foot}</geometry></collision>"
+        lines.append(f'<link name="{leg}_FOOT">{shape}</link>')
+        lines.append(weld.format(f"{leg}_end", above, f"{leg}_FOOT", f'<origin xyz="{place}"/>'))
+    return f'<robot name="four">{"".join(lines)}</robot>'
+
+
+def test_a_foot_that_is_a_mesh_of_a_urdf_is_a_point(tmp_path):
+    file = tmp_path / "four.urdf"
+    file.write_text(quadruped_urdf('<sphere radius="0.02"/>'))
+    round_feet = Robot.load(file)
+    assert changes_on_reading(file) == ()
+    file.write_text(quadruped_urdf('<mesh filename="package://four/foot.dae"/>'))
+    robot = Robot.load(file)
+    (said,) = changes_on_reading(file)
+    assert said.endswith("feet are points at LF_FOOT, RF_FOOT, LH_FOOT, RH_FOOT")
+    np.testing.assert_allclose(robot.foot_radius, 1e-3)
+    np.testing.assert_allclose(
+        robot.feet_I(robot.q_home[None]), round_feet.feet_I(robot.q_home[None])
+    )
+    assert robot.mass == pytest.approx(8.0 + 12 * 0.8)
+
+
+def test_the_imu_of_a_urdf_is_the_link_named_so(tmp_path):
+    """Fixed to the base by way of a plate that is turned by a quarter about z."""
+    file = tmp_path / "four.urdf"
+    file.write_text(quadruped_urdf('<sphere radius="0.02"/>'))
+    robot = Robot.load(file)
+    assert robot.imu == "imu"
+    np.testing.assert_allclose(robot.p_BI, [0.1, 0.02, 0.03], atol=1e-6)
+    np.testing.assert_allclose(robot.R_BI, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
+    file.write_text(quadruped_urdf('<sphere radius="0.02"/>').replace("imu_link", "lidar"))
+    assert Robot.load(file).imu is None
+
+
+def test_parts_of_a_urdf_may_reach_into_each_other_and_it_walks(tmp_path):
+    """Its thighs are drawn through its trunk, as in many a published file."""
+    file = tmp_path / "four.urdf"
+    file.write_text(quadruped_urdf('<sphere radius="0.02"/>'))
+    robot = Robot.load(file)
+    log = walk(Scenario("short", (Segment(2.0, 0.3),), Ground(0.8)), robot, seed=0)
+    assert np.linalg.norm(log.ref_p[-1, :2] - log.ref_p[0, :2]) > 0.3
+
+
+@pytest.mark.parametrize(
+    ("given", "mended"),
+    [
+        # As of a link that a tool filled with one number: products of inertia, too.
+        ((1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)),
+        # A rod without thickness.
+        ((0.2, 0.0, 0.0, 0.2, 0.0, 0.0), (0.2, 0.2, 2e-4)),
+        # Numbers of a computation that should be zero.
+        ((2e-20, -1e-21, 1e-20, 5e-20, 3e-21, 1e-20), (1e-10, 1e-10, 1e-10)),
+    ],
+)
+def test_an_inertia_that_is_not_positive_is_mended_and_named(tmp_path, given, mended):
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    new = " ".join(f'{name}="{value!r}"' for name, value in zip(names, given, strict=True))
+    old = 'ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"'
+    file = tmp_path / "arm.urdf"
+    head, tail = URDF.rsplit(old, 1)
+    file.write_text(head + new + tail)
+    np.testing.assert_allclose(np.sort(compiled_model(file).body("arm").inertia), np.sort(mended))
+    assert "products of inertia are taken for zero of arm" in changes_on_reading(file)[0]
 
 
 def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
