@@ -186,6 +186,18 @@ def test_rows_with_empty_cells_are_those_of_the_gyro(tmp_path):
     np.testing.assert_allclose(found.columns["q_knee"][:-3], t[often][:-3])
 
 
+def test_rows_with_empty_cells_are_not_those_of_a_tracked_bodys_rates(tmp_path):
+    """They are no gyro: without one, the rows are those of what was read most often."""
+    t = 0.01 * np.arange(200)
+    seldom, often = np.arange(200) % 8 == 1, np.arange(200) % 2 == 1
+    rates, place = np.where(seldom, t, np.nan), np.where(often, -t, np.nan)
+    table = {"t": t, "vicon_gyro_x": rates, "vicon_p_x": place}
+    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
+    (found,) = recorded_files(tmp_path / "run.csv", None)
+    np.testing.assert_allclose(found.columns["t"], t[often])
+    np.testing.assert_allclose(found.columns["vicon_p_x"], -t[often])
+
+
 def test_the_stamps_in_the_messages_of_a_bag_are_its_times_and_rise(tmp_path, monkeypatch):
     """Also where the recorder received them at other times."""
     stamps = 5.0 + T
