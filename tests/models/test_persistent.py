@@ -40,6 +40,26 @@ def errors(rng, duration, tau, std=STD, forgets=0.05):
     return lasting + gauss_markov(rng, n, np.exp(-DT / forgets), MIXING)
 
 
+def test_axes_that_oppose_each_other_are_seen_to():
+    """Eigenvalues 3, 0 and 0 become 3, 0.05 and 0.05, of unit diagonal again."""
+    sign = np.array([1.0, -1.0, 1.0])
+    y = np.random.default_rng(5).standard_normal((50, 1)) * sign
+    found = _correlation(y, np.arange(50) == 0, 0.9, 1e9)
+    both = np.where(np.eye(3), 1.0, (3.0 - 0.05) / (3.0 + 0.10))
+    assert found == pytest.approx(np.outer(sign, sign) * both, abs=1e-6)
+
+
+@pytest.mark.parametrize("confidence", [None, 0.9, 0.999, 0.0, 1.0])
+def test_a_confidence_is_a_probability_that_is_neither_nothing_nor_certain(tmp_path, confidence):
+    said = Bounds(STD, 0.8, 0.8, "scenario", 20, 300, "a1b2", np.eye(3), "walk", None, confidence)
+    said.save(tmp_path / "bounds.json")
+    if confidence in (0.0, 1.0):
+        with pytest.raises(BoundsError, match="confidence must lie between 0 and 1"):
+            Bounds.load(tmp_path / "bounds.json")
+    else:
+        assert Bounds.load(tmp_path / "bounds.json").confidence == confidence
+
+
 def test_sequences_that_each_keep_their_own():
     rng = np.random.default_rng(0)
     found = estimate_bias_model([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)

@@ -11,7 +11,7 @@ from synthetic import synthetic_walk
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned, reference_motion
 from surefoot.models.residuals.foot_loads import foot_loads
-from surefoot.models.residuals.jacobians import Regressor, explained_share
+from surefoot.models.residuals.jacobians import Regressor, explained_share, residual_jacobians
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.residual import residual
 from surefoot.models.residuals.soft_ground import (
@@ -19,6 +19,7 @@ from surefoot.models.residuals.soft_ground import (
     _add_stances,
     _integrate_stance,
     acceleration_at_constant_rates,
+    foot_stances,
 )
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
@@ -103,6 +104,70 @@ def test_a_landed_stance_moves_the_foot_by_what_it_sinks():
     _add_stances(t, height, rows, stances, 5.0, 0.02, -1.0, depth, v)
     assert_allclose(depth, 0.0, atol=1e-12)
     assert_allclose(v, 0.0, atol=1e-12)
+
+
+def test_what_a_reference_says_of_a_foot_that_still_sinks_does_not_move_the_ground():
+    """It lies above the foot by its depth in the second half of a stance, when it has settled."""
+    t, landing = 1e-3 * np.arange(200), np.array([[0.0, 0.0, -0.3]])
+    stance = Stances(np.array([0]), np.array([200]), np.ones(1, dtype=bool), landing)
+    rows = np.tile([0.0, 0.0, 0.0, 100.0], (200, 1))
+    depths = []
+    for trembling in (0.0, 0.01):
+        height, depth = np.zeros(200), np.zeros(200)
+        height[1:99] = trembling
+        _add_stances(t, height, rows, stance, 5.0, 0.02, 1.0, depth, np.zeros((200, 3)))
+        depths.append(depth)
+    assert depths[0].max() > 1e-3
+    assert_array_equal(*depths)
+
+
+def test_a_foot_lands_as_fast_as_its_own_joints_say_about_its_touchdown():
+    """In the row of the touchdown and one beside it at 100 Hz; the leg moves in no other."""
+    robot, leg = Robot.load("spot_class"), LEGS.index("FR")
+    log = synthetic_walk(0, 0.6, 100.0, robot="spot_class")
+    columns = {f"contact_{one}": (log.t >= 0.3).astype(float) for one in LEGS}
+    log = with_columns(log, columns)
+    dq = np.zeros_like(log.q)
+    dq[29:32, robot.legs.joints[leg]] = rates = np.array([0.5, -1.0, 2.0])
+    points = replace(robot, foot_radius=np.zeros(4))
+    motion = reference_motion(log, robot.limbs)
+    still = replace(motion, v_I=0.0 * motion.v_I, gyro=0.0 * motion.gyro)
+    found = foot_stances(log, points, still, leg, dq)
+    assert_array_equal(found.first, [30])
+    velocity_I = robot.feet_jacobian_I(log.q[29:32])[:, leg] @ rates
+    velocity_G = np.einsum("nij,nj->ni", motion.R_GI[29:32], velocity_I)
+    assert_allclose(found.v_G[0], velocity_G.mean(axis=0), atol=1e-9)
+
+
+def test_a_joint_that_turns_faster_moves_the_body_by_the_lever_of_its_foot():
+    """Against the foot, where that stands; so does the turning of the body, across its arm."""
+    robot = replace(Robot.load("spot_class"), foot_radius=np.zeros(4))
+    log = synthetic_walk(0, 0.2, robot="spot_class")
+    log = with_columns(log, {f"contact_{one}": np.ones(len(log.t)) for one in LEGS})
+    motion = reference_motion(log, robot.limbs)
+    motion = replace(motion, standing=np.ones_like(motion.standing))
+    parts = residual(log, robot, motion, ["leg_velocity"])
+    found, bins = residual_jacobians(parts, robot), parts.inputs.bins
+    assert_allclose(found.leg_dq, -robot.feet_jacobian_I(bins.q), atol=1e-6)
+    arm = robot.feet_I(bins.q)
+    for axis, along in enumerate(np.eye(3)):
+        across = -np.cross(along, arm).reshape(len(arm), -1)
+        assert_allclose(found.leg_omega[:, :, axis], across, atol=1e-6)
+
+
+def test_a_share_explained_does_not_depend_on_the_columns_units():
+    """A column of millimetres beside one of radians counts as one of metres does."""
+    rng = np.random.default_rng(7)
+    size, noise = rng.uniform(-1.0, 1.0, (400, 2)), rng.uniform(-1.0, 1.0, (400, 2))
+    table = size + [0.0, 2.0] * noise
+    shares = []
+    for units in ([1.0, 1.0], [1000.0, 1.0], [1.0, 1e-4]):
+        one = Regressor(np.arange(2), size * units)
+        shares.append(explained_share(one, table * units))
+    assert_allclose(shares, shares[0], rtol=1e-9)
+    assert 0.3 < shares[0] < 0.7
+    alone = Regressor(np.arange(1), 1000.0 * table[:, :1])
+    assert explained_share(alone, 1000.0 * table) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_feet_give_the_base_what_their_legs_do_not_take():

@@ -72,6 +72,17 @@ def test_feet_that_roll_move_over_the_ground_of_a_model_that_lacks_it(log):
         assert typical[0] > 0.004 > 4 * typical[1]
 
 
+def test_a_displacement_stands_in_the_middle_of_its_contact(log):
+    frame = reference_motion(log, ROBOT.limbs)
+    found = stance_displacement(log, ROBOT, frame)
+    for leg in range(4):
+        first, end = stances(log.contact[:, leg])
+        steps = (end - first >= 60) & (first > 0) & (end < len(log.t))
+        middle = 0.5 * (log.t[first] + log.t[end - 1])[steps]
+        there = frame.t[np.isfinite(found[:, 2 * leg])]
+        assert_allclose(there, middle, atol=0.6 * BIN)
+
+
 def test_contacts_known_to_end_late_are_that_much_shorter(log):
     """A foot that is taken for standing 2 ms too long moves that much less."""
     frame = reference_motion(log, ROBOT.limbs)

@@ -38,6 +38,13 @@ def trot() -> Log:
     return replace(log, frame=frame, meta=replace(log.meta, robot=None, effects=()))
 
 
+@pytest.mark.parametrize("up", [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [-0.6, 0.0, -0.8]])
+def test_upward_is_what_an_accelerometer_at_rest_says_however_it_is_mounted(up):
+    t = 0.01 * np.arange(50)
+    accel = np.tile(9.81 * np.array(up), (50, 1))
+    np.testing.assert_allclose(up_in_imu(t, np.zeros((50, 3)), accel), np.tile(up, (50, 1)))
+
+
 def test_the_lower_diagonal_of_a_trot_stands(trot):
     up = up_in_imu(trot.t, trot.gyro, trot.accel)
     assert legs_in_phase(trot.t, trot.foot_I, up) == [[0, 3], [1, 2]]

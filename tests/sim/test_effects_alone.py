@@ -2,20 +2,23 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 from synthetic import synthetic_walk
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.body import FootRolling
-from surefoot.sim.effects.contact import CoulombFriction, FootSlip, ViscousFriction
-from surefoot.sim.effects.imu import AccelScale, GyroScale
+from surefoot.sim.effects.contact import Armature, CoulombFriction, FootSlip, ViscousFriction
+from surefoot.sim.effects.imu import AccelScale, GyroBias, GyroScale
 from surefoot.sim.effects.joint import Backlash, TorqueScale
 from surefoot.sim.effects.timing import ContactDelay, ImuDelay, JointDelay, TorqueDelay
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
-from surefoot.sim.log import JOINTS, LEGS, Log
+from surefoot.sim.log import JOINTS, LEGS, Log, Meta
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.physics.springs import foot_parts
 from surefoot.sim.robot import Robot
@@ -46,6 +49,15 @@ def scaled(name: str, place: int, factor: float):
     return readings
 
 
+def shifted(name: str, place: int, by: float):
+    def readings(before: Streams) -> dict[str, np.ndarray]:
+        after = getattr(before, name).copy()
+        after[:, place] += by
+        return {name: after}
+
+    return readings
+
+
 def late(seconds: float, *names: str):
     def readings(before: Streams) -> dict[str, np.ndarray]:
         rows = round(seconds * 500.0)
@@ -59,6 +71,7 @@ def late(seconds: float, *names: str):
     [
         (AccelScale, "z", 0.05, scaled("accel", 2, 1.05)),
         (GyroScale, "z", -0.02, scaled("gyro", 2, 0.98)),
+        (GyroBias, "y", 0.03, shifted("gyro", 1, 0.03)),
         (TorqueScale, "FL_calf", 0.1, scaled("tau", 2, 1.1)),
         (TorqueDelay, "all", 0.006, late(0.006, "tau")),
         (JointDelay, "all", 0.004, late(0.004, "q", "dq", "tau")),
@@ -82,6 +95,54 @@ def test_readings_change_by_the_formula_and_a_model_that_knows_takes_it_back(
     known, _ = one.compensate(with_columns(log, columns), ROBOT)
     for name in COLUMNS:
         assert_allclose(getattr(known, name)[inside], getattr(log, name)[inside], atol=1e-9)
+
+
+def test_a_rotor_adds_its_inertia_to_its_own_joint_alone():
+    """On the diagonal of the mass matrix: no other joint turns it."""
+    matrices = []
+    for size in (0.0, 0.02):
+        spec = robot_spec(ROBOT)
+        Armature("FL_calf", size).edit_spec(spec, ROBOT)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        matrices.append(np.zeros((model.nv, model.nv)))
+        mujoco.mj_fullM(model, data, matrices[-1])
+    added = np.zeros_like(matrices[0])
+    at = model.joint(ROBOT.joint_names[JOINTS.index("FL_calf")]).dofadr[0]
+    added[at, at] = 0.02
+    assert_allclose(matrices[1] - matrices[0], added, atol=1e-12)
+
+
+def test_a_current_may_say_half_of_a_torque_and_not_less():
+    """With half of it, a joint's torque is twice what was read; beyond, it is of another motor."""
+    tau = np.full((3, 12), 4.0)
+    before = Streams(np.arange(3.0), *(np.zeros((3, n)) for n in (3, 3, 12, 12)), tau, tau, tau)
+    after = TorqueScale("FL_calf", -0.5).alter_streams(before, ROBOT)
+    assert_array_equal(after.tau[:, 2], 2.0)
+    with pytest.raises(SurefootError, match=r"torque_scale: value must lie between -0\.5 "):
+        TorqueScale("FL_calf", -0.52)
+
+
+def test_torques_at_1_khz_are_varied_by_a_row_as_it_was_read():
+    """Between rows they would be interpolated, which smooths their noise."""
+    t = 1e-3 * np.arange(60)
+    tau = np.random.default_rng(5).normal(0.0, 1.0, (len(t), len(JOINTS)))
+    columns = {f"tau_{joint}": tau[:, i] for i, joint in enumerate(JOINTS)}
+    columns |= {f"q_{joint}": 0.0 * t for joint in JOINTS}
+    log = Log(pd.DataFrame({"t": t} | columns), Meta(rate=1e3))
+    known, _ = TorqueDelay("all", TorqueDelay.step).compensate(log, ROBOT)
+    assert_allclose(known.tau[:-1], tau[1:], atol=1e-9)
+
+
+def test_dry_friction_turns_round_within_a_hundredth_of_a_joints_rate():
+    """Of a rate without noise: at a hundredth of its RMS, tanh(1) of the friction is there."""
+    t = 0.01 * np.arange(400)
+    rate = np.sin(2.0 * np.pi * t + np.arcsin(0.01 * np.sqrt(0.5)))
+    rest = {f"{kind}_{joint}": 0.0 * t for kind in ("q", "dq", "tau") for joint in JOINTS}
+    log = Log(pd.DataFrame({"t": t} | rest | {"dq_FL_calf": rate}), Meta(rate=100.0))
+    known, _ = CoulombFriction("FL_calf", 2.0).compensate(log, ROBOT)
+    assert known.tau[::100, 2] == pytest.approx(-2.0 * np.tanh(1.0), rel=1e-6)
 
 
 def test_a_motor_without_torque_stays_on_the_side_where_it_lay():

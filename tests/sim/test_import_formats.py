@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import tracemalloc
 from pathlib import Path
 
 import h5py
@@ -11,9 +12,10 @@ import pytest
 import scipy.io
 from scipy.spatial.transform import Rotation
 
+import surefoot.sim.importing.recording as recording_module
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
-from surefoot.sim.importing.array_file import read_hdf5, read_mat
+from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.layout import _separator
 from surefoot.sim.importing.recorded_file import recorded_files
@@ -144,6 +146,71 @@ def test_every_form_gives_the_readings_that_went_in(tmp_path, form):
         np.testing.assert_allclose(log.frame[name], values, atol=1e-12)
     log.write(tmp_path / "log.parquet")
     pd.testing.assert_frame_equal(Log.read(tmp_path / "log.parquet").frame, log.frame)
+
+
+def test_the_memory_for_a_text_is_that_of_its_worst_case(tmp_path, monkeypatch):
+    """Empty records: 64 bytes each and 8 for its place, of 3 bytes of text, beside the text."""
+    path = tmp_path / "run.json"
+    path.write_text("[" + 20_000 * "{}," + "{}]")
+    tracemalloc.start()
+    kept = json.loads(path.read_text())
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(kept) == 20_001
+    monkeypatch.setenv("SUREFOOT_LIMITS", f"memory={1.06 * most}")
+    with pytest.raises(SurefootError, match="no records and no lists in it"):
+        read_json(path)
+    monkeypatch.setenv("SUREFOOT_LIMITS", f"memory={0.94 * most}")
+    with pytest.raises(SurefootError, match="bytes in memory"):
+        read_json(path)
+
+
+def test_an_array_has_eight_bytes_for_each_of_its_numbers(tmp_path, monkeypatch):
+    np.save(tmp_path / "run.npy", vectors("gyro"))
+    monkeypatch.setenv("SUREFOOT_LIMITS", f"memory={8 * 3 * ROWS}")
+    np.testing.assert_array_equal(read_npz(tmp_path / "run.npy").cells["array"], vectors("gyro"))
+    monkeypatch.setenv("SUREFOOT_LIMITS", f"memory={8 * 3 * ROWS - 1}")
+    with pytest.raises(SurefootError, match="bytes of arrays"):
+        read_npz(tmp_path / "run.npy")
+
+
+def test_rows_with_empty_cells_are_those_of_the_gyro(tmp_path):
+    """An encoder that is listed before it and read less often is interpolated."""
+    t = 0.01 * np.arange(200)
+    seldom, often = np.arange(200) % 8 == 1, np.arange(200) % 2 == 1
+    table = {"t": t, "q_knee": np.where(seldom, t, np.nan), "gyro_x": np.where(often, -t, np.nan)}
+    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
+    (found,) = recorded_files(tmp_path / "run.csv", None)
+    np.testing.assert_allclose(found.columns["t"], t[often])
+    np.testing.assert_allclose(found.columns["gyro_x"], -t[often])
+    np.testing.assert_allclose(found.columns["q_knee"][:-3], t[often][:-3])
+
+
+def test_rows_with_empty_cells_are_not_those_of_a_tracked_bodys_rates(tmp_path):
+    """They are no gyro: without one, the rows are those of what was read most often."""
+    t = 0.01 * np.arange(200)
+    seldom, often = np.arange(200) % 8 == 1, np.arange(200) % 2 == 1
+    rates, place = np.where(seldom, t, np.nan), np.where(often, -t, np.nan)
+    table = {"t": t, "vicon_gyro_x": rates, "vicon_p_x": place}
+    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
+    (found,) = recorded_files(tmp_path / "run.csv", None)
+    np.testing.assert_allclose(found.columns["t"], t[often])
+    np.testing.assert_allclose(found.columns["vicon_p_x"], -t[often])
+
+
+def test_the_stamps_in_the_messages_of_a_bag_are_its_times_and_rise(tmp_path, monkeypatch):
+    """Also where the recorder received them at other times."""
+    stamps = 5.0 + T
+    received = np.sort(np.random.default_rng(0).uniform(0.0, 1.0, ROWS))
+    seen = {"/legs:stamp": (received, stamps), "/legs:knee": (received, np.sin(T))}
+    monkeypatch.setattr(recording_module, "read_bag", lambda path, columns: seen)
+    (tmp_path / "map.toml").write_text('[columns]\nt = "/legs:stamp"\nq_knee = "/legs:knee"\n')
+    log = import_log(tmp_path / "run.bag", tmp_path / "map.toml")
+    np.testing.assert_allclose(log.t, stamps)
+    np.testing.assert_allclose(log.q[:, 0], np.sin(T))
+    stamps[7] = stamps[6]
+    with pytest.raises(SurefootError, match=r"run.bag.*'/legs:stamp', message 8: duplicate stamp"):
+        import_log(tmp_path / "run.bag", tmp_path / "map.toml")
 
 
 SEVERAL = """

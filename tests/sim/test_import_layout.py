@@ -9,6 +9,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.layout import layout_of
 from surefoot.sim.importing.recording import import_log
+from surefoot.sim.log import JOINTS
 
 N = 400
 T = 0.01 * np.arange(N)
@@ -59,6 +60,43 @@ def test_a_text_is_read_as_it_is_laid_out(tmp_path, before, options, layout):
     log, _ = imported(tmp_path, "run.csv")
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
     np.testing.assert_allclose(log.ref_p[:, 0], 0.1 * T, atol=1e-6)
+
+
+def test_the_tables_of_a_folder_are_drafted_together(tmp_path):
+    IMU.to_csv(tmp_path / "imu.csv", index=False)
+    POSE.add_prefix("vicon_").to_csv(tmp_path / "truth.csv", index=False)
+    (tmp_path / "notes.txt").write_text("a walk in the hall\n")
+    draft = guess_map([tmp_path])
+    assert draft.files == (tmp_path / "imu.csv", tmp_path / "truth.csv")
+    assert draft.reference_file == tmp_path / "truth.csv"
+
+
+@pytest.mark.parametrize(("later", "asked"), [(0.0, False), (3.9, False), (4.1, True)])
+def test_a_reference_that_was_never_recorded_at_once_has_another_clock(tmp_path, later, asked):
+    IMU.to_csv(tmp_path / "imu.csv", index=False)
+    POSE.assign(t=T + later).add_prefix("vicon_").to_csv(tmp_path / "truth.csv", index=False)
+    draft = guess_map([tmp_path / "imu.csv", tmp_path / "truth.csv"])
+    assert any("the reference's clock is another" in note for note in draft.notes) == asked
+
+
+def test_joints_without_names_are_the_robots_in_its_order_and_asked_about(tmp_path):
+    angles = {f"q_{k}": 0.1 * np.sin(T + k) for k in range(12)}
+    pd.DataFrame({"t": T} | angles).to_csv(tmp_path / "run.csv", index=False)
+    draft = guess_map([tmp_path / "run.csv"], "spot_class")
+    found = {e.name: e.theirs for e in draft.main if e.name != "t"}
+    assert found == {f"q_{joint}": name for joint, name in zip(JOINTS, angles, strict=True)}
+    doubts = {e.doubt for e in draft.main if e.name != "t"}
+    assert doubts == {"are its joints in the order of spot_class?"}
+
+
+def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_say(tmp_path):
+    """And the draft says so, or no log could be read by it."""
+    angles = {"q_knee": 0.5 * np.sin(3.0 * T), "dq_knee": 1.5 * np.cos(3.0 * T)}
+    pd.DataFrame(angles).to_csv(tmp_path / "run.csv", index=False)
+    log, draft = imported(tmp_path, "run.csv")
+    assert draft.rate == pytest.approx(100.0, rel=0.02)
+    np.testing.assert_allclose(log.t, np.arange(N) / draft.rate, rtol=1e-4)
+    np.testing.assert_allclose(log.q[:, 0], angles["q_knee"], atol=1e-9)
 
 
 def test_blanks_around_a_name_are_no_part_of_it(tmp_path):

@@ -16,6 +16,7 @@ from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
 from surefoot.sim.robot.legs import find_legs
+from surefoot.sim.robot.limbs import limbs_by_name
 
 SPOT = Robot.load("spot_class")
 LOG = cast(Log, SimpleNamespace())
@@ -70,6 +71,19 @@ def test_what_a_link_weighs_more_is_in_the_inverse_dynamics(name, target, value)
     assert_allclose(changed[0] - plain[0], (edited - bare)[:, :6], atol=1e-9)
     # The model is as it was again.
     assert_allclose(dynamics.inverse(*motion)[1], plain[1], atol=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "least"), [("link_mass", "FL_thigh", 0.5), ("link_com", "FL_thigh_z", 0.1)]
+)
+def test_what_a_leg_lacks_is_looked_for_up_to_a_size_that_its_parts_have(name, target, least):
+    """A fifth of the thigh's mass, a third of its length; a gantry's links may be off by more."""
+    kind = CATALOGUE[name]
+    assert len(effect(name, target, -least).compensate(LOG, SPOT)[1].extras.links) == 1
+    low, _ = kind.bounds_on(SPOT.limbs, target)
+    assert low <= -least
+    assert low > -1.04 * least
+    assert kind.bounds_on(limbs_by_name((), ("slide", "lift")))[0] <= 5.0 * low
 
 
 @pytest.mark.parametrize("target", ["FL_z", "RR_x", "FR_y"])

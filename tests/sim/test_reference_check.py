@@ -54,6 +54,25 @@ def test_frames_that_were_miscounted_are_found():
     assert found.jumps == 0
 
 
+def test_corrections_of_stamps_are_as_large_as_their_errors():
+    """Positions are good to 0.2 mm, and 3 ms at 0.5 m/s are 1.5 mm."""
+    rng = np.random.default_rng(6)
+    walk = motion(1.5, 400.0)
+    t = np.arange(0.01, 1.45, 1 / 90)
+    late = rng.normal(0.0, 3e-3, len(t))
+    seen = poses(t + late, t, 2e-4, rng)
+    found = reference_noise(walk.t, walk.gyro, walk.accel, seen)
+    assert found is not None
+    assert found.correction == pytest.approx(np.std(late), rel=0.2)
+
+
+def test_the_force_drifts_in_a_second_as_by_a_tilt_of_some_tenths_of_a_degree():
+    """It shows as an acceleration of the path, of gravity times the tilt."""
+    _, Q = _transition(1.0, 0.0)
+    tilt = np.degrees(np.sqrt(np.diag(Q)[6:9]) / 9.81)
+    np.testing.assert_allclose(tilt, 0.3, rtol=0.05)
+
+
 def test_the_search_for_the_noise_of_a_reference_without_any_ends(monkeypatch):
     """Its likelihood has no maximum: it grows as the sizes tend to zero."""
     calls, filtered = [], reference_noise_module._filtered
@@ -151,6 +170,17 @@ def test_a_jump_near_an_end_has_its_size_too(first):
     assert largest is not None
     assert largest.after == pytest.approx(t[first], abs=0.011)
     assert largest.moved == pytest.approx(0.1, abs=0.005)
+
+
+def test_a_jump_of_a_body_that_speeds_up_has_its_size_too():
+    """The usual speed is that of as many steps before as after, even where there are no more."""
+    t = 0.01 * np.arange(40)
+    p = 10.0 * t**2 + 0.1 * (np.arange(40) > 4)
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (40, 1))
+    found = check_reference(Poses(t, np.column_stack([p, 0.0 * t, 0.0 * t]), still))
+    assert found.jumps == 1
+    assert found.largest is not None
+    assert found.largest.moved == pytest.approx(0.1, abs=1e-9)
 
 
 def test_a_blow_is_no_jump_at_any_rate():

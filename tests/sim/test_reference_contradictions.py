@@ -8,7 +8,7 @@ from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.importing.reference_contradictions import _closed, contradicted
-from surefoot.sim.importing.report import import_lines
+from surefoot.sim.importing.report import _contradictions, import_lines
 from surefoot.sim.log.reference import Poses
 
 RECORDING = measured_folder() / "go1_square"
@@ -52,6 +52,26 @@ def test_a_jump_between_is_left_out_with_its_surroundings():
     moved = these.p + np.where(t[:, None] > 6.0, [0.1, 0.0, 0.0], 0.0)
     gone = t[found(Poses(t, moved, these.q))]
     assert 5.85 < gone[0] < 6.0 < gone[-1] < 6.15
+
+
+def test_a_last_sample_between_the_last_two_rows_of_the_imu_counts_too():
+    """A tracker that leaps with its last frame, a millisecond before the recording ends."""
+    t = np.append(np.arange(0.0, 11.985, 1 / 90), 11.999)
+    these = poses(t)
+    these.p[-1] += [0.1, 0.0, 0.0]
+    gone = t[found(these)]
+    assert gone[-1] == 11.999
+    assert gone[0] > 11.85
+
+
+def test_sections_that_are_left_out_are_told_from_their_first_to_their_last_sample():
+    """From the first of all to the last of all, where these are among them."""
+    these = poses(0.5 + 0.01 * np.arange(10))
+    wrong = np.array([1, 1, 1, 0, 0, 1, 1, 0, 0, 1], dtype=bool)
+    (line,) = _contradictions(these, wrong)
+    assert line.startswith("reference: 6 samples left out")
+    assert line.endswith(": 0.50 to 0.52 s, 0.55 to 0.56 s, 0.59 to 0.59 s")
+    assert _contradictions(these, wrong & False) == ()
 
 
 @pytest.mark.skipif(not RECORDING.is_dir(), reason=f"no measured logs at {RECORDING}")

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import surefoot.sim.importing.streams as streams_module
 from surefoot.sim.importing.streams import delay_between, held_streams, late_streams
 from surefoot.sim.log import Log, Meta
 
@@ -54,6 +55,27 @@ def test_an_hour_without_rows_is_not_filled_with_them():
     tracemalloc.stop()
     assert delay == pytest.approx(8e-3, abs=2e-4)
     assert most < 5e6
+
+
+def test_pauses_of_half_a_minute_are_not_filled_either():
+    """Sixteen of them, which would be 190 000 rows."""
+    early, now = angle(T), angle(T - 8e-3)
+    stamps = T + 30.0 * np.floor(2.0 * T)
+    tracemalloc.start()
+    delay = delay_between(stamps, now[:, None], early[:, None])
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert delay == pytest.approx(8e-3, abs=1e-3)
+    assert most < 5e6
+
+
+def test_a_peak_without_a_bend_lies_at_a_whole_row(monkeypatch):
+    """What rounding has flattened says nothing of parts of a row."""
+    alike = iter([0.8, 0.9, np.nextafter(1.0, 0.0), 1.0, 1.0, *np.linspace(0.9, 0.0, 99)])
+    monkeypatch.setattr(streams_module, "_correlation", lambda a, b: next(alike))
+    rows = 400.0 * delay_between(T, angle(T)[:, None], angle(T)[:, None])
+    assert rows == pytest.approx(np.rint(rows), abs=1e-6)
+    assert rows < -10.0
 
 
 @pytest.mark.parametrize("late", [8e-3, -5e-3, 0.0])
