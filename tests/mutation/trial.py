@@ -281,12 +281,17 @@ class Workplace:
             kernels.sources_digest = lambda name, file=None: digests.get(name) or now(name, file)
 
 
+_LOCALS = ".<locals>"
+
+
 def _covers(test: Covering, mutant: Mutant) -> bool:
     """Whether a test calls the mutated function; of what is made at the import, which functions of
     the module read, whether it calls one of them."""
     if mutant.scope == MODULE:
         return any(function.startswith(f"{mutant.file}:") for function in test.functions)
-    return f"{mutant.file}:{mutant.scope}" in test.functions
+    # A function inside an `if` of another has no mark of it in its scope.
+    scope = f"{mutant.file}:{mutant.scope}".replace(_LOCALS, "")
+    return any(function.replace(_LOCALS, "") == scope for function in test.functions)
 
 
 class _TooLong(Exception):
