@@ -52,6 +52,8 @@ def read_text(path: Path, source: Source) -> RecordedTable:
                 skip_blank_lines=False,
                 low_memory=False,
             )
+    except SurefootError:
+        raise
     except UnicodeDecodeError as error:
         raise SurefootError(f"{path}: not a text file ({error.reason})") from error
     except (ValueError, pd.errors.ParserWarning, csv.Error, OSError) as error:
