@@ -69,6 +69,8 @@ def _card(robot: Robot) -> RobotCard:
         f"does not walk in simulation: {why_not}" if why_not else "walks in simulation",
     ]
     lines += changes_on_reading(robot.file)
+    # Of the link with all that is fixed to it; a URDF often has a motor's mass in a link of its own.
+    moved = [model.body_weldid[model.jnt_bodyid[model.joint(n).id]] for n in robot.joint_names]
     joints = [
         {
             "joint": joint,
@@ -77,7 +79,7 @@ def _card(robot: Robot) -> RobotCard:
             "to [rad]": robot.joint_range[j, 1],
             "torque [N m]": robot.torque_limit[j],
             "at home [rad]": round(robot.q_home[j], 6) + 0.0,  # of a search; no -1e-12, no -0
-            "link [kg]": float(model.body_mass[model.jnt_bodyid[model.joint(own).id]]),
+            "link [kg]": float(model.body_mass[model.body_weldid == moved[j]].sum()),
         }
         for j, (joint, own) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
     ]

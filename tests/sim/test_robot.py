@@ -447,6 +447,22 @@ def test_a_foot_that_is_a_mesh_of_a_urdf_is_a_point(tmp_path):
     assert robot.mass == pytest.approx(8.0 + 12 * 0.8)
 
 
+def test_the_card_gives_the_mass_of_a_link_with_what_is_fixed_to_it(tmp_path):
+    text = quadruped_urdf('<sphere radius="0.02"/>')
+    inertia = 'ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"'
+    inertial = f'<inertial><mass value="0.15"/><inertia {inertia}/></inertial>'
+    file = tmp_path / "four.urdf"
+    file.write_text(text.replace('<link name="LF_FOOT">', f'<link name="LF_FOOT">{inertial}'))
+    rows = robot_card(file, None).text.splitlines()
+    masses = {row.split()[1]: row.split()[-2] for row in rows if "_calf " in row}
+    assert masses == {
+        "FL_calf": "0.950",
+        "FR_calf": "0.800",
+        "RL_calf": "0.800",
+        "RR_calf": "0.800",
+    }
+
+
 def test_the_imu_of_a_urdf_is_the_link_named_so(tmp_path):
     """Fixed to the base by way of a plate that is turned by a quarter about z."""
     file = tmp_path / "four.urdf"
