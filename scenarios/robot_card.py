@@ -69,7 +69,7 @@ def _card(robot: Robot) -> RobotCard:
         f"does not walk in simulation: {why_not}" if why_not else "walks in simulation",
     ]
     lines += changes_on_reading(robot.file)
-    # Of the link with all that is fixed to it; a URDF often has a motor's mass in a link of its own.
+    # With all that is fixed to it; in a URDF a motor's mass is often that of a link of its own.
     moved = [model.body_weldid[model.jnt_bodyid[model.joint(n).id]] for n in robot.joint_names]
     joints = [
         {
