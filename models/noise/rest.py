@@ -114,5 +114,5 @@ def _stance_noise(log: Log) -> np.ndarray:
         own = [j for j, joint in enumerate(log.joints) if joint.startswith(f"{name}_")]
         stands = np.convolve(log.contact[:, leg], np.ones(4), mode="valid") > 3.5
         if np.count_nonzero(stands) > 8:
-            found[own] = third[np.ix_(stands, own)].std(axis=0) / np.sqrt(20.0)
+            found[own] = third[stands][:, own].std(axis=0) / np.sqrt(20.0)
     return found
