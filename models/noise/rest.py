@@ -30,8 +30,8 @@ class RestNoise:
         gyro: noise of each axis, in rad/s.
         accel: noise of each axis, in m/s^2.
         encoder: standard deviation of single readings at rest (J,) [rad]; empty without joints.
-        stance: the same while the joint's foot is in stance, also in a walk (J,) [rad]; NaN without
-            contacts, empty without joints.
+        stance: the same while the joint's foot is in stance, also in a walk (J,) [rad]; NaN where
+            the joint's name begins with that of no leg, or its foot hardly stands.
     """
 
     begin: float
