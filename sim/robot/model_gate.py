@@ -26,7 +26,7 @@ ATTRIBUTES = 1000
 """Maximum number of attributes of an element; MuJoCo's parser takes quadratic time in them."""
 INCLUDES = 100
 """Maximum number of files in a model, counting nested includes each time."""
-FILES, FOLDERS = 10_000, 20
+MOST_FILES, MOST_FOLDERS = 10_000, 20
 """Maximum number of shapes and pictures that a model names, and of folders for them."""
 _PARTS = {
     "flexcomp",
@@ -151,8 +151,8 @@ class _Scan:
         in any of the files; here it must be within bounds from each of them.
         """
         named = dict.fromkeys(self.named)
-        if len(named) > FILES or len(self.folders) > FOLDERS:
-            self.refuse(f"names more than {FILES} files or {FOLDERS} folders")
+        if len(named) > MOST_FILES or len(self.folders) > MOST_FOLDERS:
+            self.refuse(f"names more than {MOST_FILES} files or {MOST_FOLDERS} folders")
         for included, tag, name in named:
             for base in {self.folder, included}:
                 for folder in self.folders:
