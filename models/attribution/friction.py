@@ -133,7 +133,7 @@ def slip_notes(
     size = f"{friction.limit:.2f} ({low:.2f} to {high:.2f})"
     note = f"friction: {many} at a coefficient of {size}, {where}"
     if not friction.consistent(settings):
-        note += f"; feet that stuck used one of up to {friction.held:.2f}"
+        note += f"; feet that did not slide used a coefficient of up to {friction.held:.2f}"
         if friction.everywhere:
             note += ", so a delay or leg compliance may look like sliding"
     return (note,)

@@ -50,7 +50,9 @@ class ChannelLevel:
 
     @property
     def within_floor(self) -> bool:
-        """The same of a channel that need not reach its floor."""
+        """Whether the remaining residual is at the noise floor, even of a channel that no fit
+        uses.
+        """
         return self.after <= self.settings.at_floor_ratio * self.highest
 
     @property

@@ -29,9 +29,6 @@ from surefoot.models.residuals.command import commanded_torque
 from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
 
-STEPS = 1.0
-"""Steps within which a derivative need not be computed again: it is a difference over two."""
-
 
 @dataclass(frozen=True)
 class RefinementData:
@@ -88,7 +85,7 @@ def _refined(
     known = keys == [(e.name, e.target) for e in data.explained]
     derived = compensated = list(data.explained) if known else []
     for _ in range(settings.newton_steps):
-        if _has_moved(derived, chosen, settings.relinearise_share, STEPS):
+        if _has_moved(derived, chosen, settings.relinearise_share):
             evidence, derived = (
                 linearise(data.cases, chosen, keys, evidence, evaluation_channels=False),
                 chosen,
@@ -110,16 +107,10 @@ def _refined(
     return chosen, evidence
 
 
-def _has_moved(
-    before: Sequence[Effect], after: Sequence[Effect], share: float, steps: float = 0.0
-) -> bool:
-    """Whether a size has changed by this relative amount and number of the steps by which its
-    derivative is taken, or there are no sizes `before`.
-    """
-    return not before or any(
-        abs(a.value - b.value) >= max(share * abs(b.value), steps * type(b).step_of(b.target))
-        for a, b in zip(before, after, strict=False)
-    )
+def _has_moved(before: Sequence[Effect], after: Sequence[Effect], share: float) -> bool:
+    """Whether a size has changed by this relative amount, or there are no sizes `before`."""
+    pairs = zip(before, after, strict=False)
+    return not before or any(abs(a.value - b.value) >= share * abs(b.value) for a, b in pairs)
 
 
 def remaining_error(data: RefinementData, chosen: Sequence[Effect], report: int) -> np.ndarray:

@@ -30,8 +30,8 @@ class RestNoise:
         gyro: noise of each axis, in rad/s.
         accel: noise of each axis, in m/s^2.
         encoder: standard deviation of single readings at rest (J,) [rad]; empty without joints.
-        stance: the same while the joint's foot is in stance, also in a walk (J,) [rad]; NaN without
-            contacts, empty without joints.
+        stance: the same while the joint's foot is in stance, also in a walk (J,) [rad]; NaN where
+            the joint's name begins with that of no leg, or its foot hardly stands.
     """
 
     begin: float
@@ -114,5 +114,5 @@ def _stance_noise(log: Log) -> np.ndarray:
         own = [j for j, joint in enumerate(log.joints) if joint.startswith(f"{name}_")]
         stands = np.convolve(log.contact[:, leg], np.ones(4), mode="valid") > 3.5
         if np.count_nonzero(stands) > 8:
-            found[own] = third[np.ix_(stands, own)].std(axis=0) / np.sqrt(20.0)
+            found[own] = third[stands][:, own].std(axis=0) / np.sqrt(20.0)
     return found

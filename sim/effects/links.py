@@ -34,7 +34,7 @@ class LinkMass(Effect):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
             body = _link(spec, robot, joint)
-            _require(self, joint, body.mass, "kg", body.mass + self.value > 0.0)
+            _check_loss(self, joint, body.mass, "kg")
             body.mass = body.mass + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -100,8 +100,7 @@ class LinkInertia(Effect):
             body = _link(spec, robot, joint)
             least, middle, most = np.sort(body.inertia)
             # A body's largest moment is at most the sum of the other two.
-            possible = least + self.value > 0.0 and least + middle - most + self.value >= 0.0
-            _require(self, joint, least, "kg m^2 about an axis", possible)
+            _check_loss(self, joint, min(least, least + middle - most), self.unit)
             body.inertia = body.inertia + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -113,12 +112,12 @@ def _joints(one: Effect, robot: Robot) -> list[int]:
     return [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
 
 
-def _require(one: Effect, joint: str, own: float, unit: str, possible: bool) -> None:
-    """Raise SurefootError unless a link may lose that much."""
-    if not possible:
+def _check_loss(one: Effect, joint: str, most: float, unit: str) -> None:
+    """Raise SurefootError if an effect takes more from the link of `joint` than `most` [unit]."""
+    if one.value < 0.0 and -one.value >= most:
         raise SurefootError(
-            f"effect {one.name} {one.target}: the link of {joint} has only {own:.3g} {unit}, and "
-            f"{-one.value:g} less is not possible"
+            f"effect {one.name} {one.target}: less than {most:.3g} {unit} can be taken from the "
+            f"link of {joint}, not {-one.value:g}"
         )
 
 

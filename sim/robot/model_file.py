@@ -41,9 +41,10 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     separate bodies, so that a sole or a sensor's frame is found by its name. Textures, and meshes
     that neither collide nor have mass, are left out of an MJCF where their files are missing.
     Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
-    corrected, since other readers of URDF accept them. Feet that are meshes are taken for points.
-    `changes_on_reading` names these links. A link that is fixed to the base and named as an IMU,
-    such as `imu_link`, becomes the site of the IMU.
+    corrected, since other readers of URDF accept them. A foot that is a mesh, at the end of a leg
+    of at most three joints, is taken for a point at the origin of its link. `changes_on_reading`
+    names these links. Parts of the robot do not collide with each other. A link that is fixed to
+    the base and named as an IMU, such as `imu_link`, becomes the site of the IMU.
     """
     return _spec(file)[0]
 
@@ -153,21 +154,33 @@ def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     for mass in robot.findall("link/inertial/mass"):
         if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide
             raise ValueError(f"a mass is below zero, {mass.get('value')}")
-    mended = [
-        link.get("name", "")
-        for link in robot.findall("link")
-        if (inertia := link.find("inertial/inertia")) is not None and _mend(inertia)
-    ]
-    if mended:
+    mended: dict[str, list[str]] = {"": [], "flat": [], "indefinite": []}
+    for link in robot.findall("link"):
+        if (inertia := link.find("inertial/inertia")) is not None:
+            mended[_mend(inertia)].append(link.get("name", ""))
+    if mended["flat"]:
         changes.append(
-            "a moment of inertia is not above zero about every axis; the products of inertia are "
-            f"taken for zero of {', '.join(mended)}"
+            "a moment of inertia is zero about an axis; a thousandth of the largest is taken for "
+            f"it of {', '.join(mended['flat'])}"
+        )
+    if mended["indefinite"]:
+        changes.append(
+            "a moment of inertia is below zero about an axis; the products of inertia are taken "
+            f"for zero of {', '.join(mended['indefinite'])}"
         )
     uneven = [
         link.get("name", "")
         for link in robot.findall("link")
         if (moments := _principal_moments(link)) is not None and sum(moments[:2]) < moments[2]
     ]
+    bare = [
+        link.get("name", "")
+        for link in robot.findall("link")
+        if link.find("inertial") is None
+        and any(shape.tag != "mesh" for shape in link.findall("collision/geometry/*"))
+    ]
+    if bare and robot.find("link/inertial") is not None:
+        changes.append(f"without <inertial>, these links have no mass: {', '.join(bare)}")
     if feet := _add_point_feet(robot):
         changes.append(f"meshes of a URDF are not read: feet are points at {', '.join(feet)}")
     spec = mujoco.MjSpec.from_string(_floating(robot))
@@ -183,10 +196,13 @@ def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
         if "mass and inertia of moving bodies" not in str(error):
             raise
         spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
-        changes.append("links that turn on a joint but have no mass were given a milligram")
+        changes.append(
+            "links that move without a mass or a moment of inertia were given the least that is "
+            "possible, those of a milligram of 1 cm in size"
+        )
         model = spec.copy().compile()
     for geom in spec.geoms:
-        # Parts of one robot are often drawn into each other; Gazebo, too, lets them by default.
+        # Parts of a robot are often drawn into each other, and do not collide in Gazebo either.
         geom.contype = 0
     _mark_imu(spec, model)
     return spec, tuple(changes)
@@ -209,46 +225,61 @@ def _mark_imu(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             return
 
 
-def _mend(inertia: ElementTree.Element) -> bool:
-    """Change an inertia that is not positive definite to one that is; whether it was changed.
+def _mend(inertia: ElementTree.Element) -> str:
+    """Change an inertia that is not positive definite to one that is: "flat" if a moment was zero,
+    "indefinite" if one was negative, else "".
 
-    Without products of inertia, moments that are next to zero beside the others become a thousandth
-    of the largest, as of a thin rod. One that is zero, or next to it, is left at zero.
+    A moment about a principal axis that is zero, as of a thin rod, becomes a thousandth of the
+    largest. Where one is negative, products of inertia are taken for zero. A negligible inertia
+    becomes zero. Raises ValueError for one that is not finite, or negative about x, y or z.
     """
     values = {pair: float(inertia.get(f"i{pair}", "0")) for pair in _PAIRS}
-    least, _, most = np.linalg.eigvalsh(_matrix(values))
-    if (least > 1e-9 * most and most > _NO_INERTIA) or not any(values.values()):
-        return False
-    moments = np.array([values["xx"], values["yy"], values["zz"]])
-    if moments.max() < _NO_INERTIA:
-        moments = np.zeros(3)
-    moments = np.maximum(moments, 1e-3 * moments.max())
+    if not np.isfinite(list(values.values())).all():
+        raise ValueError("an inertia is not finite")
+    matrix, found = _matrix(values), ""
+    if np.abs(matrix).max() < _NO_INERTIA:
+        matrix = np.zeros((3, 3))
+    elif min(np.diag(matrix)) < 0.0:
+        raise ValueError(f"a moment of inertia is below zero, {min(np.diag(matrix)):g}")
+    else:
+        moments, axes = np.linalg.eigh(matrix)
+        if moments[0] > 1e-9 * moments[2]:
+            return ""
+        found = "flat" if moments[0] > -1e-9 * moments[2] else "indefinite"
+        if found == "indefinite":
+            moments, axes = np.diag(matrix), np.eye(3)
+        matrix = axes @ np.diag(np.maximum(moments, 1e-3 * moments.max())) @ axes.T
     for pair in _PAIRS:
-        inertia.set(f"i{pair}", "0")
-    for axis, moment in zip("xyz", moments, strict=True):
-        inertia.set(f"i{2 * axis}", repr(float(moment)))
-    return True
+        row, column = ("xyz".index(axis) for axis in pair)
+        inertia.set(f"i{pair}", repr(float(matrix[row, column])))
+    return found
 
 
 def _add_point_feet(robot: ElementTree.Element) -> list[str]:
     """Give links named as feet, whose shapes are meshes, a small sphere at their origin.
 
-    Only of legs with at most three joints: a foot on an ankle may be flat. Returns their names.
+    Only at the end of legs with at most three joints: a foot on an ankle may be flat. Returns their
+    names.
     """
-    above = {j.find("child").get("link"): j for j in robot.findall("joint")}  # pyright: ignore
-    parents = {j.find("parent").get("link") for j in above.values()}  # pyright: ignore
+    above: dict[str, tuple[str, bool]] = {}
+    for joint in robot.findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is not None and child is not None:
+            turns = joint.get("type") != "fixed"
+            above[child.get("link", "")] = parent.get("link", ""), turns
+    parents = {parent for parent, _ in above.values()}
     found = []
     for link in robot.findall("link"):
         name = link.get("name", "")
         shapes = link.findall("collision/geometry/*")
         if name in parents or not shapes or any(shape.tag != "mesh" for shape in shapes):
             continue
-        moving, at = 0, name
-        while (joint := above.get(at)) is not None and moving < 4:
-            moving += joint.get("type") != "fixed"
-            at = joint.find("parent").get("link")  # pyright: ignore
-        own = above[name].get("type") == "fixed" if name in above else False
-        if own and 0 < moving < 4 and any(word in name.lower() for word in ("foot", "toe")):
+        at, turning = name, list[bool]()
+        while at in above and len(turning) <= len(above):
+            at, turns = above[at]
+            turning.append(turns)
+        fixed, joints = turning[:1] == [False], sum(turning)
+        if fixed and 0 < joints < 4 and any(word in name.lower() for word in ("foot", "toe")):
             geometry = ElementTree.SubElement(ElementTree.SubElement(link, "collision"), "geometry")
             ElementTree.SubElement(geometry, "sphere", radius=repr(_POINT_FOOT))
             found.append(name)

@@ -5,6 +5,10 @@ include names.
 """
 
 import math
+import os
+import site
+import sysconfig
+from functools import cache
 from pathlib import Path
 from typing import NoReturn
 from xml.parsers import expat
@@ -22,6 +26,8 @@ ATTRIBUTES = 1000
 """Maximum number of attributes of an element; MuJoCo's parser takes quadratic time in them."""
 INCLUDES = 100
 """Maximum number of files in a model, counting nested includes each time."""
+FILES, FOLDERS = 10_000, 20
+"""Maximum number of shapes and pictures that a model names, and of folders for them."""
 _PARTS = {
     "flexcomp",
     "composite",
@@ -35,6 +41,8 @@ _PARTS = {
     "collision",
     "light",
 }
+_ASSETS = {".stl", ".obj", ".msh", ".ply", ".dae", ".png", ".jpg", ".jpeg", ".ktx", ".bin"}
+"""Suffixes of shapes and pictures."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _SIZES = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
 _COUNTS = {"nkey"}
@@ -46,11 +54,14 @@ _NUMBERS = {"mass", "density", "pos", "size", "friction", "diaginertia", "fullin
 def check_model_file(file: Path) -> None:
     """Check a model file before it is compiled.
 
-    Raises SurefootError, one line with the file, for a model that is too large, refers to files
-    outside its folder, has entities, or invalid numbers.
+    Raises SurefootError, one line with the file, for a model that is too large, includes files
+    outside its folder, names shapes or pictures outside that and the folders beside it, has
+    entities, or invalid numbers.
     """
     try:
-        _Scan(file).read(file, 1)
+        scan = _Scan(file)
+        scan.read(file, 1)
+        scan.check_named()
     except SurefootError:
         raise
     except (expat.ExpatError, ValueError, LookupError) as error:  # the others are of encodings
@@ -80,10 +91,10 @@ class _Scan:
     def __init__(self, file: Path):
         self.file = file
         self.folder = file.resolve().parent
-        above = self.folder.parent
-        self.beside = above if above != above.parent else self.folder
         self.elements, self.files = 0, 0
         self.parts = 0.0
+        self.folders = {""}
+        self.named: list[tuple[Path, str, str]] = []
 
     def read(self, file: Path, times: float) -> None:
         """Scan one of its files, whose contents are repeated `times` times."""
@@ -92,7 +103,7 @@ class _Scan:
             self.refuse(f"includes more than {INCLUDES} files, or itself")
         admitted(file, "text", "robot")
         protect(file)
-        counts, folders, waiting = [times], dict[str, str](), list[tuple[str, str, float]]()
+        counts, included = [times], list[tuple[str, str, float]]()
 
         def start(tag: str, values: dict[str, str]) -> None:
             self.elements += 1
@@ -106,10 +117,17 @@ class _Scan:
             self.parts += count if tag in _PARTS else 0.0
             check_limit("bodies", self.parts, f"robot {self.file}: bodies and shapes")
             if tag == "compiler":
-                folders.update({k: v for k, v in values.items() if k in _FOLDERS})
+                self.folders.update(values[key] for key in _FOLDERS if key in values)
             self.check_values(tag, values)
-            if "file" in values and file.suffix != ".urdf":
-                waiting.append((tag, values["file"], count))
+            if file.suffix == ".urdf":
+                return
+            if tag == "robot":
+                self.refuse("a URDF's name ends in .urdf")
+            for name in (values[key] for key in values if key.startswith("file") and values[key]):
+                if tag in ("include", "model"):
+                    included.append((tag, name, count))
+                else:
+                    self.named.append((file.parent, tag, name))
 
         parser = expat.ParserCreate()
         parser.StartElementHandler = start
@@ -117,25 +135,57 @@ class _Scan:
         parser.StartDoctypeDeclHandler = lambda *_: self.refuse("has a DOCTYPE, so entities")
         with file.open("rb") as stream:
             parser.ParseFile(stream)
-        for tag, name, count in waiting:
-            inside = self.inside(file, tag, name, folders)
-            if tag == "include" or (tag == "model" and inside.suffix == ".xml"):
-                self.read(inside, count)
-            elif is_there(inside):
-                admitted(inside, "piece", "robot")
+        for tag, name, count in included:
+            path = file.parent / name
+            if not (self.within(path, self.folder) or _installed(self.file)):
+                self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
+            if tag == "include" or path.suffix == ".xml":
+                self.read(path.resolve(), count)
+            elif is_there(path):
+                admitted(path, "piece", "robot")
 
-    def inside(self, file: Path, tag: str, name: str, folders: dict[str, str]) -> Path:
-        """Path of a file that the model names; it must lie in the model's folder, shapes and
-        pictures in that or a folder beside it, such as `../meshes`.
+    def check_named(self) -> None:
+        """Check the shapes and pictures that the model names.
+
+        MuJoCo takes a name from the model's folder or that of a `<compiler>`, whichever comes last
+        in any of the files; here it must be within bounds from each of them.
         """
-        own = {"mesh": "meshdir", "skin": "meshdir", "hfield": "meshdir", "texture": "texturedir"}
-        folder = folders.get(own.get(tag, ""), folders.get("assetdir", "") if tag in own else "")
-        path = (file.parent / folder / name).resolve()
-        if path.is_relative_to(self.folder) or _installed(self.file):
-            return path
-        if tag in own and path.is_relative_to(self.beside) and path.parent != self.beside:
-            return path
-        self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
+        named = dict.fromkeys(self.named)
+        if len(named) > FILES or len(self.folders) > FOLDERS:
+            self.refuse(f"names more than {FILES} files or {FOLDERS} folders")
+        for included, tag, name in named:
+            for base in {self.folder, included}:
+                for folder in self.folders:
+                    path = base / folder / name
+                    if not (self.is_asset(path) or _installed(self.file)):
+                        where = "model's folder and the folders beside it"
+                        self.refuse(f"{tag} file '{name}' lies outside of the {where}")
+                    if is_there(path):
+                        admitted(path, "piece", "robot")
+
+    def is_asset(self, path: Path) -> bool:
+        """Whether a path lies in the model's folder or, as a shape or picture, in a folder beside
+        it, such as `../meshes`. Folders of users are not beside each other.
+        """
+        if self.within(path, self.folder):
+            return True
+        above = self.folder.parent
+        if path.suffix.lower() not in _ASSETS or above in (*Path.home().parents, Path.home()):
+            return False
+        if not self.within(path, above):
+            return False
+        parts = [one.relative_to(above).parts for one in self.readings(path)]
+        hidden = any(part.startswith(".") for part in (*parts[0], *parts[1]))
+        return min(map(len, parts)) > 1 and not hidden
+
+    @staticmethod
+    def readings(path: Path) -> tuple[Path, Path]:
+        """A path with symbolic links resolved before `..`, as by the system, and after."""
+        return path.resolve(), Path(os.path.normpath(path)).resolve()
+
+    def within(self, path: Path, folder: Path) -> bool:
+        """Whether a path lies in a folder, in either reading."""
+        return all(one.is_relative_to(folder) for one in self.readings(path))
 
     def repeated(self, tag: str, values: dict[str, str]) -> float:
         """Number of copies that an element makes of its contents."""
@@ -179,8 +229,9 @@ class _Scan:
         raise SurefootError(f"robot {self.file}: {why}")
 
 
+@cache
 def _installed(file: Path) -> bool:
     """Whether a model is part of an installed package, which may refer to adjacent folders."""
-    return bool({"site-packages", "dist-packages"} & set(file.parts)) or (
-        Path.home() / ".cache" / "robot_descriptions" in file.parents
-    )
+    folders = [sysconfig.get_path(name) for name in ("purelib", "platlib")]
+    folders += [site.getusersitepackages(), str(Path.home() / ".cache" / "robot_descriptions")]
+    return any(file.resolve().is_relative_to(Path(folder).resolve()) for folder in folders)

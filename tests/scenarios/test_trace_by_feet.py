@@ -148,7 +148,7 @@ def test_no_robot_has_an_effect_that_only_its_point_feet_feign():
         robot = Robot.load(name)
         own = -np.mean(robot.feet_I(robot.q_home[None])[..., 2])
         for share in (0.6, 1.0, 1.3):
-            v = share * 0.5 * own / height
+            v = float(share * 0.5 * own / height)
             segments = (
                 Segment(3.2, v, turn=0.3),
                 Segment(3.2, 0.5 * v, 0.2 * v, turn=-0.5),

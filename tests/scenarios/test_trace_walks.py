@@ -67,7 +67,7 @@ def test_slides_in_one_place_are_no_loss_all_over():
     patched = FootFriction(0.12, (0.11, 0.13), slides=12, everywhere=False, held=0.2)
     assert slip_effect(patched, DEFAULT) == ()
     (note,) = slip_notes(patched, True, DEFAULT)
-    assert note.endswith("in places; feet that stuck used one of up to 0.20")
+    assert note.endswith("in places; feet that did not slide used a coefficient of up to 0.20")
 
 
 def test_feet_that_hold_with_more_do_not_slide():

@@ -117,7 +117,8 @@ def test_a_rotor_adds_its_inertia_to_its_own_joint_alone():
 def test_a_current_may_say_half_of_a_torque_and_not_less():
     """With half of it, a joint's torque is twice what was read; beyond, it is of another motor."""
     tau = np.full((3, 12), 4.0)
-    before = Streams(np.arange(3.0), *(np.zeros((3, n)) for n in (3, 3, 12, 12)), tau, tau, tau)
+    still, at_rest = np.zeros((3, 3)), np.zeros((3, 12))
+    before = Streams(np.arange(3.0), still, still, at_rest, at_rest, tau, tau, tau)
     after = TorqueScale("FL_calf", -0.5).alter_streams(before, ROBOT)
     assert_array_equal(after.tau[:, 2], 2.0)
     with pytest.raises(SurefootError, match=r"torque_scale: value must lie between -0\.5 "):

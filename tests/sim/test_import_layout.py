@@ -95,6 +95,7 @@ def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_
     pd.DataFrame(angles).to_csv(tmp_path / "run.csv", index=False)
     log, draft = imported(tmp_path, "run.csv")
     assert draft.rate == pytest.approx(100.0, rel=0.02)
+    assert draft.rate is not None
     np.testing.assert_allclose(log.t, np.arange(N) / draft.rate, rtol=1e-4)
     np.testing.assert_allclose(log.q[:, 0], angles["q_knee"], atol=1e-9)
 

@@ -1,6 +1,7 @@
 """Legs found by the kinematic tree alone are the legs that MuJoCo moves."""
 
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -292,17 +293,66 @@ def test_visuals_whose_files_are_missing_are_left_out(tmp_path, inertial, densit
     assert "missing" not in robot_card(str(whole), None).text
 
 
-def test_meshes_may_lie_in_a_folder_beside_the_models(tmp_path):
+def test_meshes_may_lie_in_a_folder_beside_the_models(tmp_path, monkeypatch):
     """As `mjcf/robot.xml` and `meshes/` of many a package; not in a folder above both."""
     path = tmp_path / "mjcf" / "odd.xml"
     path.parent.mkdir()
     text = with_visuals(INERTIAL, UNSEEN).replace("hull.stl", "../meshes/hull.stl")
     path.write_text(text)
     assert "files are missing: skin.png, ../meshes/hull.stl" in robot_card(str(path), None).text
-    for above in ("../hull.stl", "../../meshes/hull.stl"):
+    for above in (
+        "../hull.stl",
+        "../../meshes/hull.stl",
+        "../.meshes/hull.stl",
+        "../meshes/hull.txt",
+        "away/../../hull.stl",
+    ):
         path.write_text(text.replace("../meshes/hull.stl", above))
-        with pytest.raises(SurefootError, match=r"hull\.stl' lies outside"):
+        with pytest.raises(SurefootError, match=r"hull\.\w+' lies outside"):
             Robot.load(path)
+        (path.parent / "away").unlink(missing_ok=True)
+        (path.parent / "away").symlink_to(tmp_path / "mjcf" / "a" / "b")
+    monkeypatch.setattr(Path, "home", lambda: tmp_path / "me")
+    path.write_text(text)
+    with pytest.raises(SurefootError, match="lies outside"):
+        Robot.load(path)
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        {
+            "odd.xml": '<compiler meshdir="/elsewhere"/><include file="part.xml"/>',
+            "part.xml": "MESH",
+        },
+        {
+            "odd.xml": '<include file="part.xml"/>MESH',
+            "part.xml": '<compiler assetdir="/elsewhere"/>',
+        },
+        {"odd.xml": '<compiler meshdir="."/><compiler assetdir="/elsewhere"/>MESH'},
+        {"odd.xml": '<asset><texture name="t" type="cube" fileright="/far/t.png"/></asset>'},
+    ],
+    ids=["included mesh", "included folder", "later folder", "face of a cube"],
+)
+def test_files_are_confined_however_their_folder_is_given(tmp_path, files):
+    mesh = '<asset><mesh name="hull" file="hull.stl"/></asset>'
+    for name, text in files.items():
+        text = text.replace("MESH", mesh)
+        if name == "odd.xml":
+            text = odd_robot(CORNERS).replace("<worldbody>", f"{text}<worldbody>")
+        else:
+            text = f"<mujoco>{text}</mujoco>"
+        (tmp_path / name).write_text(text)
+    with pytest.raises(SurefootError, match="lies outside"):
+        Robot.load(tmp_path / "odd.xml")
+
+
+def test_a_urdf_by_another_name_is_refused(tmp_path):
+    """Its meshes would not be confined."""
+    file = tmp_path / "arm.xml"
+    file.write_text(URDF)
+    with pytest.raises(SurefootError, match=r"a URDF's name ends in \.urdf"):
+        compiled_model(file)
 
 
 @pytest.mark.parametrize(("inertial", "shape"), [(INERTIAL, ""), ("", UNSEEN)])
@@ -394,7 +444,7 @@ def test_inertias_of_a_urdf_that_no_body_has_are_mended_and_named(tmp_path):
     card = robot_card(file, None).text
     assert "exceeds the sum of the others" in card
     assert "taken for all three of base, arm" in card
-    assert "links that turn on a joint but have no mass" in card
+    assert "links that move without a mass or a moment of inertia" in card
     file.write_text(URDF)
     assert changes_on_reading(file) == ()
 
@@ -435,11 +485,12 @@ def test_a_foot_that_is_a_mesh_of_a_urdf_is_a_point(tmp_path):
     file = tmp_path / "four.urdf"
     file.write_text(quadruped_urdf('<sphere radius="0.02"/>'))
     round_feet = Robot.load(file)
-    assert changes_on_reading(file) == ()
+    feet = "LF_FOOT, RF_FOOT, LH_FOOT, RH_FOOT"
+    assert changes_on_reading(file) == (f"without <inertial>, these links have no mass: {feet}",)
     file.write_text(quadruped_urdf('<mesh filename="package://four/foot.dae"/>'))
     robot = Robot.load(file)
     (said,) = changes_on_reading(file)
-    assert said.endswith("feet are points at LF_FOOT, RF_FOOT, LH_FOOT, RH_FOOT")
+    assert said.endswith(f"feet are points at {feet}")
     np.testing.assert_allclose(robot.foot_radius, 1e-3)
     np.testing.assert_allclose(
         robot.feet_I(robot.q_home[None]), round_feet.feet_I(robot.q_home[None])
@@ -484,26 +535,65 @@ def test_parts_of_a_urdf_may_reach_into_each_other_and_it_walks(tmp_path):
     assert np.linalg.norm(log.ref_p[-1, :2] - log.ref_p[0, :2]) > 0.3
 
 
+def arm_urdf(*inertia: float) -> str:
+    """`URDF` with these ixx, ixy, ixz, iyy, iyz and izz of its arm [kg m^2]."""
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    new = " ".join(f'{name}="{value!r}"' for name, value in zip(names, inertia, strict=True))
+    old = 'ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"'
+    head, tail = URDF.rsplit(old, 1)
+    return head + new + tail
+
+
 @pytest.mark.parametrize(
-    ("given", "mended"),
+    ("given", "moments", "words"),
     [
-        # As of a link that a tool filled with one number: products of inertia, too.
-        ((1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)),
-        # A rod without thickness.
-        ((0.2, 0.0, 0.0, 0.2, 0.0, 0.0), (0.2, 0.2, 2e-4)),
+        # As of a link that a tool filled with one number.
+        ((1e-3,) * 6, (1.002e-3,) * 3, "is zero about an axis"),
+        # Rods without thickness, one across the axes.
+        ((0.2, 0.0, 0.0, 0.2, 0.0, 0.0), (2e-4, 0.2, 0.2), "is zero about an axis"),
+        ((0.1, -0.1, 0.0, 0.1, 0.0, 0.2), (2e-4, 0.2, 0.2), "is zero about an axis"),
+        # A product of inertia that is larger than its moments.
+        ((0.1, 0.15, 0.0, 0.1, 0.0, 0.1), (0.1, 0.1, 0.1), "is below zero about an axis"),
         # Numbers of a computation that should be zero.
-        ((2e-20, -1e-21, 1e-20, 5e-20, 3e-21, 1e-20), (1e-10, 1e-10, 1e-10)),
+        ((2e-20, -1e-21, 1e-20, 5e-20, 3e-21, 1e-20), (1e-10,) * 3, "without a mass or a moment"),
     ],
 )
-def test_an_inertia_that_is_not_positive_is_mended_and_named(tmp_path, given, mended):
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    new = " ".join(f'{name}="{value!r}"' for name, value in zip(names, given, strict=True))
-    old = 'ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"'
+def test_an_inertia_that_is_not_positive_is_mended_and_named(tmp_path, given, moments, words):
     file = tmp_path / "arm.urdf"
-    head, tail = URDF.rsplit(old, 1)
-    file.write_text(head + new + tail)
-    np.testing.assert_allclose(np.sort(compiled_model(file).body("arm").inertia), np.sort(mended))
-    assert "products of inertia are taken for zero of arm" in changes_on_reading(file)[0]
+    file.write_text(arm_urdf(*given))
+    np.testing.assert_allclose(np.sort(compiled_model(file).body("arm").inertia), moments)
+    (said, *_) = changes_on_reading(file)
+    assert words in said
+    assert "milligram" in said or "of arm" in said
+
+
+@pytest.mark.parametrize(
+    ("inertia", "words"),
+    [
+        ((-0.1, 0.0, 0.0, 0.2, 0.0, 0.2), "a moment of inertia is below zero, -0.1"),
+        ((np.inf, 0.0, 0.0, 0.2, 0.0, 0.2), "an inertia is not finite"),
+    ],
+)
+def test_an_inertia_of_nothing_is_refused(tmp_path, inertia, words):
+    file = tmp_path / "arm.urdf"
+    file.write_text(arm_urdf(*inertia))
+    with pytest.raises(SurefootError, match=words):
+        compiled_model(file)
+
+
+def test_a_urdf_whose_links_hang_from_each_other_is_refused(tmp_path):
+    mesh = '<collision><geometry><mesh filename="foot.stl"/></geometry></collision>'
+    weld = '<joint name="{}" type="fixed"><parent link="{}"/><child link="{}"/></joint>'
+    circle = weld.format("a", "hip", "knee") + weld.format("b", "knee", "hip")
+    links = f'<link name="hip"/><link name="knee"/><link name="foot">{mesh}</link>'
+    tip = weld.format("c", "knee", "foot")
+    file = tmp_path / "circle.urdf"
+    file.write_text(URDF.replace("</robot>", f"{links}{circle}{tip}</robot>"))
+    with pytest.raises(SurefootError, match="MuJoCo cannot read it"):
+        compiled_model(file)
+    file.write_text(URDF.replace("</robot>", '<joint name="loose" type="fixed"/></robot>'))
+    with pytest.raises(SurefootError, match="MuJoCo cannot read it"):
+        compiled_model(file)
 
 
 def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
