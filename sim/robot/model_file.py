@@ -43,7 +43,7 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
     corrected, since other readers of URDF accept them. A foot that is a mesh, at the end of a leg
     of at most three joints, is taken for a point at the origin of its link. `changes_on_reading`
-    names these links. Parts of the robot do not collide with each other. A link that is fixed to
+    lists these changes. Parts of the robot do not collide with each other. A link that is fixed to
     the base and named as an IMU, such as `imu_link`, becomes the site of the IMU.
     """
     return _spec(file)[0]
