@@ -82,13 +82,13 @@ def evaluate(reference: Trajectory, estimate: Trajectory) -> Metrics:
     active = estimate.updates.active if estimate.updates is not None else np.zeros(0)
     coverage = estimate.updates is not None and estimate.updates.pi is not None
     return Metrics(
-        ape_trans=rmse(trans),
-        ape_rot=rmse(rot),
-        rpe_trans=rmse(rpe_trans),
-        rpe_rot=rmse(rpe_rot),
-        ape_trans_se3=rmse(trans_se3),
-        ape_rot_se3=rmse(rot_se3),
-        velocity=rmse(np.linalg.norm(estimate.v_I - reference.v_I, axis=1)),
+        ape_trans=_rms(trans),
+        ape_rot=_rms(rot),
+        rpe_trans=_rms(rpe_trans),
+        rpe_rot=_rms(rpe_rot),
+        ape_trans_se3=_rms(trans_se3),
+        ape_rot_se3=_rms(rot_se3),
+        velocity=_rms(np.linalg.norm(estimate.v_I - reference.v_I, axis=1)),
         nees_position=_mean(consistency.position),
         nees_velocity=_mean(consistency.velocity),
         nees_attitude=_mean(consistency.attitude),
@@ -257,9 +257,8 @@ def _eyes(n: int) -> np.ndarray:
     return np.broadcast_to(np.eye(3), (n, 3, 3))
 
 
-def rmse(errors: np.ndarray) -> float:
-    """Root mean square of errors (N,); NaN of none."""
-    return float(np.sqrt(np.mean(np.square(errors)))) if len(errors) else np.nan
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(x)))) if len(x) else np.nan
 
 
 def _mean(x: np.ndarray) -> float:

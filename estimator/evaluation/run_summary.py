@@ -74,7 +74,7 @@ def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
         np.linalg.norm(np.add.reduceat(_pushes(estimate, log), at), axis=1),
         np.sqrt(np.maximum.reduceat(_push_variance(variances), at)),
         np.logical_and.reduceat((variances > 0).all(axis=1), at),
-        bias[0],
+        bias[0].copy(),  # without the array that it is a row of
         np.sqrt(variances[0, 9:]),
         estimate.diverged,
     )

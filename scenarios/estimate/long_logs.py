@@ -22,7 +22,6 @@ from surefoot.estimator.metrics import (
     evaluate,
     matched,
     relative_errors,
-    rmse,
 )
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
@@ -126,7 +125,7 @@ def _in_pieces(
     waiting: deque[Log] = deque()  # pieces that were read but not estimated
     parts: list[RunSummary] = []
     judged: list[tuple[Trajectory, Trajectory]] = []
-    relative: list[tuple[np.ndarray, np.ndarray]] = []
+    squares, segments = np.zeros(2), 0  # sums over the relative errors
 
     def pieces() -> Iterator[Log]:
         for log in reader.chunks(LOG_PIECE):
@@ -150,22 +149,26 @@ def _in_pieces(
             if log.has("reference"):
                 with suppress(TrajectoryError):  # no reference was measured during this piece
                     truth, estimate = matched(reference(log), part)
-                    relative.append(relative_errors(truth, estimate))
+                    errors = relative_errors(truth, estimate)
+                    squares += [np.sum(np.square(one)) for one in errors]
+                    segments += len(errors[0])
                     judged.append((_thinned(truth, every), _thinned(estimate, every)))
     found = health_of(parts, estimator, robot, first, settings)
     if not judged or parts[-1].diverged:
         return None, found
     metrics = evaluate(*_joined_pairs(judged))
-    trans, rot = (np.concatenate(errors) for errors in zip(*relative, strict=True))
-    return replace(metrics, rpe_trans=rmse(trans), rpe_rot=rmse(rot), segments=len(trans)), found
+    trans, rot = np.sqrt(squares / segments) if segments else (np.nan, np.nan)
+    relative = {"rpe_trans": float(trans), "rpe_rot": float(rot), "segments": segments}
+    return replace(metrics, **relative), found
 
 
 def _thinned(part: Trajectory, every: int) -> Trajectory:
     """Keep one in `every` estimates, and as many updates, without holding on to the others."""
     updates = part.updates
     if updates is not None:
-        values = {name: value for name, value in vars(updates).items() if value is not None}
-        updates = replace(updates, **{name: value[::every].copy() for name, value in values.items()})
+        known = {name: value for name, value in vars(updates).items() if value is not None}
+        kept = {name: value[::every].copy() for name, value in known.items()}
+        updates = replace(updates, **kept)
     return replace(part.rows(np.arange(0, len(part.t), every)), updates=updates)
 
 

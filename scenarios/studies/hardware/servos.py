@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from scipy.signal import lfilter
+from scipy.signal import hilbert, lfilter
 
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
@@ -29,6 +29,10 @@ that stops within its dead band adds to it.
 """
 SERVO_LAGS = np.array([0.0, 0.02, 0.04, 0.06, 0.1, 0.15, 0.22])
 """Time constants on the grid [s]."""
+SWEEP_WINDOW = 4.0
+"""Length of the windows in which the response to a sweep of frequencies is measured [s]."""
+SWEEP_ROWS = 9
+"""Number of windows in the table of the response to a sweep: the last ones."""
 DRAWN_SECONDS = 8.0
 """Duration of the part of a run that is plotted [s]."""
 
@@ -184,6 +188,30 @@ def ceiling_table(logs: Mapping[str, Log], servos: Sequence[Servo]) -> pd.DataFr
         }
         for j, (joint, servo) in enumerate(zip(names, servos, strict=True))
     )
+
+
+def sweep_table(log: Log) -> pd.DataFrame:
+    """One row for each of the last windows of a sweep of frequencies: for each joint, the ratio of
+    the angle's amplitude to the command's, the lag of its phase [deg], and what is left [mrad, root
+    mean square] of the angle without that sinusoid and a constant.
+    """
+    t = log.t - log.t[0]
+    starts = np.arange(0.0, t[-1] - 0.5 * SWEEP_WINDOW, SWEEP_WINDOW)[-SWEEP_ROWS:]
+    rows: list[dict[str, str]] = []
+    for start in starts:
+        inside = (t >= start) & (t < start + SWEEP_WINDOW)
+        row: dict[str, str] = {}
+        for j, joint in enumerate(log.joints):
+            commanded = np.asarray(hilbert(_centred(log.q_des[:, j])))[inside]
+            basis = np.column_stack([commanded.real, commanded.imag, np.ones(len(commanded))])
+            found = np.linalg.lstsq(basis, log.q[inside, j])[0]
+            response, left = complex(found[0], -found[1]), log.q[inside, j] - basis @ found
+            turns = np.diff(np.unwrap(np.angle(commanded))).sum() / (2.0 * np.pi)
+            row.setdefault("frequency [Hz]", f"{turns / SWEEP_WINDOW:.2f}")
+            lag = float(np.degrees(-np.angle(response))) % 360.0
+            row[joint] = f"{abs(response):.2f} / {lag:.0f} / {1e3 * left.std():.1f}"
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def _left(log: Log, joint: int, servo: Servo) -> np.ndarray:

@@ -354,6 +354,9 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         "Error by run [mrad]: servo fitted to three runs / best servo for that run alone": (
             servos.ceiling_table(logs, found)
         ),
+        "The sweep, by frequency: gain / lag of the phase [deg] / what is left [mrad]": (
+            servos.sweep_table(logs["chirp_sweep"])
+        ),
         "Mean difference of angle and command [mrad]": servos.constants_table(logs),
         "What is not plausible in the logs": feet.findings_table(list(logs.values())),
     }
@@ -365,7 +368,10 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         "single runs is in brackets. A value at the end of the grid is only a bound. Errors are "
         "those in three other runs. No such servo follows the sweep of frequencies, not even one "
         "fitted to it alone, and its large errors dominate the fit to three runs; the table of "
-        "errors by run shows the effect on the other runs.\n\n"
+        "errors by run shows the effect on the other runs. At most of its frequencies every joint "
+        "follows as a servo with a delay and a lag would. At the highest ones the phase of each "
+        "joint falls back by about a quarter turn from one window to the next. A limit of the "
+        "acceleration would do that, but the steps of another run exceed any such limit.\n\n"
     )
     figure = servos.servos_figure(unseen[0], found, machine)
     caption = (
