@@ -81,6 +81,8 @@ def gait_for(
         slide_damping=80.0 * foot_mass,
         unloading=options.unloading,
         touchdown_speed=options.touchdown_speed * np.sqrt(GRAVITY * length),
+        liftoff_speed=options.liftoff_speed * np.sqrt(GRAVITY * length),
+        liftoff_advance=options.liftoff_advance,
         braking=options.braking,
         stiffness=options.stiffness * mass * GRAVITY * length,
         damping=options.stiffness * options.damping * mass * GRAVITY * length,

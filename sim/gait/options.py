@@ -23,6 +23,8 @@ class GaitOptions:
     period_jitter: float = 0.0  # standard deviation of a stride's period, as a share of it
     foothold_jitter: float = 0.0  # standard deviation of a foothold along each axis / leg length
     touchdown_speed: float = 0.0  # of the foot towards the ground / sqrt(gravity * leg length)
+    liftoff_speed: float = 0.0  # upward, at which a swing begins / sqrt(gravity * leg length)
+    liftoff_advance: float = 0.0  # share of the body's velocity at which it begins
     braking: float = 0.0  # share of the body's velocity that a landing foot still has
     level: float = 1.0  # factor on the gains that hold the base level, while it nearly is
     slip_care: float = 0.0  # share of the velocity that sliding feet lack which is given up

@@ -37,6 +37,8 @@ class Gait(NamedTuple):
     slide_damping: float  # N s/m, on a stance foot that slides
     unloading: float  # share of the stance over which a foot's load comes, and goes
     touchdown_speed: float  # m/s, of a landing foot towards the ground
+    liftoff_speed: float  # m/s, upward, with which a foot's swing begins
+    liftoff_advance: float  # share of the body's velocity with which it begins
     braking: float  # share of the body's velocity that a landing foot still has
     stiffness: float  # N m/rad, of the joints of standing legs
     damping: float  # N m s/rad, the same

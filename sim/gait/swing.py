@@ -79,6 +79,13 @@ def swing(controller, base, command, feet, torque):
                 goal[a] += end_v * swing_time * late
                 goal_v[a] += end_v * pace
                 goal_a[a] += end_v * (12.0 * u - 6.0) * u / swing_time
+            # For a foot that moves at once after lift-off the mirror image, u (1 - u)^3.
+            early, pace = u * (1.0 - u) ** 3, (1.0 - u) ** 2 * (1.0 - 4.0 * u)
+            for a in range(3):
+                begin_v = gait.liftoff_advance * base.v[a] if a < 2 else gait.liftoff_speed
+                goal[a] += begin_v * swing_time * early
+                goal_v[a] += begin_v * pace
+                goal_a[a] += begin_v * (12.0 * u - 6.0) * (1.0 - u) / swing_time
         else:
             # Late touchdown: keep the foothold and move down, or the foot is thrown off its step.
             copy_row(memory.foothold[leg], goal)

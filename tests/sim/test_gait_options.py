@@ -114,6 +114,29 @@ def test_a_hard_touch_down_is_harder(plain):
     assert speeds[1] - speeds[0] == pytest.approx(asked, rel=0.5)
 
 
+def lift_off_motion(motion, made):
+    """Median rise and advance [m] of feet over the first 80 ms of their swings."""
+    feet_B = SPOT.feet_I(motion.q) @ SPOT.R_BI.T + SPOT.p_BI
+    feet_G = motion.p_GB[:, None] + np.einsum("nij,nlj->nli", motion.R_GB, feet_B)
+    found = []
+    for leg in range(4):
+        phase = np.array([stride_at(made.gait, t, leg)[1] for t in motion.t])
+        first = np.flatnonzero((phase[:-1] < made.gait.duty) & (phase[1:] >= made.gait.duty))
+        first = first[(motion.t[first] > 5.0) & (first + 40 < len(motion.t))]
+        found.append(feet_G[first + 40, leg] - feet_G[first, leg])
+    return np.median(np.concatenate(found), axis=0)[[2, 0]]
+
+
+def test_a_foot_that_moves_at_once_after_lift_off_gets_further(plain):
+    """By what its initial velocity adds, u (1 - u)^3 of the swing, but for the lag of its PD."""
+    quick, made = walked(liftoff_speed=0.2, liftoff_advance=1.0)
+    swing_time = (1.0 - made.gait.duty) * made.gait.period
+    u = 0.08 / swing_time
+    asked = np.array([0.2 * np.sqrt(9.81 * SPOT.leg_length), 0.5])
+    added = lift_off_motion(quick, made) - lift_off_motion(*plain)
+    np.testing.assert_allclose(added, asked * swing_time * u * (1.0 - u) ** 3, rtol=0.5)
+
+
 def test_footholds_and_periods_vary_and_the_robot_walks_on():
     options = {
         **{"period_jitter": 0.03, "foothold_jitter": 0.02, "braking": 0.3, "stiffness": 0.4},
