@@ -47,8 +47,8 @@ CHECKED = 300.0
 """Length of the part of a long log that is checked before it is estimated [s]; takes some
 seconds and, at 500 Hz, 600 MB.
 """
-JUDGED = 50_000
-"""Largest number of estimates for the metrics of a long log, evenly spread: 100 MB. Relative
+JUDGED = 40_000
+"""Largest number of estimates for the metrics of a long log, evenly spread: 80 MB. Relative
 errors are of all, within each piece."""
 
 
