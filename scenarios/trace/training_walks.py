@@ -25,6 +25,10 @@ from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower
 
 PACES = (1.0, 0.8, 0.6, 0.4)
 """Factors on the measured velocities, tried in turn until the simulated robot does not fall."""
+DRAWS = 3
+"""Courses, sizes and noise that are drawn at each pace before the next one is tried, since a robot
+that walks at a pace for minutes may fall by chance.
+"""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,9 @@ class TrainingPlan:
 
 
 DEFAULT_PLAN = TrainingPlan()
+
+_Drawn = tuple[Scenario, Robot, int, Sequence[Effect]]
+"""A walk to simulate: scenario, robot, seed and effects."""
 
 
 def simulated_robot(robot: Robot) -> Robot:
@@ -91,11 +98,15 @@ def simulate_training(
     added = beyond_simulated(effects, robot, simulated)
     logs = []
     for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
-        rng = np.random.default_rng([seed, k])
-        scenario, poised = imitation(style, simulated, f"imitation_{k}", seconds, rng)
-        own = drawn_sizes(added, spread or {}, rng)
-        walked = _walk(replace(scenario, gait=gait), poised, seed + k, own)
-        logs.append(_compensated(replace(walked, name=scenario.name), added, simulated))
+
+        def drawn(draw: int, k: int = k, seconds: float = seconds) -> _Drawn:
+            rng = np.random.default_rng([seed, k, draw])
+            scenario, poised = imitation(style, simulated, f"imitation_{k}", seconds, rng)
+            own = drawn_sizes(added, spread or {}, rng)
+            return replace(scenario, gait=gait), poised, seed + k + draw * (plan.walks + 1), own
+
+        walked = _walk(drawn)
+        logs.append(_compensated(replace(walked, name=f"imitation_{k}"), added, simulated))
         progress((k + 1) / (plan.walks + 1))
     return logs[:-1], logs[-1]
 
@@ -151,15 +162,18 @@ def _compensated(walked: Log, effects: Sequence[Effect], simulated: Robot) -> Lo
     return replace(log, meta=replace(log.meta, model=log.meta.model | corrected))
 
 
-def _walk(scenario: Scenario, robot: Robot, seed: int, effects: Sequence[Effect]) -> Log:
-    """Simulate at the fastest of PACES at which the robot does not fall."""
+def _walk(drawn: Callable[[int], _Drawn]) -> Log:
+    """Simulate a walk, of DRAWS that may be drawn, at the fastest of PACES without a fall."""
     fallen = None
     for pace in PACES:
-        try:
-            return walk(slower(scenario, pace), robot, seed, effects)
-        except Fallen as fall:
-            fallen = fall
+        for draw in range(DRAWS):
+            scenario, robot, seed, effects = drawn(draw)
+            try:
+                return walk(slower(scenario, pace), robot, seed, effects)
+            except Fallen as fall:
+                fallen = robot.name, fall
+    assert fallen
     raise SurefootError(
-        f"loop: in simulation {robot.name} falls with the stride and posture of the log, even at "
-        f"{100 * PACES[-1]:.0f} % of its speed ({fallen})"
+        f"loop: in simulation {fallen[0]} falls with the stride and posture of the log, even at "
+        f"{100 * PACES[-1]:.0f} % of its speed ({fallen[1]})"
     )

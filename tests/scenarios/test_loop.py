@@ -11,7 +11,7 @@ from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
-from surefoot.scenarios.trace import gait_choice
+from surefoot.scenarios.trace import gait_choice, training_walks
 from surefoot.scenarios.trace.gait_choice import choose_gait
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, split_errors
@@ -30,7 +30,7 @@ from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
+from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import walking_style
 
 SHORT = TrainingPlan(walks=1, seconds=4.0, calibration=4.0)
@@ -70,6 +70,23 @@ def test_training_walks_have_the_effects_and_are_seen_by_a_model_that_knows_them
     np.testing.assert_allclose(told[1].q, plain[1].q, atol=5e-4)
     longer = simulate_training(shown, robot, [effect("link_length", "FR_thigh", 0.03)], 0, SHORT)
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
+
+
+def test_after_a_fall_another_walk_is_drawn_before_a_slower_one(robot, log, monkeypatch):
+    tried = []
+
+    def falls_at_first(scenario, robot, seed, effects):
+        tried.append((sum(abs(one.forward) for one in scenario.segments), seed))
+        if len(tried) < 5:
+            raise Fallen("the robot fell", 1.0, "tilted")
+        return walk(scenario, robot, seed, effects)
+
+    monkeypatch.setattr(training_walks, "walk", falls_at_first)
+    simulate_training(walking_style(log, robot), robot, (), 0, replace(SHORT, walks=0))
+    speeds, seeds = np.array(tried).T
+    assert list(seeds) == [0, 1, 2, 0, 1]
+    np.testing.assert_allclose(speeds[3:], 0.8 * speeds[:2])
+    assert len(set(speeds[:3])) == 3  # another course each time
 
 
 def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
