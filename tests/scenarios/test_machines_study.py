@@ -20,7 +20,13 @@ from surefoot.scenarios.studies.hardware.creeping_feet import (
     with_share,
 )
 from surefoot.scenarios.studies.hardware.impulses import window_rows
-from surefoot.scenarios.studies.hardware.servos import Servo, ceiling_table, fit_servo, with_play
+from surefoot.scenarios.studies.hardware.servos import (
+    Servo,
+    ceiling_table,
+    fit_servo,
+    sweep_table,
+    with_play,
+)
 from surefoot.scenarios.studies.hardware.shared_sizes import left_out_table, runs_left_out
 from surefoot.scenarios.studies.hardware.walks_by_feet import end_error
 from surefoot.sim.ground.terrain import Ground
@@ -81,6 +87,21 @@ def test_a_servo_is_found_again_from_what_it_was_asked_for():
     (row,) = ceiling_table({"run": run}, [Servo(0.0, 0.0, 0.0)]).to_dict("records")
     shared, own = map(float, row["run"].split(" / "))
     assert own == 0.0 < 5.0 < shared
+
+
+def test_a_sweep_shows_gain_and_lag_of_a_servo():
+    """Those of the sampled lag, (1 - k) / (1 - k exp(-i w dt)), and of the delay, exp(-i w D)."""
+    t, servo = np.arange(0.0, 80.0, 0.01), Servo(0.04, 0.06, 0.0)
+    rate = 0.5 * (4.0 / 0.5) ** (t / 80.0)  # Hz, from 0.5 to 4
+    asked = 0.15 * np.sin(2.0 * np.pi * np.cumsum(rate) * 0.01)
+    columns = {"t": t, "q_shoulder": servo.angle(t, asked) + 0.1, "q_des_shoulder": asked}
+    table = sweep_table(replace(swung(0.1), frame=pd.DataFrame(columns)))
+    w = 2.0 * np.pi * table["frequency [Hz]"].astype(float).to_numpy()
+    found = np.array([[float(x) for x in cell.split(" / ")] for cell in table["shoulder"]])
+    keep = np.exp(-0.01 / 0.06)
+    expected = (1.0 - keep) / (1.0 - keep * np.exp(-0.01j * w)) * np.exp(-0.04j * w)
+    np.testing.assert_allclose(found[:, 0], np.abs(expected), rtol=0.03)
+    np.testing.assert_allclose(found[:, 1], -np.degrees(np.unwrap(np.angle(expected))), atol=2.0)
 
 
 def test_play_holds_until_its_gears_touch():
