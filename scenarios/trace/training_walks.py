@@ -25,7 +25,7 @@ from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower
 
 PACES = (1.0, 0.8, 0.6, 0.4)
 """Factors on the measured velocities, tried in turn until the simulated robot does not fall."""
-DRAWS = 3
+WALKS_DRAWN = 3
 """Courses, sizes and noise that are drawn at each pace before the next one is tried, since a robot
 that walks at a pace for minutes may fall by chance.
 """
@@ -163,10 +163,10 @@ def _compensated(walked: Log, effects: Sequence[Effect], simulated: Robot) -> Lo
 
 
 def _walk(drawn: Callable[[int], _Drawn]) -> Log:
-    """Simulate a walk, of DRAWS that may be drawn, at the fastest of PACES without a fall."""
+    """Simulate a walk, of WALKS_DRAWN that may be drawn, at the fastest of PACES without a fall."""
     fallen = None
     for pace in PACES:
-        for draw in range(DRAWS):
+        for draw in range(WALKS_DRAWN):
             scenario, robot, seed, effects = drawn(draw)
             try:
                 return walk(slower(scenario, pace), robot, seed, effects)
