@@ -49,7 +49,8 @@ seconds and, at 500 Hz, 600 MB.
 """
 JUDGED = 40_000
 """Largest number of estimates for the metrics of a long log, evenly spread: 80 MB. Relative
-errors are of all, within each piece."""
+errors are of all, within each piece.
+"""
 
 
 def estimate_file(

@@ -208,6 +208,22 @@ def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch,
     assert "APE_trans" in capsys.readouterr().out
 
 
+def test_the_relative_errors_of_a_long_log_are_of_all_estimates(tmp_path, monkeypatch, robot):
+    """However few are judged otherwise; only segments that end in another piece are left out."""
+    path = tmp_path / "walk.parquet"
+    walk(Scenario("long", (Segment(30.0, 0.5),), Ground(0.8)), robot, 0).write(path)
+    whole, _ = long_logs.estimate_file("leg", LogReader(path), None, Learnt(), None)
+    monkeypatch.setattr(long_logs, "LONG", 0.0)
+    monkeypatch.setattr(long_logs, "LOG_PIECE", 20.0)
+    monkeypatch.setattr(long_logs, "JUDGED", 100)
+    pieces, _ = long_logs.estimate_file("leg", LogReader(path), None, Learnt(), None)
+    assert whole is not None
+    assert pieces is not None
+    assert pieces.samples <= 102 < 0.8 * whole.segments < pieces.segments < whole.segments
+    for name in ("rpe_trans", "rpe_rot"):
+        assert getattr(pieces, name) == pytest.approx(getattr(whole, name), rel=0.1)
+
+
 def test_a_sample_without_what_legs_need_is_one_line(log, robot):
     stream = begun("leg", log, robot, Learnt())
     sample = next(samples(log))._replace(contact=None)

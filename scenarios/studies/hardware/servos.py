@@ -196,18 +196,19 @@ def sweep_table(log: Log) -> pd.DataFrame:
     mean square] of the angle without that sinusoid and a constant.
     """
     t = log.t - log.t[0]
+    analytic = np.asarray(hilbert(log.q_des - log.q_des.mean(axis=0), axis=0))
     starts = np.arange(0.0, t[-1] - 0.5 * SWEEP_WINDOW, SWEEP_WINDOW)[-SWEEP_ROWS:]
     rows: list[dict[str, str]] = []
     for start in starts:
         inside = (t >= start) & (t < start + SWEEP_WINDOW)
         row: dict[str, str] = {}
         for j, joint in enumerate(log.joints):
-            commanded = np.asarray(hilbert(_centred(log.q_des[:, j])))[inside]
+            commanded = analytic[inside, j]
             basis = np.column_stack([commanded.real, commanded.imag, np.ones(len(commanded))])
             found = np.linalg.lstsq(basis, log.q[inside, j])[0]
             response, left = complex(found[0], -found[1]), log.q[inside, j] - basis @ found
             turns = np.diff(np.unwrap(np.angle(commanded))).sum() / (2.0 * np.pi)
-            row.setdefault("frequency [Hz]", f"{turns / SWEEP_WINDOW:.2f}")
+            row.setdefault("frequency [Hz]", f"{turns / np.ptp(t[inside]):.2f}")
             lag = float(np.degrees(-np.angle(response))) % 360.0
             row[joint] = f"{abs(response):.2f} / {lag:.0f} / {1e3 * left.std():.1f}"
         rows.append(row)

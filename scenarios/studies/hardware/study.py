@@ -368,10 +368,9 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         "single runs is in brackets. A value at the end of the grid is only a bound. Errors are "
         "those in three other runs. No such servo follows the sweep of frequencies, not even one "
         "fitted to it alone, and its large errors dominate the fit to three runs; the table of "
-        "errors by run shows the effect on the other runs. At most of its frequencies every joint "
-        "follows as a servo with a delay and a lag would. At the highest ones the phase of each "
-        "joint falls back by about a quarter turn from one window to the next. A limit of the "
-        "acceleration would do that, but the steps of another run exceed any such limit.\n\n"
+        "errors by run shows the effect on the other runs. Below the highest frequencies every "
+        "joint follows as a servo with a delay and a lag would. There the phase of each joint "
+        "falls back by about a quarter turn from one window to the next.\n\n"
     )
     figure = servos.servos_figure(unseen[0], found, machine)
     caption = (
