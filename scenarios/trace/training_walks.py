@@ -7,6 +7,7 @@ include the influence of errors of the sizes.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -96,16 +97,16 @@ def simulate_training(
     """
     simulated = simulated_robot(robot)
     added = beyond_simulated(effects, robot, simulated)
+
+    def drawn(k: int, seconds: float, draw: int) -> _Drawn:
+        rng = np.random.default_rng([seed, k, draw])
+        scenario, poised = imitation(style, simulated, f"imitation_{k}", seconds, rng)
+        own = drawn_sizes(added, spread or {}, rng)
+        return replace(scenario, gait=gait), poised, seed + k + draw * (plan.walks + 1), own
+
     logs = []
     for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
-
-        def drawn(draw: int, k: int = k, seconds: float = seconds) -> _Drawn:
-            rng = np.random.default_rng([seed, k, draw])
-            scenario, poised = imitation(style, simulated, f"imitation_{k}", seconds, rng)
-            own = drawn_sizes(added, spread or {}, rng)
-            return replace(scenario, gait=gait), poised, seed + k + draw * (plan.walks + 1), own
-
-        walked = _walk(drawn)
+        walked = _walk(partial(drawn, k, seconds))
         logs.append(_compensated(replace(walked, name=f"imitation_{k}"), added, simulated))
         progress((k + 1) / (plan.walks + 1))
     return logs[:-1], logs[-1]

@@ -30,62 +30,21 @@ def swing(controller, base, command, feet, torque):
     """
     gait, memory = controller.gait, controller.memory
     yaw = np.arctan2(base.R[1, 0], base.R[0, 0])
-    c, s = np.cos(yaw), np.sin(yaw)
-    swing_time = (1.0 - gait.duty) * gait.period
-    stance_time = gait.duty * gait.period
-    rate = 7.0 / swing_time  # natural frequency of the foot's tracking [rad/s]
+    heading = np.cos(yaw), np.sin(yaw)
+    rate = 7.0 / ((1.0 - gait.duty) * gait.period)  # natural frequency of the tracking [rad/s]
     want, force = np.empty(2), np.empty(3)
     goal, goal_v, goal_a = np.empty(3), np.empty(3), np.empty(3)
     for leg in range(4):
         if feet.mode[leg] == STANCE:
             continue
-        u = feet.progress[leg]
         for a in range(3):
             goal_v[a] = goal_a[a] = 0.0
         if feet.mode[leg] == SWING:
-            x, y = gait.nominal_B[leg]
-            arm_x, arm_y = c * x - s * y, s * x + c * y
-            ahead = stance_time / 2.0 + (1.0 - u) * swing_time
-            for a in range(2):
-                spin = command.turn * (-arm_y if a == 0 else arm_x)
-                drift, wanted = base.v[a] - command.sway[a] + spin, command.v[a] + spin
-                want[a] = base.p[a] + (arm_x if a == 0 else arm_y)
-                want[a] += ahead * drift + gait.capture * (drift - wanted)
-            if len(gait.footholds):
-                # The coming stance belongs to the next stride.
-                aside = gait.footholds[min(feet.stride[leg] + 1, len(gait.footholds) - 1), leg]
-                want[0] += c * aside[0] - s * aside[1]
-                want[1] += s * aside[0] + c * aside[1]
-            place_foot(controller, leg, want, (c, s), u)
+            u = feet.progress[leg]
+            _desired_foothold(gait, base, command, feet, leg, heading, want)
+            place_foot(controller, leg, want, heading, u)
             set_swing_height(controller, leg)
-            # Minimum-jerk horizontally; up and down along a smooth bump that lands softly.
-            for a in range(3):
-                start = memory.lift_off[leg, a]
-                span = memory.foothold[leg, a] - start
-                part, pace = (u, 1.0) if a < 2 else climb_progress(span, u)
-                blend = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
-                slope = 30.0 * (part * (1.0 - part)) ** 2
-                bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part)
-                goal[a] = start + blend * span
-                goal_v[a] = slope * span * pace / swing_time
-                goal_a[a] = bend * span * (pace / swing_time) ** 2
-            bump = memory.bump[leg]
-            goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * bump
-            goal_v[2] += 192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * bump / swing_time
-            # For a foot that still moves at touchdown: u^3 (u - 1) ends at zero with slope one.
-            late, pace = u * u * u * (u - 1.0), 4.0 * u * u * u - 3.0 * u * u
-            for a in range(3):
-                end_v = gait.braking * base.v[a] if a < 2 else -gait.touchdown_speed
-                goal[a] += end_v * swing_time * late
-                goal_v[a] += end_v * pace
-                goal_a[a] += end_v * (12.0 * u - 6.0) * u / swing_time
-            # For a foot that moves at once after lift-off the mirror image, u (1 - u)^3.
-            early, pace = u * (1.0 - u) ** 3, (1.0 - u) ** 2 * (1.0 - 4.0 * u)
-            for a in range(3):
-                begin_v = gait.liftoff_advance * base.v[a] if a < 2 else gait.liftoff_speed
-                goal[a] += begin_v * swing_time * early
-                goal_v[a] += begin_v * pace
-                goal_a[a] += begin_v * (12.0 * u - 6.0) * (1.0 - u) / swing_time
+            _swing_motion(gait, memory, leg, u, base.v, goal, goal_v, goal_a)
         else:
             # Late touchdown: keep the foothold and move down, or the foot is thrown off its step.
             copy_row(memory.foothold[leg], goal)
@@ -98,6 +57,82 @@ def swing(controller, base, command, feet, torque):
             force[a] = gait.foot_mass * push
         force[2] += gait.foot_mass * GRAVITY
         copy_row(feet.jacobian[leg].T @ force, torque[3 * leg : 3 * leg + 3])
+
+
+@kernel(inline="always")
+def _desired_foothold(gait, base, command, feet, leg, heading, want):
+    """Foothold half a stance ahead of the hip's motion, corrected by the error of the velocity.
+
+    Args:
+        gait: a Gait.
+        base: a BaseMotion.
+        command: a Command.
+        feet: Feet.
+        leg: its index.
+        heading: cosine and sine of the base's yaw.
+        want: (2,) m in G, written.
+    """
+    c, s = heading
+    x, y = gait.nominal_B[leg]
+    arm_x, arm_y = c * x - s * y, s * x + c * y
+    swing_time, stance_time = (1.0 - gait.duty) * gait.period, gait.duty * gait.period
+    ahead = stance_time / 2.0 + (1.0 - feet.progress[leg]) * swing_time
+    for a in range(2):
+        spin = command.turn * (-arm_y if a == 0 else arm_x)
+        drift, wanted = base.v[a] - command.sway[a] + spin, command.v[a] + spin
+        want[a] = base.p[a] + (arm_x if a == 0 else arm_y)
+        want[a] += ahead * drift + gait.capture * (drift - wanted)
+    if len(gait.footholds):
+        # The coming stance belongs to the next stride.
+        aside = gait.footholds[min(feet.stride[leg] + 1, len(gait.footholds) - 1), leg]
+        want[0] += c * aside[0] - s * aside[1]
+        want[1] += s * aside[0] + c * aside[1]
+
+
+@kernel(inline="always")
+def _swing_motion(gait, memory, leg, u, v, goal, goal_v, goal_a):
+    """Desired motion of a foot between lift-off and foothold.
+
+    It is a minimum-jerk motion horizontally, and vertically one along a smooth bump that lands
+    softly. To both are added the velocities of a foot that moves at once after lift-off, and still
+    at touchdown.
+
+    Args:
+        gait: a Gait.
+        memory: of the controller.
+        leg: its index.
+        u: completed share of the swing.
+        v: (3,) m/s, velocity of the base in G.
+        goal: (3,) m in G, written.
+        goal_v: (3,) m/s, written.
+        goal_a: (3,) m/s^2, written.
+    """
+    swing_time = (1.0 - gait.duty) * gait.period
+    for a in range(3):
+        start = memory.lift_off[leg, a]
+        span = memory.foothold[leg, a] - start
+        part, pace = (u, 1.0) if a < 2 else climb_progress(span, u)
+        blend = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
+        slope = 30.0 * (part * (1.0 - part)) ** 2
+        bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part)
+        goal[a] = start + blend * span
+        goal_v[a] = slope * span * pace / swing_time
+        goal_a[a] = bend * span * (pace / swing_time) ** 2
+    bump = memory.bump[leg]
+    goal[2] += 64.0 * (u * (1.0 - u)) ** 3 * bump
+    goal_v[2] += 192.0 * (u * (1.0 - u)) ** 2 * (1.0 - 2.0 * u) * bump / swing_time
+    # u^3 (u - 1) ends at zero with slope one; its mirror image, u (1 - u)^3, begins so.
+    late, late_rate = u * u * u * (u - 1.0), 4.0 * u * u * u - 3.0 * u * u
+    early, early_rate = u * (1.0 - u) ** 3, (1.0 - u) ** 2 * (1.0 - 4.0 * u)
+    for a in range(3):
+        end_v = gait.braking * v[a] if a < 2 else -gait.touchdown_speed
+        goal[a] += end_v * swing_time * late
+        goal_v[a] += end_v * late_rate
+        goal_a[a] += end_v * (12.0 * u - 6.0) * u / swing_time
+        begin_v = gait.liftoff_advance * v[a] if a < 2 else gait.liftoff_speed
+        goal[a] += begin_v * swing_time * early
+        goal_v[a] += begin_v * early_rate
+        goal_a[a] += begin_v * (12.0 * u - 6.0) * (1.0 - u) / swing_time
 
 
 @kernel
