@@ -34,6 +34,7 @@ class FootFriction:
         limit: coefficient of friction at which feet slid; None where they hardly did.
         interval: 95 % interval of `limit`.
         slides: number of slides.
+        scatter: interquartile range of their friction, relative to `limit`.
         everywhere: whether slides occur on most of the way and not on patches only.
         held: 99 % quantile of the friction used without sliding, a lower bound.
     """
@@ -43,17 +44,19 @@ class FootFriction:
     slides: int
     everywhere: bool
     held: float
+    scatter: float = 0.0
 
     def consistent(self, settings: TraceSettings) -> bool:
-        """Whether slides occur at one friction, and sticking feet use nearly all of it and no more.
+        """Whether all slides are at one friction, and sticking feet use nearly all of it and no
+        more.
 
         Otherwise a delay or leg compliance may look like sliding.
         """
         if self.limit is None:
             return False
         low, high = settings.used_friction_range
-        one = self.interval[1] - self.interval[0] < settings.slide_spread * self.limit
-        return one and low < self.held / self.limit < high
+        use = low * self.limit < self.held < high * self.limit
+        return use and self.scatter < settings.slide_spread
 
 
 def estimate_friction(
@@ -79,20 +82,36 @@ def estimate_friction(
         for leg in range(sliding.shape[1]):
             rows = np.flatnonzero(sliding[:, leg])
             breaks = np.flatnonzero(np.diff(case.log.t[rows]) > s.slide_gap) + 1
-            for one in np.split(rows, breaks) if len(rows) else ():
+            for one in np.split(rows, breaks):
+                if len(one) < s.shortest_slide * case.log.rate:
+                    continue
                 slides.append(along[one, leg])
-                places.append((number, case.log.t[one[0]] // s.block))
-    stretches = sum(int(np.ptp(case.log.t) / s.block) for case in able)
+                places.append((number, case.log.t[one[0]]))
     used = np.concatenate(held)
     most = float(np.quantile(used, 0.99)) if len(used) else 0.0
-    everywhere = len(set(places)) > s.slides_everywhere * stretches
+    everywhere = _spread(places, sum(np.ptp(case.log.t) for case in able), s)
     if len(slides) < s.fewest_slides:
         return FootFriction(None, (most, np.inf), len(slides), everywhere, most)
     middle = np.array([np.median(one) for one in slides])
     drawn = block_bootstrap_counts(len(middle), rng)
     medians = [np.median(np.repeat(middle, counts)) for counts in drawn]
     low, high = (float(x) for x in np.percentile(medians, [2.5, 97.5]))
-    return FootFriction(float(np.median(middle)), (low, high), len(slides), everywhere, most)
+    first, limit, third = (float(x) for x in np.percentile(middle, [25.0, 50.0, 75.0]))
+    scatter = (third - first) / max(limit, 1e-12)
+    return FootFriction(limit, (low, high), len(slides), everywhere, most, scatter)
+
+
+def _spread(places: Sequence[tuple[int, float]], duration: float, s: TraceSettings) -> bool:
+    """Whether slides occur in most parts of the logs: in blocks, or where there are few slides, in
+    half as many parts as there are slides.
+
+    Args:
+        places: number of the log and time [s] of each slide.
+        duration: of all logs [s].
+        s: settings of the trace.
+    """
+    parts = max(1, min(int(duration / s.block), len(places) // 2))
+    return len({(log, t // (duration / parts)) for log, t in places}) > s.slides_everywhere * parts
 
 
 def slip_effect(friction: FootFriction | None, settings: TraceSettings) -> tuple[Found, ...]:

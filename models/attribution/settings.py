@@ -61,22 +61,29 @@ class TraceSettings:
     """
     slide_gap: float = 0.02
     """Gap between sliding rows from which they belong to two slides [s]."""
+    shortest_slide: float = 0.008
+    """Shortest slide [s]: most of `force_window`. A landing foot, and one on a leg that springs,
+    seem to slide for less.
+    """
     slide_load: float = 0.08
     """Load on a foot, as a share of the weight, below which the leg's inertia spoils its force."""
     force_window: float = 0.01
     """Averaging time of these forces and velocities [s]."""
-    fewest_slides: int = 10
+    fewest_slides: int = 5
     """Number of slides needed to estimate their friction."""
     slides_everywhere: float = 0.5
-    """Share of a walk's blocks with a slide from which all the ground is slippery, not patches of
-    it.
+    """Share of the parts of a walk with a slide from which all the ground is slippery, not patches
+    of it.
     """
     used_friction_range: tuple[float, float] = (0.7, 1.1)
     """Range of the friction used without sliding, relative to that of sliding feet: nearly all of
     it on slippery ground, 3.3 times as much on compliant legs (walks of the Go1's model).
     """
-    slide_spread: float = 0.4
-    """Largest width of the interval of the friction, relative to the friction."""
+    slide_spread: float = 0.1
+    """Largest interquartile range of the slides' friction, relative to their median: 0.05 on
+    slippery ground, 0.12 on soft ground and more on compliant legs (walks of the models of five
+    robots).
+    """
     dry_friction_share: float = 0.75
     """Smallest friction of a dry floor, relative to the declared one: 0.6 of 0.8."""
     push_outlier: float = 6.0
