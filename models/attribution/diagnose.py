@@ -160,23 +160,23 @@ def diagnose(
         reasons = (cannot,)
         return Diagnosis(verdict="not_identifiable", reasons=reasons, channels={}, notes=reasons)
     progress(0.02)
-    # The noise floor, then the search for effects: once, or twice where feet slide.
+    # The noise floor, then the search for effects: once, or twice where the effects that were found
+    # tell whether feet slide.
     friction = estimate_friction(cases, np.random.default_rng(seed))
-    slip = slip_effect(friction, settings)
+    slip, times = slip_effect(friction, settings), 0
     while True:
+        times += 1
         floor = noise_floor(cases, [one.effect for one in slip], since)
         progress(0.4)
         rng = np.random.default_rng(seed)
         result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
-        if not slip:
-            break
-        # Whether the feet slide may depend on the effects that have been found.
-        explained = logs_under_model(
-            logs, robot, (*model, *(f.effect for f in result.found)), settings
-        )
-        friction = estimate_friction(explained, np.random.default_rng(seed))
-        slip = slip_effect(friction, settings)
-        if slip:
+        slid = bool(slip)
+        if result.found and friction:
+            model_with = [*model, *(one.effect for one in result.found)]
+            explained = logs_under_model(logs, robot, model_with, settings)
+            friction = estimate_friction(explained, np.random.default_rng(seed))
+            slip = slip_effect(friction, settings)
+        if bool(slip) == slid or times == 2:
             break
     # Effects of single logs, apart from those of the machine, are fitted to each log.
     lags = _sampling_lags(result.found, cases)
