@@ -89,29 +89,34 @@ def estimate_friction(
                 places.append((number, case.log.t[one[0]]))
     used = np.concatenate(held)
     most = float(np.quantile(used, 0.99)) if len(used) else 0.0
-    everywhere = _spread(places, sum(np.ptp(case.log.t) for case in able), s)
     if len(slides) < s.fewest_slides:
-        return FootFriction(None, (most, np.inf), len(slides), everywhere, most)
+        return FootFriction(None, (most, np.inf), len(slides), False, most)
     middle = np.array([np.median(one) for one in slides])
     drawn = block_bootstrap_counts(len(middle), rng)
     medians = [np.median(np.repeat(middle, counts)) for counts in drawn]
     low, high = (float(x) for x in np.percentile(medians, [2.5, 97.5]))
     first, limit, third = (float(x) for x in np.percentile(middle, [25.0, 50.0, 75.0]))
     scatter = (third - first) / max(limit, 1e-12)
+    parts = int(sum(np.ptp(case.log.t) for case in able) / s.block)
+    if most < s.used_friction_range[1] * limit:
+        # No foot that sticks uses more, so that few slides suffice.
+        parts = min(parts, len(slides) // 2)
+    everywhere = _spread(places, able, max(1, parts)) > s.slides_everywhere
     return FootFriction(limit, (low, high), len(slides), everywhere, most, scatter)
 
 
-def _spread(places: Sequence[tuple[int, float]], duration: float, s: TraceSettings) -> bool:
-    """Whether slides occur in most parts of the logs: in blocks, or where there are few slides, in
-    half as many parts as there are slides.
+def _spread(
+    places: Sequence[tuple[int, float]], cases: Sequence[LogUnderModel], parts: int
+) -> float:
+    """Share of this many parts of the logs in which slides occur.
 
     Args:
         places: number of the log and time [s] of each slide.
-        duration: of all logs [s].
-        s: settings of the trace.
+        cases: the logs.
+        parts: number of parts of equal duration.
     """
-    parts = max(1, min(int(duration / s.block), len(places) // 2))
-    return len({(log, t // (duration / parts)) for log, t in places}) > s.slides_everywhere * parts
+    length = sum(np.ptp(case.log.t) for case in cases) / parts
+    return len({(log, t // length) for log, t in places}) / parts
 
 
 def slip_effect(friction: FootFriction | None, settings: TraceSettings) -> tuple[Found, ...]:
