@@ -22,6 +22,7 @@ from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
@@ -68,6 +69,18 @@ def test_slides_in_one_place_are_no_loss_all_over():
     assert slip_effect(patched, DEFAULT) == ()
     (note,) = slip_notes(patched, True, DEFAULT)
     assert note.endswith("in places; feet that did not slide used a coefficient of up to 0.20")
+
+
+def test_slides_on_two_patches_are_in_places():
+    """Nine slides at one coefficient, spread over the walk; elsewhere feet hold with more."""
+    found = friction(walk(Scenario.load(scenario_file("demo/walk")), ROBOT, 3))
+    assert found is not None
+    assert found.limit == pytest.approx(0.1, rel=0.1)
+    assert found.slides >= DEFAULT.fewest_slides
+    assert found.held > 1.5 * found.limit
+    assert not found.everywhere
+    (note,) = slip_notes(found, True, DEFAULT)
+    assert "in places; feet that did not slide" in note
 
 
 def test_feet_that_hold_with_more_do_not_slide():
