@@ -75,6 +75,7 @@ def test_slides_on_two_patches_are_in_places():
     """Nine slides at one coefficient, spread over the walk; elsewhere feet hold with more."""
     found = friction(walk(Scenario.load(scenario_file("demo/walk")), ROBOT, 3))
     assert found is not None
+    assert found.limit is not None
     assert found.limit == pytest.approx(0.1, rel=0.1)
     assert found.slides >= DEFAULT.fewest_slides
     assert found.held > 1.5 * found.limit
