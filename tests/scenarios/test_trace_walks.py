@@ -7,6 +7,7 @@ import pytest
 from pushes import pushed
 
 from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.models.attribution.diagnose import diagnose
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.attribution.friction import (
     FootFriction,
@@ -122,6 +123,18 @@ def test_feet_that_yield_are_not_taken_for_lost_friction(robot, one):
     yields = walk(Scenario("zigzag", ZIGZAG, GROUND), robot, 0, [fault], declared=False)
     case = log_under_model(*fault.compensate(yields, robot))
     assert slip_effect(estimate_friction([case], np.random.default_rng(0)), DEFAULT) == ()
+
+
+def test_friction_is_that_with_the_effects_found_compensated():
+    """Joints of a fast clock make seeming slides, which are gone once the clock is found."""
+    fast = effect("clock_scale", "joints", 0.002)
+    log = walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0, [fast], declared=False)
+    seeming, found = friction(log), diagnose([log], ROBOT)
+    assert seeming is not None
+    assert found.friction is not None
+    assert seeming.slides >= DEFAULT.fewest_slides
+    assert [(e.name, e.target) for e in found.effects] == [("clock_scale", "joints")]
+    assert found.friction.slides == 0
 
 
 def test_without_torques_friction_is_not_identifiable(log):
