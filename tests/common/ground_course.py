@@ -9,10 +9,12 @@ from surefoot.sim.ground.height_map import height, normal
 from surefoot.sim.scenario import Segment
 
 
-def whole_course(segments: Sequence[Segment], dt: float, stand: float, laps: int = 1) -> Course:
+def whole_course(
+    segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
+) -> Course:
     """The course in one piece."""
-    rows = course_ticks(segments, dt, stand, laps)
-    (whole,) = course_pieces(segments, dt, stand, laps, 0.0, rows)
+    rows = course_ticks(segments, dt, stand, laps, lead)
+    (whole,) = course_pieces(segments, dt, stand, laps, lead, rows)
     return whole
 
 
