@@ -19,8 +19,8 @@ from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
 from surefoot.scenarios.reporting.html import Picture, Section, nested, write_report
+from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.trace.gait_choice import GaitChoice
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
