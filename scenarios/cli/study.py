@@ -68,8 +68,7 @@ class TraceCommand:
     def run(self) -> None:
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
-        from surefoot.scenarios.trace.run import trace
-        from surefoot.scenarios.trace.since import unchanged_beside
+        from surefoot.scenarios.trace.run import trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.robot.fixed_base import machine_for_log

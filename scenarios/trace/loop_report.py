@@ -13,7 +13,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.scenarios.estimate.compare import Comparison
+from surefoot.scenarios.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt

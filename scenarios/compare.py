@@ -1,23 +1,19 @@
 """Run every filter on every log: table, figures, report and recordings."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
+from scipy.stats import chi2
 
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.estimator.metrics import path_length
+from surefoot.estimator.metrics import Metrics, path_length
 from surefoot.scenarios.datasets.index import slip_and_creep
-from surefoot.scenarios.estimate.comparison_words import (
-    command_line,
-    error_summary,
-    left_out_lines,
-    with_best_marked,
-)
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
@@ -34,7 +30,7 @@ from surefoot.scenarios.reporting.figures import (
     velocity_figure,
 )
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
-from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
+from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.progress import bar as drawn_bar
@@ -63,6 +59,14 @@ MEANINGS = {
     LOST_FROM: "when innovations, biases or rejected measurements showed that the filter was lost",
     "step [us]": "computing time per IMU sample, observer and legs included (varies by machine)",
 }
+CONSISTENT = 3.0
+"""NEES of three axes if a filter's covariance is that of its error."""
+ONE_WALK = tuple(float(edge) for edge in chi2.ppf((0.025, 0.975), CONSISTENT))
+"""95 % interval of the NEES of a consistent filter on one walk, whose persistent error is one
+draw.
+"""
+_LEAST = [name for name in METRICS if name.startswith(("APE", "RPE"))]
+_CONSISTENCY = [name for name in METRICS if name.startswith("NEES")]
 
 
 @dataclass(frozen=True)
@@ -296,3 +300,67 @@ def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Pictur
             "Body velocity: the observer's prediction, its calibrated bounds, and the truth.",
         )
     return pictures
+
+
+def error_summary(log: str, metrics: Mapping[str, Metrics]) -> str:
+    """Describe which filter has the least error on a log, and which are over- or underconfident."""
+    if not metrics:
+        return f"On {log}: no errors to compare, without a reference or a filter that held."
+    errors = {name: one.ape_trans for name, one in metrics.items()}
+    best = min(errors, key=lambda name: errors[name])
+    what = "has an error of" if len(errors) == 1 else "has the least error,"
+    text = f"On {log}: {best} {what} {cell(errors[best])} m (APE_trans)"
+    nees = {name: one.nees_position for name, one in metrics.items()}
+    low, high = ONE_WALK
+    for what, names in (
+        ("overconfident", [name for name, value in nees.items() if value > high]),
+        ("underconfident", [name for name, value in nees.items() if value < low]),
+    ):
+        if names:
+            shown = ", ".join(f"{name} ({cell(nees[name], 2)})" for name in names)
+            text += f"; {what} (NEES_pos, 3 if consistent): {shown}"
+    return f"{text}."
+
+
+def left_out_lines(log: str, reasons: Mapping[str, str]) -> list[str]:
+    """Lines on the filters that did not run on a log, grouped by reason."""
+    together: dict[str, list[str]] = {}
+    for name, why in reasons.items():
+        together.setdefault(why.removeprefix(f"{log}: "), []).append(name)
+    return [f"left out on {log}: {', '.join(names)} ({why})" for why, names in together.items()]
+
+
+def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
+    """The table without empty columns, with the best values on each log in bold.
+
+    That is the least error and, among consistent filters, the NEES with the ratio nearest to 1 of
+    3.
+    """
+    marked = found.dropna(axis=1, how="all").astype(object)
+    for _, rows in found.groupby("log", sort=False):
+        for column in _LEAST + _CONSISTENCY:
+            if column not in marked or len(rows[column].dropna()) < 2:
+                continue
+            values = rows[column].astype(float)
+            off = values
+            if column in _CONSISTENCY:
+                off = np.abs(np.log(np.maximum(values, 1e-12) / CONSISTENT))
+                off = off[values.between(ONE_WALK[0], ONE_WALK[1])]
+            if off.empty:
+                continue
+            best = cell(values[off.idxmin()])
+            for at in values.index[[cell(value) == best for value in values]]:
+                marked.at[at, column] = f"**{best}**"
+    return marked
+
+
+def command_line(arguments: Sequence[str]) -> str:
+    """The command as in `sys.argv`, without the folders of absolute paths; empty if surefoot was
+    not started as a command.
+    """
+    program, *rest = arguments or [""]
+    if not program.endswith(("/surefoot", "/__main__.py")):
+        return ""
+    return " ".join(
+        ["surefoot", *(one.rpartition("/")[2] if one[:1] == "/" else one for one in rest)]
+    )
