@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -13,6 +13,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_typed
+from surefoot.sim.gait.course import Segment
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.ground_from_file import ground_from_file
 from surefoot.sim.ground.terrain import Ground, Layer, Patch, Strip
@@ -20,7 +21,6 @@ from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 
 Role = Literal["train", "calibrate", "test"]
-ROLES: tuple[Role, ...] = get_args(Role)
 Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
 Factor = Annotated[float, msgspec.Meta(ge=0.01, le=100.0)]
 Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
@@ -28,16 +28,6 @@ Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
 SHORTEST_SEGMENT = 0.004
 """Shortest segment [s]: a tick of the controller."""
 Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A section of the course with one commanded velocity of the base."""
-
-    duration: float  # s
-    forward: float = 0.0  # m/s
-    lateral: float = 0.0  # m/s, positive to the left
-    turn: float = 0.0  # rad/s, positive to the left
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from numba import types
 
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.physics.inertia import LinkChange, change_links
 from surefoot.sim.physics.stepper import mujoco_function
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.inertia import LinkChange, change_links
 from surefoot.sim.robot.model_file import compiled_model
 
 _mj_kinematics = mujoco_function("mj_kinematics")
