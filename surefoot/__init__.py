@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.calibrate import calibrate
     from surefoot.models.observer.observer import Observer
     from surefoot.models.observer.training import train
-    from surefoot.scenarios.estimate.compare import compare_log as compare
+    from surefoot.scenarios.compare import compare_log as compare
     from surefoot.scenarios.estimate.contract import Learnt, Sample
     from surefoot.scenarios.estimate.run import run_filter
     from surefoot.scenarios.estimate.streaming import StreamingEstimator
@@ -53,7 +53,7 @@ _HOMES = {
     "models.calibration.calibrate": ("calibrate",),
     "models.observer.observer": ("Observer",),
     "models.observer.training": ("train",),
-    "scenarios.estimate.compare": ("compare_log as compare",),
+    "scenarios.compare": ("compare_log as compare",),
     "scenarios.estimate.contract": ("Learnt", "Sample"),
     "scenarios.estimate.run": ("run_filter",),
     "scenarios.estimate.streaming": ("StreamingEstimator",),
