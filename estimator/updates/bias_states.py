@@ -217,9 +217,7 @@ def update_coverage_persistent(
 
 
 _MODEL = types.NamedTuple((OWN_2, types.float64, types.int64, OWN_1), PersistentModel)
-UPDATE_VELOCITY_PERSISTENT = types.float64(
-    OWN_2, OWN_2, GIVEN_1, GIVEN_2, _MODEL, types.int64[::1]
-)
+UPDATE_VELOCITY_PERSISTENT = types.float64(OWN_2, OWN_2, GIVEN_1, GIVEN_2, _MODEL, types.int64[::1])
 UPDATE_COVERAGE_PERSISTENT = types.float64(
     OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, _MODEL, types.int64[::1]
 )
@@ -272,9 +270,7 @@ def update_coverage_persistent_checked(
     v, bounds = given[0], given[1]
     copy_row(v_I, v)
     copy_row(epsilon, bounds)
-    return update_coverage_persistent(
-        mean, covariance, v, bounds, gamma, iterations, model, counts
-    )
+    return update_coverage_persistent(mean, covariance, v, bounds, gamma, iterations, model, counts)
 
 
 @kernel
