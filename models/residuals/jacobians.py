@@ -29,7 +29,7 @@ from surefoot.models.residuals.torques import (
 )
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.machine import Machine
 
 DIFFERENCE_STEP = 1e-5  # rad, rad/s
 
@@ -105,13 +105,14 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     per = max(map(len, chains), default=0)
     leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
     height_q = np.zeros((m, legs, per))
-    if np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
-        assert not isinstance(robot, FixedBase)
+    feet = robot.feet
+    if feet is not None and np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
+        place, rate = bins.feet
         # Of each foot alone: contrasts between feet are taken in `wrt_readings`.
-        velocities = leg_velocities(bins, robot)
+        velocities = leg_velocities(bins, feet)
 
         def by(**moved) -> np.ndarray:
-            ahead = leg_velocities(replace(bins, **moved), robot)
+            ahead = leg_velocities(replace(bins, **moved), feet)
             return np.nan_to_num(ahead - velocities) / DIFFERENCE_STEP
 
         for axis in range(3):
@@ -122,10 +123,10 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
             # only.
             all_legs = np.zeros(joints)
             all_legs[[chain[j] for chain in chains if j < len(chain)]] = DIFFERENCE_STEP
-            leg[0, ..., j] = by(q=bins.q + all_legs).reshape(m, legs, 3)
-            leg[1, ..., j] = by(dq=bins.dq + all_legs).reshape(m, legs, 3)
+            leg[0, ..., j] = by(feet=(place + all_legs, rate)).reshape(m, legs, 3)
+            leg[1, ..., j] = by(feet=(place, rate + all_legs)).reshape(m, legs, 3)
             if np.isfinite(heights).any():
-                rise = foot_heights(replace(bins, q=bins.q + all_legs), robot)
+                rise = foot_heights(replace(bins, feet=(place + all_legs, rate)), feet)
                 height_q[:, :, j] = np.nan_to_num(rise - heights) / DIFFERENCE_STEP
     return ResidualJacobians(parts, robot, leg_omega, leg[0], leg[1], height_q)
 
@@ -146,8 +147,9 @@ def _dynamics_jacobians(
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
         out[3, j, use, j] = 1.0
-    if isinstance(robot, Robot) and s.steady.any() and robot.limbs.point_feet:
-        out[:, :, use, joints:] += _feet_wrench_jacobians(s, needed.torque[use], torque, robot)
+    legged = robot.legged
+    if legged is not None and s.steady.any() and robot.limbs.point_feet:
+        out[:, :, use, joints:] += _feet_wrench_jacobians(s, needed.torque[use], torque, legged)
     return out
 
 
@@ -290,9 +292,9 @@ def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
 
 def _same_joints(robot: Machine, one: Machine) -> bool:
     """Whether both models have their joints at the same places."""
-    if not (isinstance(robot, Robot) and isinstance(one, Robot)):
+    if robot.legged is None or one.legged is None:
         return True
-    own, other = robot.legs, one.legs
+    own, other = robot.legged.legs, one.legged.legs
     return np.array_equal(own.offset, other.offset) and np.array_equal(own.rotation, other.rotation)
 
 

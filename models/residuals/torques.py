@@ -16,8 +16,8 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.kinematics import leg_forward
+from surefoot.sim.robot.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     whole[1:-1] = gaps[1:] & gaps[:-1]
     stays, lifted = _always(bins.standing), _always(bins.lifted)
     up_B = np.zeros((len(bins.t), 3))
-    if isinstance(robot, Robot):
-        up_B = bins.R_GI[:, 2] @ robot.R_BI.T
+    if robot.legged is not None:
+        up_B = bins.R_GI[:, 2] @ robot.legged.R_BI.T
         # Joints that belong to no leg carry no foot's load.
         swings = np.ones_like(bins.q, dtype=bool)
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
@@ -167,10 +167,10 @@ def with_link_change(
     return InverseDynamics(wrench, torque)
 
 
-def load_wrench(s: DynamicsInputs, robot: Machine) -> np.ndarray:
+def load_wrench(s: DynamicsInputs, machine: Machine) -> np.ndarray:
     """Wrench (M, 6) for the declared payload and shift of the base's centre of mass."""
-    wrench = np.zeros((len(s.q), 6))
-    if not isinstance(robot, Robot) or not (robot.extras.payload or robot.extras.com_shift.any()):
+    wrench, robot = np.zeros((len(s.q), 6)), machine.legged
+    if robot is None or not (robot.extras.payload or robot.extras.com_shift.any()):
         return wrench
     omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
     body = dynamics_of(robot.file, robot.joint_names).model.body(robot.base_name)

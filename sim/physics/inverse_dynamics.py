@@ -21,8 +21,7 @@ from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.physics.inertia import LinkChange, change_links
 from surefoot.sim.physics.stepper import mujoco_function
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.model_file import compiled_model
 
 _mj_kinematics = mujoco_function("mj_kinematics")
@@ -61,10 +60,10 @@ class BodyChanges(NamedTuple):
 UNCHANGED_BODY = BodyChanges()
 
 
-def body_changes(robot: Machine) -> BodyChanges:
+def body_changes(machine: Machine) -> BodyChanges:
     """Deviation of a machine's declared model from its file."""
-    links = robot.extras.links
-    if not isinstance(robot, Robot) or (
+    links, robot = machine.extras.links, machine.legged
+    if robot is None or (
         np.array_equal(robot.legs.offset, robot.drawn.offset)
         and np.array_equal(robot.legs.rotation, robot.drawn.rotation)
     ):

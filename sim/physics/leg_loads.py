@@ -13,7 +13,7 @@ from surefoot.sim.physics.momentum_balance import (
     rigid_body_wrench,
 )
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 STICTION_RATE = 0.03
 """Rate below which dry friction is smoothed [rad/s]: a few times the noise of a measured rate."""
@@ -44,10 +44,10 @@ def joint_loads(log: Log, robot: Machine) -> np.ndarray:
 
 
 def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
-    if log.has("tau") or not isinstance(robot, Robot):
+    if log.has("tau") or robot.legged is None:
         torque = log.tau
     else:
-        torque = momentum_balance(log, robot).torque
+        torque = momentum_balance(log, robot.legged).torque
     dynamics, dq = dynamics_of(robot.file, robot.joint_names), joint_velocity(log)
     rotor, viscous, dry = (
         getattr(dynamics.model, name)[dynamics.dof_adr]

@@ -22,7 +22,7 @@ from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import EVENNESS
 from surefoot.sim.importing.text_file import read_csv
 from surefoot.sim.log import JOINTS, Log
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.sensors.contact import contact_from_force
 
 MEASURED = measured_folder()

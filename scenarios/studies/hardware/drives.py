@@ -19,7 +19,7 @@ from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 GRID = 0.005
 """Largest spacing of the rows of the balance [s]."""

@@ -24,7 +24,7 @@ from surefoot.scenarios.studies.hardware.drives import (
 )
 from surefoot.scenarios.studies.hardware.row_times import RowTimes, row_times
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 HANGING_WIDTH = 0.03
 """Width of the kernel [s]."""

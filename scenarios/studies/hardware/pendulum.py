@@ -26,7 +26,7 @@ from surefoot.scenarios.studies.hardware.drives import (
     select,
 )
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 PENDULUM_WIDTH = 0.04
 """Width of the kernel [s]: short compared with a quarter of a swing, long compared with a row."""

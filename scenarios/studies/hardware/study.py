@@ -36,7 +36,8 @@ from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
+from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.machine import load_machine, machine_for_log
 
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
