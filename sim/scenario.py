@@ -13,6 +13,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_typed
+from surefoot.sim.gait.course import Segment
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.ground_from_file import ground_from_file
 from surefoot.sim.ground.terrain import Ground, Layer, Patch, Strip
@@ -28,16 +29,6 @@ Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
 SHORTEST_SEGMENT = 0.004
 """Shortest segment [s]: a tick of the controller."""
 Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A section of the course with one commanded velocity of the base."""
-
-    duration: float  # s
-    forward: float = 0.0  # m/s
-    lateral: float = 0.0  # m/s, positive to the left
-    turn: float = 0.0  # rad/s, positive to the left
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.physics.foot_truth import foot_truth
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
 from surefoot.sim.physics.springs import share_moved_at_once
 from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
@@ -39,7 +40,6 @@ from surefoot.sim.sensors.streams import (
     reference_of,
 )
 from surefoot.sim.similar_course import course_for
-from surefoot.sim.walking.truth import foot_truth
 
 __all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
 

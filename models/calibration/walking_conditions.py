@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from surefoot.sim.log import Log
-from surefoot.sim.walking.truth import SLIPPING
+from surefoot.sim.physics.foot_truth import SLIPPING
 
 SLIPPERY = 0.4
 """Friction coefficient under a loaded foot."""

@@ -13,9 +13,9 @@ import numpy as np
 
 from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.kinematics import leg_forward
 from surefoot.sim.robot.machine import Machine
 

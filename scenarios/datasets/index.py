@@ -24,9 +24,9 @@ from surefoot.sim.common.files import file_digest, whole_file
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.log import Log, LogReader
+from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.walk import Fallen, Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
-from surefoot.sim.walking.truth import SLIPPING
 
 INDEX_FOLDER = "_dataset"
 MINUTE = 60.0  # s

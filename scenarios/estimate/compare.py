@@ -41,8 +41,8 @@ from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
+from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.robot import Robot
-from surefoot.sim.walking.truth import SLIPPING
 
 if TYPE_CHECKING:  # only a filter that has learnt needs torch
     from surefoot.models.calibration.bounds import Bounds

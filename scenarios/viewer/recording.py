@@ -31,10 +31,10 @@ from surefoot.sim.common.files import whole_file
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
+from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.robot import Robot
 from surefoot.sim.walk import plan
 from surefoot.sim.walking.batch import Job, known_robot
-from surefoot.sim.walking.truth import SLIPPING
 
 if TYPE_CHECKING:
     from surefoot.models.calibration.bounds import Bounds

@@ -31,9 +31,9 @@ from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log
+from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances
-from surefoot.sim.walking.truth import SLIPPING
 
 POSE_RATE = 50.0  # Hz
 _ELLIPSOID_RATE = 5.0  # Hz

@@ -24,7 +24,7 @@ from surefoot.scenarios.reporting.palette import (
 from surefoot.scenarios.viewer.scene import time_column
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, reference_velocity
-from surefoot.sim.walking.truth import SLIPPING
+from surefoot.sim.physics.foot_truth import SLIPPING
 
 if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction

@@ -11,10 +11,10 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import AXES, Effect, turn_about
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inertia import with_own_inertia
 from surefoot.sim.physics.scene import add_payload
 from surefoot.sim.physics.springs import foot_parts
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.inertia import with_own_inertia
 from surefoot.sim.sensors.streams import Reference
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inertia import LinkChange, with_own_inertia
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.inertia import LinkChange, with_own_inertia
 from surefoot.sim.robot.limbs import Limbs
 
 

@@ -6,10 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.scenario import Segment
 
 ACCELERATION = 0.8  # m/s^2, of the commanded speed
 TURN_ACCELERATION = 1.5  # rad/s^2
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A section of the course with one commanded velocity of the base."""
+
+    duration: float  # s
+    forward: float = 0.0  # m/s
+    lateral: float = 0.0  # m/s, positive to the left
+    turn: float = 0.0  # rad/s, positive to the left
 
 
 @dataclass(frozen=True)

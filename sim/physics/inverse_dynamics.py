@@ -19,8 +19,8 @@ from numba import types
 
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.physics.inertia import LinkChange, change_links
 from surefoot.sim.physics.stepper import mujoco_function
+from surefoot.sim.robot.inertia import LinkChange, change_links
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.model_file import compiled_model
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from surefoot.sim.physics.inertia import take_off_ball, with_own_inertia
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.inertia import take_off_ball, with_own_inertia
 from surefoot.sim.robot.legs import LEGS
 
 RELAXATION = 0.001

@@ -13,10 +13,10 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.feet import LegFeet
 from surefoot.sim.robot.home_pose import standing_joints, stands
+from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
 from surefoot.sim.robot.limbs import Limbs

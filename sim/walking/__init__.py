@@ -1,3 +1,1 @@
-"""Walks: in batches, as an environment, in the style of a measured one, with a radar; and their
-truth.
-"""
+"""Built on walks: batches, an environment, imitations of a measured walk, a radar."""

@@ -6,9 +6,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.effects import effect
-from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import BodyChanges, body_changes, dynamics_of
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.inertia import LinkChange
 
 
 @pytest.mark.parametrize(("joint", "name", "target"), [

@@ -24,9 +24,9 @@ from surefoot.scenarios.studies.hardware.shared_sizes import Calibration, HeldOu
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.inertia import LinkChange
 
 NAMED = 4.0
 """Standard deviations from which a change is reported. The variation between runs is estimated from

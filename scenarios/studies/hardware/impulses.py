@@ -20,9 +20,9 @@ from surefoot.sim.effects import compensate_all, effect, known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.effects.targets import AXES
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inertia import LinkChange
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.inertia import LinkChange
 
 SizeKey = tuple[str, str]
 """Name of a size, and the joint, or the joint that moves the link, that it belongs to."""

@@ -22,6 +22,7 @@ from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.studies.walking.grounds import grounds_for
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, refuse_overwrite, whole_file, whole_folder
+from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import STEPS_PER_TICK
 from surefoot.sim.robot.catalog import known_robots
@@ -29,7 +30,6 @@ from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Motion
 from surefoot.sim.walk import SETTLING_TIME, Fallen, Plan, plan, record, simulate
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
-from surefoot.sim.walking.truth import SLIPPING
 
 COURSE_FOLDERS = tuple(
     bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot")
