@@ -16,9 +16,8 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import build_world
-from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.legs import outline_G
-from surefoot.sim.robot.machine import load_machine
+from surefoot.sim.robot.machine import Modelled, load_machine
 from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
 from surefoot.sim.robot.robot import IMU_SITES, Robot
 
@@ -49,7 +48,7 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
     return _card(machine.legged)
 
 
-def _card_without_legs(machine: Robot | FixedBase) -> RobotCard:
+def _card_without_legs(machine: Modelled) -> RobotCard:
     joints = ", ".join(machine.joint_names)
     text = f"{machine.name}: a machine on a fixed base, joints {joints}\nfile: {machine.file}"
     if machine.legless:

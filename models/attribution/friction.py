@@ -21,7 +21,6 @@ from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import effect
 from surefoot.sim.log import joint_velocity
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 
 
 @dataclass(frozen=True)
@@ -187,8 +186,7 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     ddq = np.gradient(smooth(dq), log.t, axis=0)
     imu = (motion.gyro, motion.accel) if log.has("ref_v") else (log.gyro, log.accel)
     base = base_motion(log.t, *imu, robot)
-    dynamics = dynamics_of(robot.file, robot.joint_names)
-    _, torque = dynamics.inverse(log.q, dq, ddq, base, body_changes(robot))
+    _, torque = robot.dynamics.inverse(log.q, dq, ddq, base)
     radius = np.tile(np.maximum(robot.foot_radius, 0.0), (len(log.t), 1))
     taken = np.ascontiguousarray(torque - log.tau)
     force_B = feet_wrenches(robot.legs, radius, log.q, up_B, stands, taken)[..., :3]

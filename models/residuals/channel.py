@@ -98,7 +98,9 @@ class ResidualInputs:
 
     @cached_property
     def inverse_dynamics(self) -> InverseDynamics | None:
-        """Inverse dynamics of the motion; None where the log has no torques."""
+        """Inverse dynamics of the motion; None where the log has no torques, or the machine no
+        model.
+        """
         return inverse_dynamics(self.steps, self.robot) if self.log.has("tau") else None
 
     @cached_property
@@ -108,9 +110,10 @@ class ResidualInputs:
         return shown if shown is not None and self.bins.standing.any() else None
 
     @cached_property
-    def link_jacobians(self) -> np.ndarray:
-        """Derivatives of inverse dynamics by the inertia of each link."""
-        return link_jacobians(self.steps, self.robot)
+    def link_jacobians(self) -> np.ndarray | None:
+        """Derivatives of inverse dynamics by the inertia of each link; None without a model."""
+        dynamics = self.robot.dynamics
+        return None if dynamics is None else link_jacobians(self.steps, dynamics)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:

@@ -20,7 +20,6 @@ from surefoot.models.residuals.torques import (
     InverseDynamics,
     dilate,
     inverse_dynamics,
-    inverse_dynamics_jacobians,
     load_wrench,
     slope,
     smooth_121,
@@ -92,7 +91,7 @@ class ResidualJacobians:
         """
         _, joints = self.parts.inputs.bins.q.shape
         needed = self.parts.inputs.inverse_dynamics
-        if needed is None:
+        if needed is None or self.robot.dynamics is None:
             return np.zeros((4, joints, len(self.parts.t), joints + 6))
         return _dynamics_jacobians(self.parts, needed, self.robot)
 
@@ -143,7 +142,7 @@ def _dynamics_jacobians(
     out = np.zeros((4, joints, m, joints + 6))
     use = np.flatnonzero(dilate(steps.swings.any(axis=1) | steps.steady))
     s = replace(steps, **{name: values[use] for name, values in vars(steps).items()})
-    wrench, torque = inverse_dynamics_jacobians(s, robot, DIFFERENCE_STEP)
+    wrench, torque = robot.dynamics.derivatives(s.q, s.dq, s.ddq, s.base, DIFFERENCE_STEP)
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
         out[3, j, use, j] = 1.0
@@ -258,14 +257,16 @@ def _inverse_dynamics_under(
     inputs: ResidualInputs, robot: Machine, one: Machine
 ) -> InverseDynamics | None:
     """Inverse dynamics of `inputs`, which are under the model `robot`, under the model `one`."""
-    needed, steps = inputs.inverse_dynamics, inputs.steps
-    if needed is None:
+    needed, steps, dynamics = inputs.inverse_dynamics, inputs.steps, robot.dynamics
+    if needed is None or dynamics is None:
         return None
     if not _same_joints(robot, one):
         return inverse_dynamics(steps, one)
     links = one.extras.links
-    if links[:-1] == robot.extras.links and links:
-        needed = with_link_change(needed, links[-1], inputs.link_jacobians, steps, robot)
+    one_more = bool(links) and links[:-1] == robot.extras.links
+    by_links = inputs.link_jacobians if one_more else None
+    if by_links is not None:
+        needed = with_link_change(needed, links[-1], by_links, steps, dynamics)
     elif links != robot.extras.links:
         return inverse_dynamics(steps, one)
     more = load_wrench(steps, one) - load_wrench(steps, robot)

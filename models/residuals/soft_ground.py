@@ -25,7 +25,6 @@ from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.tiles import SOLIMP, SOLREF
 from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances_between_swings
@@ -106,7 +105,7 @@ def foot_sinking(
 
 def foot_mobilities(robot: Robot) -> np.ndarray:
     """Acceleration of each foot per unit of force (L,) [1/kg], from the declared masses."""
-    model = dynamics_of(robot.file, robot.joint_names).model
+    model = robot.dynamics.model
     return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
 
 

@@ -18,7 +18,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.log.derived import derivative
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.machine import Machine
 
@@ -130,9 +129,7 @@ def rigid_body_wrench(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     ddq, spin = (derivative(t, x, ACCELERATION_WINDOW, causal=False) for x in (dq, omega))
     p = robot.p_BI
     origin = accel - np.cross(spin, p) - np.cross(omega, np.cross(omega, p))
-    dynamics = dynamics_of(robot.file, robot.joint_names)
-    base = np.hstack([omega, spin, origin])
-    return dynamics.inverse(log.q, dq, ddq, base, body_changes(robot))
+    return robot.dynamics.inverse(log.q, dq, ddq, np.hstack([omega, spin, origin]))
 
 
 def _least_forces(

@@ -9,6 +9,7 @@ import mujoco
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
+from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.model_file import compiled_model
 from surefoot.sim.robot.robot import DeclaredExtras
@@ -63,6 +64,11 @@ class FixedBase:
                     f"{', '.join(self.joint_names)}"
                 )
         return FixedBase(self.name, self.file, log.joints)
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """As of `Machine`: of its file, with the declared links."""
+        return dynamics_of(self.file, self.joint_names, BodyChanges(links=self.extras.links))
 
     @cached_property
     def limbs(self) -> Limbs:

@@ -19,7 +19,7 @@ class GivenFeet:
     Attributes:
         limbs: names of the legs; there are no joints.
         extras: properties that effects add.
-        fixed: as of `Machine`, as are `feet` and `legged`.
+        fixed: as of `Machine`, as are `feet`, `legged` and `dynamics`.
     """
 
     limbs: Limbs
@@ -27,6 +27,7 @@ class GivenFeet:
     fixed: ClassVar[bool] = False
     feet: ClassVar[PointFeet] = PointFeet()
     legged: ClassVar[None] = None
+    dynamics: ClassVar[None] = None
 
     @classmethod
     def of_log(cls, log: Log) -> "GivenFeet":

@@ -18,19 +18,19 @@ from surefoot.sim.robot.robot import Robot
 BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
 
 
-Machine = Robot | GivenFeet | FixedBase
+Modelled = Robot | FixedBase
+"""A machine with a model of its links."""
+Machine = Modelled | GivenFeet
 """A machine as its logs are compared with it.
 
 Callers ask for what they need, and every kind answers with what it has: `limbs`, names of legs and
 joints; `extras`, properties beyond its file; `fixed`, whether its base cannot move; and, or None,
-`feet`, how its logs show them; `legged`, itself as a robot whose legs, links and floating base are
-modelled.
+`feet`, how its logs show them; `dynamics`, of its links, with what is declared of them; `legged`,
+itself as a robot whose legs, links and floating base are modelled.
 """
 
 
-def load_machine(
-    name_or_path: str | Path, feet: Mapping[str, str] | None = None
-) -> Robot | FixedBase:
+def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None) -> Modelled:
     """Load a robot with legs, or a fixed base if the model has no free joint or is a URDF without
     legs.
 

@@ -17,6 +17,7 @@ from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.feet import LegFeet
 from surefoot.sim.robot.home_pose import standing_joints, stands
 from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
 from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
 from surefoot.sim.robot.limbs import Limbs
@@ -195,10 +196,15 @@ class Robot:
         """Angular velocity (N, L, 3) of each foot's link relative to the base, in I [rad/s]."""
         return self.feet.rates_I(q, dq)
 
-    @cached_property
+    @property
     def feet(self) -> LegFeet:
         """As of `Machine`: by the kinematics of its legs."""
         return LegFeet(self.legs, self.foot_radius, self.R_BI, self.p_BI)
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """As of `Machine`: of its file, with the declared geometry and links."""
+        return dynamics_of(self.file, self.joint_names, _body_changes(self))
 
     @property
     def legged(self) -> "Robot":
@@ -244,6 +250,21 @@ class Robot:
         if q.ndim != 2 or q.shape[1] != len(self.limbs.joints):
             raise ValueError(f"q must be (N, {len(self.limbs.joints)}), is {q.shape}")
         return feet(self.legs, q, self.R_BI, self.p_BI)[:2]
+
+
+def _body_changes(robot: Robot) -> BodyChanges:
+    """Deviation of a robot's declared model from its file."""
+    here, there, links = robot.legs, robot.drawn, robot.extras.links
+    if np.array_equal(here.offset, there.offset) and np.array_equal(here.rotation, there.rotation):
+        return BodyChanges(links=links)
+    joints = len(robot.limbs.joints)
+    drawn, placed = np.zeros((2, joints, 3))
+    turn = np.tile(np.eye(3), (joints, 1, 1))
+    for leg, chain in enumerate(robot.limbs.chains):
+        for j, joint in enumerate(chain):
+            drawn[joint], placed[joint] = there.offset[leg, j], here.offset[leg, j]
+            turn[joint] = here.rotation[leg, j] @ there.rotation[leg, j].T
+    return BodyChanges(drawn, placed, turn, links)
 
 
 def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:

@@ -6,7 +6,7 @@ error of the calibration, and the variation between runs.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ from surefoot.scenarios.studies.hardware.shared_sizes import Calibration, HeldOu
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.inertia import LinkChange
 
@@ -133,10 +132,10 @@ def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
         if name == "link_com":
             axis = "xyz".index(target[-1])
             change = LinkChange(j, com=tuple(size * np.eye(3)[axis]))
-        dynamics, known = dynamics_of(machine.file, machine.joint_names), body_changes(machine)
-        changed = known._replace(links=(*known.links, change))
-        torques = [dynamics.inverse(q, dq, ddq, changes=one)[1] for one in (changed, known)]
-        added = torques[0] - torques[1]
+        links = (*machine.extras.links, change)
+        changed = replace(machine, extras=replace(machine.extras, links=links))
+        added, before = (one.dynamics.inverse(q, dq, ddq)[1] for one in (changed, machine))
+        added -= before
     read = enumerate(log.joints)
     return log.with_columns({f"tau_{name}": log.tau[:, k] + added[:, k] for k, name in read})
 

@@ -20,7 +20,6 @@ from surefoot.sim.effects import compensate_all, effect, known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.effects.targets import AXES
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.inertia import LinkChange
 
@@ -128,11 +127,10 @@ def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
 
 def rigid_torque(log: Log, machine: FixedBase, through: Windows) -> np.ndarray:
     """Mean torque (N, J) [N m] in each window that the machine's masses require."""
-    dynamics, changes = dynamics_of(machine.file, machine.joint_names), body_changes(machine)
-    q, dq, still = log.q, log.dq, np.zeros_like(log.q)
+    dynamics, q, dq, still = machine.dynamics, log.q, log.dq, np.zeros_like(log.q)
 
     def torque(q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
-        return dynamics.inverse(q, dq, ddq, changes=changes)[1]
+        return dynamics.inverse(q, dq, ddq)[1]
 
     def momentum(q: np.ndarray) -> np.ndarray:
         return torque(q, still, dq) - torque(q, still, still)
@@ -146,7 +144,7 @@ def _link_steps(machine: FixedBase, j: int) -> list[tuple[str, LinkChange, float
     """Observable parameters of the link that joint j moves: name, a change of it alone, and its
     size.
     """
-    model = dynamics_of(machine.file, machine.joint_names).model
+    model = machine.dynamics.model
     joint = model.joint(machine.joint_names[j]).id
     body = model.jnt_bodyid[joint]
     mass, place = model.body_mass[body], model.body_ipos[body] - model.jnt_pos[joint]
@@ -163,7 +161,7 @@ def _link_steps(machine: FixedBase, j: int) -> list[tuple[str, LinkChange, float
 
 def as_published(machine: FixedBase, joint: str) -> dict[str, float]:
     """Observable parameters of a link in its file: name -> value."""
-    model = dynamics_of(machine.file, machine.joint_names).model
+    model = machine.dynamics.model
     hinge = model.joint(joint).id
     body = model.jnt_bodyid[hinge]
     across = np.abs(model.jnt_axis[hinge]) < 0.5
