@@ -191,7 +191,7 @@ def plan(
 def _course_arguments(
     scenario: Scenario, draw: DrawnScenario
 ) -> tuple[Sequence[Segment], float, float, int, float]:
-    """Arguments of `integrate_course` for a scenario, settling included."""
+    """Arguments of `course_pieces` for a scenario, settling included."""
     dt = TIMESTEP * STEPS_PER_TICK
     return draw.scenario.segments, dt, scenario.stand, scenario.laps, SETTLING_TIME
 

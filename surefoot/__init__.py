@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.calibrate import calibrate
     from surefoot.models.observer.observer import Observer
     from surefoot.models.observer.training import train
-    from surefoot.scenarios.estimate.compare import compare_log as compare
+    from surefoot.scenarios.compare import compare_log as compare
     from surefoot.scenarios.estimate.contract import Learnt, Sample
     from surefoot.scenarios.estimate.run import run_filter
     from surefoot.scenarios.estimate.streaming import StreamingEstimator
@@ -56,7 +56,7 @@ _HOMES = {
     "StreamingEstimator": "surefoot.scenarios.estimate.streaming:StreamingEstimator",
     "align": "surefoot.models.alignment.alignment:align",
     "calibrate": "surefoot.models.calibration.calibrate:calibrate",
-    "compare": "surefoot.scenarios.estimate.compare:compare_log",
+    "compare": "surefoot.scenarios.compare:compare_log",
     "evaluate": "surefoot.estimator.metrics:evaluate",
     "run_filter": "surefoot.scenarios.estimate.run:run_filter",
     "trace": "surefoot.scenarios.trace.run:trace",

@@ -30,30 +30,13 @@ class Course:
     velocity: np.ndarray  # (N, 3) forward, lateral [m/s], yaw rate [rad/s], along the heading
 
 
-def integrate_course(
-    segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
-) -> Course:
-    """Integrate the segments from the origin, with ramps between their velocities.
-
-    Args:
-        segments: of one lap.
-        dt: of the course's rows [s].
-        stand: time of standing still at the beginning and at the end [s].
-        laps: how often the segments are walked.
-        lead: further time of standing at the beginning [s].
-    """
-    ticks = course_ticks(segments, dt, stand, laps, lead)
-    (whole,) = course_pieces(segments, dt, stand, laps, lead, ticks)
-    return whole
-
-
 def course_ticks(
     segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
 ) -> int:
-    """Number of rows of `integrate_course`.
+    """Number of rows of the course, as `course_pieces` integrates it.
 
     Args:
-        segments, dt, stand, laps, lead: as for `integrate_course`.
+        segments, dt, stand, laps, lead: as for `course_pieces`.
     """
     return sum(rows for rows, _ in _stretches(segments, dt, stand, laps, lead))
 
@@ -66,10 +49,15 @@ def course_pieces(
     lead: float,
     rows: int,
 ) -> Iterator[Course]:
-    """The rows of `integrate_course` in pieces of `rows`, using the memory of one piece.
+    """Integrate the segments from the origin, with ramps between their velocities, in pieces of
+    `rows` rows.
 
     Args:
-        segments, dt, stand, laps, lead: as for `integrate_course`.
+        segments: of one lap.
+        dt: of the course's rows [s].
+        stand: time of standing still at the beginning and at the end [s].
+        laps: how often the segments are walked.
+        lead: further time of standing at the beginning [s].
         rows: of a piece; the last one may be shorter.
     """
     step = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt
@@ -92,7 +80,7 @@ def _stretches(
     [rad/s].
 
     Args:
-        segments, dt, stand, laps, lead: as for `integrate_course`.
+        segments, dt, stand, laps, lead: as for `course_pieces`.
     """
     yield round((lead + stand) / dt), (0.0, 0.0, 0.0)
     for _ in range(laps):
