@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.interpolate import RegularGridInterpolator
+from surfaces import surfaces
 from test_terrain import rays
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.ground_metadata import MOST_POINTS, ground_metadata, ground_of_log, thinned
-from surefoot.sim.ground.height_map import surfaces
 from surefoot.sim.ground.terrain import Ground, HeightField, Patch
 from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log, Meta
