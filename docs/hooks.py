@@ -114,7 +114,7 @@ def _moved(source: str) -> str:
 def _results() -> str:
     """One line a page: its title, the commit that it was measured on, and whether it is stale."""
     sys.path.insert(0, str(ROOT))
-    from surefoot.scenarios.studies.pages import pages_table
+    from surefoot.scenarios.reporting.pages import pages_table
 
     lines = [
         "# Results",

@@ -56,10 +56,6 @@ class Region:
         """The smallest enclosing box, for the filters' update; it covers at least as much."""
         return Region(self.epsilon)
 
-    def around(self, v_I: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper velocities (M, 3) of the box about predictions v_I (M, 3)."""
-        return v_I - self.epsilon, v_I + self.epsilon
-
 
 class Calibrator:
     """A calibration method: `fit`, `conformalize`, `bounds`, called once each in that order.

@@ -13,14 +13,14 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.scenarios.estimate.compare import Comparison
+from surefoot.scenarios.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
 from surefoot.scenarios.reporting.html import Picture, Section, nested, write_report
+from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.trace.gait_choice import GaitChoice
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,

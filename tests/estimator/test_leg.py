@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lie_group import se_inverse, se_log
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -66,7 +67,7 @@ def group(mean):
 
 
 def error(estimate, truth):
-    xi = lie.se_log(group(estimate) @ lie.se_inverse(group(truth)))
+    xi = se_log(group(estimate) @ se_inverse(group(truth)))
     return np.concatenate([xi[:9], (estimate[5:7] - truth[5:7]).ravel(), xi[9:]])
 
 

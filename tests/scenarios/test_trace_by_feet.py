@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from given_feet import with_feet_for_joints
 
+from studies.hardware.walks_by_feet import aligned_walk
 from surefoot.models.attribution.noise_floor import POINT_FEET
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.studies.hardware.walks_by_feet import aligned_walk
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.scenarios.trace.words import summary

@@ -11,8 +11,7 @@ from pendulum import swung
 
 from surefoot.models.attribution.found import Found
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.trace.run import trace, trace_logs
-from surefoot.scenarios.trace.since import unchanged_beside
+from surefoot.scenarios.trace.run import trace, trace_logs, unchanged_beside
 from surefoot.scenarios.trace.words import size_in_words, summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect

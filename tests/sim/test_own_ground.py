@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
+from ground_course import surfaces
 from scipy.interpolate import RegularGridInterpolator
-from surfaces import surfaces
 from test_terrain import rays
 
 from surefoot.sim.common.errors import SurefootError

@@ -32,35 +32,32 @@ def streams():
     )
 
 
-def rng():
-    return np.random.default_rng(5)
-
-
-def sensed_contact(streams, sensors):
-    return ContactSwitch(sensors, rng(), WEIGHT, RATE).read(streams)
+def sensed(streams, sensors):
+    return ContactSwitch(sensors, np.random.default_rng(5), WEIGHT, streams.rate).read(streams)
 
 
 def with_errors(streams, sensors):
-    return SensorErrors(sensors, rng(), (len(streams.t), 12, 4), RATE).apply(streams)
+    shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
+    return SensorErrors(sensors, np.random.default_rng(5), shape, streams.rate).apply(streams)
 
 
 def test_contact_is_a_threshold_by_default(streams):
-    sensed = sensed_contact(streams, Sensors())
-    assert_array_equal(sensed, streams.force > 0.08 * WEIGHT)
+    contact = sensed(streams, Sensors())
+    assert_array_equal(contact, streams.force > 0.08 * WEIGHT)
 
 
 def test_contact_is_told_late(streams):
-    sensed = sensed_contact(streams, Sensors(contact_delay=0.02))
-    assert_array_equal(sensed[10:], (streams.force > 0.08 * WEIGHT)[:-10])
+    contact = sensed(streams, Sensors(contact_delay=0.02))
+    assert_array_equal(contact[10:], (streams.force > 0.08 * WEIGHT)[:-10])
 
 
 def test_contact_is_wrong_as_often_as_told(streams):
     stands = streams.force > 0
     sensors = Sensors(contact_missed=0.05, contact_false=0.01)
-    sensed = sensed_contact(streams, sensors)
+    contact = sensed(streams, sensors)
     # 40000 samples of each kind: three standard deviations of the counts.
-    assert (~sensed[stands]).mean() == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 4e4))
-    assert sensed[~stands].mean() == pytest.approx(0.01, abs=3 * np.sqrt(0.01 * 0.99 / 4e4))
+    assert (~contact[stands]).mean() == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 4e4))
+    assert contact[~stands].mean() == pytest.approx(0.01, abs=3 * np.sqrt(0.01 * 0.99 / 4e4))
 
 
 def test_encoder_offsets_are_constant_and_leave_the_other_sensors_alone(streams):

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from surfaces import surfaces
+from ground_course import surfaces
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import height, normal
