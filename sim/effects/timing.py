@@ -15,12 +15,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from surefoot.sim.common.convolution import convolve
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.common.median_slope import median_slope
 from surefoot.sim.common.quaternion import slerp
+from surefoot.sim.common.series import convolve
 from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.median_slope import median_slope
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot

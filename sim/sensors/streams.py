@@ -5,12 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.sim.common.deferred_normals import deferred_normals
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.gauss_markov import GaussMarkov
+from surefoot.sim.common.gauss_markov import GaussMarkov, deferred_normals
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.common.low_pass import low_pass_from
+from surefoot.sim.common.series import low_pass_from
 from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
