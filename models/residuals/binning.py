@@ -10,8 +10,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.sim.common.low_pass import low_pass, without_low_pass
-from surefoot.sim.common.white_noise import white_noise
+from surefoot.sim.common.series import low_pass, white_noise, without_low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot

@@ -29,6 +29,7 @@ from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.sensors.streams import Motion, SpringDeflection
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
+TICK = TIMESTEP * STEPS_PER_TICK  # s
 UPRIGHT = 0.5  # cosine of the tilt from which a robot has fallen
 TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
 
@@ -120,6 +121,31 @@ def start(world: World) -> mujoco.MjData:
     return data
 
 
+class Walker(NamedTuple):
+    """A robot under the trot controller, in a world.
+
+    Attributes:
+        world: compiled model of robot and ground.
+        robot: its declared description.
+        gait: of the controller.
+        data: state of the simulation.
+        memory: of the controller between ticks.
+        load: normal forces on the feet (4,) at the last tick [N].
+    """
+
+    world: World
+    robot: Robot
+    gait: Gait
+    data: mujoco.MjData
+    memory: LegMemory
+    load: np.ndarray
+
+
+def at_rest(world: World, robot: Robot, gait: Gait, data: mujoco.MjData) -> Walker:
+    """A robot that stands in the state `data`."""
+    return Walker(world, robot, gait, data, standing(), np.full(4, gait.mass * GRAVITY / 4))
+
+
 def simulate(
     world: World,
     robot: Robot,
@@ -138,19 +164,13 @@ def simulate(
         course: commanded poses and velocities, one row per tick.
         progress: called with the share done.
     """
-    data, ticks = start(world), len(course.t)
-    trace = recording_of(world, ticks * STEPS_PER_TICK)
-    trot(world, data, robot, gait, course, trace, ticks, progress)
+    trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
+    trot(at_rest(world, robot, gait, start(world)), course, trace, progress=progress)
     return motion_of(world, trace)
 
 
 def simulate_in_pieces(
-    world: World,
-    robot: Robot,
-    gait: Gait,
-    pieces: Iterable[Course],
-    seconds: float,
-    progress: Callable[[float], None] | None = None,
+    world: World, robot: Robot, gait: Gait, pieces: Iterable[Course], seconds: float
 ) -> Iterator[Motion]:
     """`simulate` along a course that comes in pieces.
 
@@ -163,66 +183,41 @@ def simulate_in_pieces(
             are drawn for a whole walk.
         pieces: of the course.
         seconds: until its end.
-        progress: called with the share done.
     """
-    data, memory, first = start(world), at_rest(gait), 0
+    walker, first = at_rest(world, robot, gait, start(world)), 0
     for course in pieces:
-        ticks = len(course.t)
-        trace = recording_of(world, ticks * STEPS_PER_TICK)
-        fall = None
+        trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
         try:
-            trot(world, data, robot, gait, course, trace, ticks, memory=memory, seconds=seconds)
-        except Fallen as error:
-            fall, trace = error, first_steps(trace, len(error.motion.tau) if error.motion else 0)
+            trot(walker, course, trace, seconds)
+        except Fallen as fall:
+            walked = len(fall.motion.tau) if fall.motion else 0
+            yield motion_of(world, first_steps(trace, walked), first)
+            raise Fallen(str(fall), fall.time, fall.how) from None
         yield motion_of(world, trace, first)
-        if fall:
-            raise Fallen(str(fall), fall.time, fall.how)
-        first += ticks * STEPS_PER_TICK
-        if progress:
-            progress(min(first * TIMESTEP / seconds, 1.0))
-
-
-class Memory(NamedTuple):
-    """State of the controller between ticks."""
-
-    legs: LegMemory
-    load: np.ndarray  # (4,) N, normal foot forces
-
-
-def at_rest(gait: Gait) -> Memory:
-    """Memory of a standing robot."""
-    return Memory(standing(), np.full(4, gait.mass * GRAVITY / 4))
+        first += len(trace.tau)
 
 
 def trot(
-    world: World,
-    data: mujoco.MjData,
-    robot: Robot,
-    gait: Gait,
+    walker: Walker,
     course: Course,
     trace: Recording,
-    ticks: int,
-    progress: Callable[[float], None] | None = None,
-    memory: Memory | None = None,
     seconds: float | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Walk the first `ticks` control periods of the course.
+    """Walk along the course.
 
     Raises Fallen, saying when, if the robot falls.
 
     Args:
-        world, data: state of the simulation; `data` is changed.
-        robot, gait: of the walk.
+        walker: whose state and memory are changed.
         course: the reference motion of the base.
         trace: written, from its first row on.
-        ticks: number of periods.
-        progress: called with the share done.
-        memory: of the previous piece of the course, changed; None where this one begins at rest.
         seconds: until the end of the whole course, if this is a piece of it.
+        progress: called with the share done.
     """
-    target = np.column_stack([course.pose, course.velocity])
-    legs, load = memory or at_rest(gait)
-    controller = Controller(gait, world.height_map, legs)
+    world, robot, gait, data, memory, load = walker
+    ticks, target = len(course.t), np.column_stack([course.pose, course.velocity])
+    controller = Controller(gait, world.height_map, memory)
     body = mj_views(world, data)
     for first in range(0, ticks, TICKS_AT_ONCE):
         last = min(first + TICKS_AT_ONCE, ticks)

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from surefoot.models.bootstrap import block_bootstrap_counts
-from surefoot.sim.common.white_noise import white_noise
+from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Modelled
