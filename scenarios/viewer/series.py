@@ -35,7 +35,6 @@ BANDS = "3_sigma"
 _BAND, _FAINT = 0.25, 0.06
 """Opacity of the strokes of a single band, and of one of several overlapping ones."""
 ANGLES = ("roll", "pitch", "yaw")
-_Strokes = tuple[str, str, float]
 
 
 def series_part(name: str) -> str:
@@ -153,7 +152,11 @@ def _send(stream, path: str, t: np.ndarray, values: np.ndarray, style: rr.AsComp
 
 
 def _send_band(
-    stream, path: str, t: np.ndarray, sides: tuple[np.ndarray, np.ndarray], strokes: _Strokes
+    stream,
+    path: str,
+    t: np.ndarray,
+    sides: tuple[np.ndarray, np.ndarray],
+    strokes: tuple[str, str, float],
 ) -> None:
     """Draw the band between two curves by strokes from side to side, dense enough to fill it.
 
