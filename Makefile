@@ -4,7 +4,7 @@ BIN := .venv/bin
 # As for the commands (`scenarios/cli/start.py`): the matrices are small, and more threads only wait.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check docs readme nightly yardstick mutants study study-observer study-trace study-hardware study-bounds study-montecarlo \
+.PHONY: setup demo test check size docs readme nightly yardstick mutants study study-observer study-trace study-hardware study-bounds study-montecarlo \
 	study-walking study-bench study-realism study-loop suites tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -29,6 +29,10 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/pyright
+
+# Lines, classes and constants by room; fails above the limits of tests/size.py.
+size:
+	$(PYTHON) tests/size.py
 
 # The site into out/site, and which pages of results have gone stale.
 docs: setup

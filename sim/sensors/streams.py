@@ -295,8 +295,9 @@ class _ImuErrors:
 
 
 class ContactSwitch:
-    """Sensed contact of each foot of a walk whose readings come in pieces: the measured force
-    compared with a threshold, delayed, and wrong in samples drawn at random.
+    """Sensed contact of each foot over a walk, whose readings may come in pieces.
+
+    The measured force compared with a threshold, delayed, and wrong in samples drawn at random.
     """
 
     def __init__(self, sensors: Sensors, rng: np.random.Generator, weight: float, rate: float):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from whole_runs import run_coverage
 
 from studies.bench import walking
 from studies.bench.__main__ import Bench
@@ -20,7 +21,6 @@ from studies.bench.ratio import Ratio, in_turn
 from studies.bench.run import bench
 from studies.command import run_study
 from surefoot.estimator.core.state import FilterNoise, NavState
-from surefoot.estimator.filter import run_coverage
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Scenario, Segment
