@@ -212,7 +212,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     none = np.full((n, max(joints, 1)), np.nan)
     q = log.q if log.has("q") else none
     dq = joint_velocity(log) if log.has("q") else none
-    mean, angles, rates = bin_mean(motion), log.columns_of("q"), log.columns_of("q", "dq")
+    mean, angles, rates = bin_mean(motion), ("q",), ("q", "dq")
     gyro = accel = np.full((n, 3), np.nan)
     omega = motion.gyro
     if log.has("imu") and not isinstance(robot, FixedBase):
@@ -242,7 +242,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     def lag() -> np.ndarray:
         return mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0))
 
-    of_base = ("t",) if known else log.columns_of("imu")
+    of_base = () if known else ("imu",)
     mounted = (robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()
 
     def feet() -> FeetMotion:
@@ -251,27 +251,25 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     given = isinstance(robot, GivenFeet)
     return Bins(
         t=motion.t,
-        q=log.cached("binned q", angles, lambda: mean(q)),
-        dq=log.cached("binned dq", rates, lambda: mean(dq)),
-        tau=log.cached("binned tau", log.columns_of("tau"), tau),
+        q=log.once("binned q", angles, lambda: mean(q)),
+        dq=log.once("binned dq", rates, lambda: mean(dq)),
+        tau=log.once("binned tau", ["tau"], tau),
         gyro=_where_most(gyro, motion),
         accel=_where_most(accel, motion),
-        omega=log.cached(
+        omega=log.once(
             "binned omega",
-            log.columns_of("imu"),
+            ["imu"],
             lambda: mean(at_rows(omega)),
             motion,
             None if isinstance(robot, FixedBase) else robot.extras.imu_lowpass,
         ),
-        base=log.cached("binned base", of_base, base, motion, *mounted),
+        base=log.once("binned base", of_base, base, motion, *mounted),
         **motion.means,
-        lag=log.cached("binned lag", rates, lag),
-        q_step=log.cached("binned q_step", angles, lambda: mean(at_torques(q, motion)), motion),
-        dq_step=log.cached(
-            "binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion
-        ),
-        ddq=log.cached("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
-        feet=log.cached("binned feet", log.columns_of("foot"), feet) if given else None,
+        lag=log.once("binned lag", rates, lag),
+        q_step=log.once("binned q_step", angles, lambda: mean(at_torques(q, motion)), motion),
+        dq_step=log.once("binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion),
+        ddq=log.once("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
+        feet=log.once("binned feet", ["foot"], feet) if given else None,
     )
 
 

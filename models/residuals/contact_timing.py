@@ -15,7 +15,7 @@ from surefoot.models.residuals.leg_velocity import leg_velocity_of
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.given_feet import Walker, foot_columns
+from surefoot.sim.robot.given_feet import Walker, foot_groups
 from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 from surefoot.sim.sensors.stances import changes, inside_stances
 
@@ -49,9 +49,9 @@ def contact_timing(log: Log, robot: Walker, motion: ReferenceMotion) -> np.ndarr
     geometry = ()
     if isinstance(robot, Robot):
         geometry = robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI
-    moves = log.cached(
+    moves = log.once(
         "when touching points stop and start",
-        (*foot_columns(log, robot), *log.columns_of("imu", "contact", "reference", "ref_v")),
+        (*foot_groups(robot), "imu", "contact", "reference", "ref_v"),
         lambda: _all_motion_changes(log, robot, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
         *geometry,

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -52,17 +52,15 @@ class LogError(SurefootError):
 class Log:
     """One walk: `frame` has float64 columns (`t`, `gyro_x`, `q_FL_hip` ...) and one row per sample.
 
-    The properties return new contiguous arrays in SI units, unless the log caches them (`caching`);
-    each raises LogError where its columns are missing. J and L are the numbers of joints and legs
-    that the columns name. A quadruped's are in canonical order (leg by leg over FL, FR, RL, RR), so
-    that `q.reshape(N, 4, 3)` is (row, leg, joint).
+    The properties return new contiguous arrays in SI units; each raises LogError where its columns
+    are missing. J and L are the numbers of joints and legs that the columns name. A quadruped's are
+    in canonical order (leg by leg over FL, FR, RL, RR), so that `q.reshape(N, 4, 3)` is (row, leg,
+    joint). A `LogView` of a log computes each array once.
     """
 
     frame: pd.DataFrame
     meta: Meta
     name: str = "log"
-    _cache: ClassVar[dict[str, tuple[frozenset[str], tuple[Any, ...], Any]] | None] = None
-    """Cached values by name: the columns and objects that each depends on, and its value."""
 
     @classmethod
     def read(cls, path: str | Path) -> Log:
@@ -85,45 +83,20 @@ class Log:
         except SurefootError as error:
             raise LogError(str(error)) from error
 
-    def caching(self) -> Log:
-        """The same log with cached arrays, which must not be written to."""
-        log = replace(self)
-        object.__setattr__(log, "_cache", {})
-        return log
-
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
-        """The log with some columns replaced; cached values of the others are kept."""
-        log = object.__new__(_WithColumns)
-        vars(log).update(meta=self.meta, name=self.name, before=self, replaced=dict(columns))
-        # Unchanged columns remain the same arrays, so comparisons can go by identity.
-        vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
-        if self.columns.keys() >= columns.keys():
-            vars(log).update(joints=self.joints, legs=self.legs)
-        if self._cache is not None:
-            kept = {k: v for k, v in self._cache.items() if v[0].isdisjoint(columns)}
-            object.__setattr__(log, "_cache", kept)
-        return log
+        """The log with some columns replaced or added."""
+        return replace(self, frame=self.frame.assign(**columns))
 
-    def cached(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
-        """A value computed from some columns, cached if the log caches its arrays.
+    def once(self, what: str, uses: Iterable[str], make: Callable[[], T], *given: Any) -> T:
+        """A value derived from the log, which a `LogView` computes once.
 
         Args:
             what: its name, unique for this log.
-            columns: all columns that it depends on.
+            uses: groups (see `require`) and single columns that it depends on, besides time.
             make: computes it.
             given: other objects that it depends on; it is recomputed if these are not identical.
         """
-        if self._cache is None:
-            return make()
-        known = self._cache.get(what)
-        if known is None or not all(a is b for a, b in zip(known[1], given, strict=True)):
-            self._cache[what] = known = frozenset(columns), given, make()
-        return known[2]
-
-    def columns_of(self, *groups: str) -> tuple[str, ...]:
-        """The columns of these groups (see `require`) and of time, for `cached`."""
-        names = (group_columns(group, self.joints, self.legs) for group in groups)
-        return ("t", *(name for own in names for name in own))
+        return make()
 
     def rows(self, which: slice | np.ndarray) -> Log:
         """Select rows by a slice (a step divides the rate), a mask (N,) or indices."""
@@ -147,12 +120,13 @@ class Log:
             raise LogError(f"{self.name}: the log lacks {', '.join(lacking)}")
 
     def _missing(self, group: str) -> list[str]:
-        if group.startswith("x_"):
-            return [] if group in self.columns else [group]
-        if group not in GROUPS:
+        if group not in GROUPS and not group.startswith("x_"):
             raise KeyError(f"no log group {group!r}; groups are {', '.join(GROUPS)}")
-        names = group_columns(group, self.joints, self.legs)
-        return [name for name in names if name not in self.columns]
+        return [name for name in self._names(group) if name not in self.columns]
+
+    def _names(self, group: str) -> Sequence[str]:
+        """The columns of a group; any other name is a column's own."""
+        return group_columns(group, self.joints, self.legs) if group in GROUPS else (group,)
 
     def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
         def stacked() -> np.ndarray:
@@ -160,7 +134,7 @@ class Log:
             # Column by column: selecting them together takes pandas several times as long.
             return np.column_stack([np.asarray(self.columns[n], dtype=float) for n in names])
 
-        return self.cached(names[0] if names else group, names, stacked)
+        return self.once(names[0] if names else group, names, stacked)
 
     def _joint_array(self, prefix: str) -> np.ndarray:
         return self._array(prefix, [f"{prefix}_{joint}" for joint in self.joints])
@@ -180,13 +154,13 @@ class Log:
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Joint names, canonical for a quadruped, else in the order of the columns."""
-        names = joint_names(self.frame.columns)
+        names = joint_names(self.columns)
         return JOINTS if set(names) == set(JOINTS) else names
 
     @cached_property
     def legs(self) -> tuple[str, ...]:
         """Leg names, FL, FR, RL, RR for a quadruped, else in the order of the columns."""
-        return leg_names(self.frame.columns)
+        return leg_names(self.columns)
 
     @property
     def rate(self) -> float:
@@ -196,7 +170,7 @@ class Log:
     @property
     def t(self) -> np.ndarray:
         """Time (N,), s, strictly increasing."""
-        return self.cached("t", ["t"], lambda: np.array(self.columns["t"], dtype=float))
+        return self.once("t", (), lambda: np.array(self.columns["t"], dtype=float))
 
     @property
     def gyro(self) -> np.ndarray:
@@ -241,8 +215,9 @@ class Log:
     @property
     def contact(self) -> np.ndarray:
         """Feet in contact (N, L), bool, as the robot senses it."""
-        names = self.columns_of("contact")
-        return self.cached("contact", names, lambda: self._leg_array("contact", "contact") > 0.5)
+        return self.once(
+            "contact", ["contact"], lambda: self._leg_array("contact", "contact") > 0.5
+        )
 
     @property
     def force(self) -> np.ndarray:
@@ -272,8 +247,7 @@ class Log:
     @property
     def ref_R_GI(self) -> np.ndarray:
         """Reference attitude (N, 3, 3)."""
-        names = self.columns_of("reference")
-        return self.cached("ref_R_GI", names, lambda: matrix_from_quaternion(self.ref_q))
+        return self.once("ref_R_GI", ["reference"], lambda: matrix_from_quaternion(self.ref_q))
 
     @property
     def ref_v(self) -> np.ndarray:
@@ -299,15 +273,57 @@ class Log:
         return self._leg_array("truth", "mu")
 
 
-class _WithColumns(Log):
-    """A log made by `Log.with_columns`: its frame is built on first use, since most need none."""
+class LogView(Log):
+    """A log that computes its arrays, and whatever else is derived from it, once.
 
-    before: Log
-    replaced: dict[str, np.ndarray]
+    They must not be written to. With other columns (`with_columns`), the view keeps all that does
+    not depend on these.
+    """
 
-    @cached_property
+    def __init__(self, frame: pd.DataFrame, meta: Meta, name: str = "log"):
+        super().__init__(frame, meta, name)
+        self._derived: dict[str, _Derived] = {}
+
+    @classmethod
+    def of(cls, log: Log) -> LogView:
+        """A view of this log."""
+        return cls(log.frame, log.meta, log.name)
+
+    @property
     def frame(self) -> pd.DataFrame:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.before.frame.assign(**self.replaced)
+        # Assigned on first use, since most views need none.
+        if self._replaced:
+            self._frame, self._replaced = self._frame.assign(**self._replaced), {}
+        return self._frame
+
+    @frame.setter
+    def frame(self, frame: pd.DataFrame) -> None:
+        self._frame, self._replaced = frame, {}
+
+    def with_columns(self, columns: Mapping[str, np.ndarray]) -> LogView:
+        view = LogView(self._frame, self.meta, self.name)
+        view._replaced = self._replaced | {name: np.asarray(x) for name, x in columns.items()}
+        # Unchanged columns remain the same arrays, so comparisons can go by identity.
+        view.columns = self.columns | view._replaced
+        if self.columns.keys() >= columns.keys():
+            view.joints, view.legs = self.joints, self.legs
+        view._derived = {k: x for k, x in self._derived.items() if x.columns.isdisjoint(columns)}
+        return view
+
+    def once(self, what: str, uses: Iterable[str], make: Callable[[], T], *given: Any) -> T:
+        found = self._derived.get(what)
+        if found is None or not all(a is b for a, b in zip(found.given, given, strict=True)):
+            columns = frozenset(("t", *(name for one in uses for name in self._names(one))))
+            self._derived[what] = found = _Derived(columns, given, make())
+        return found.value
+
+
+class _Derived(NamedTuple):
+    """A derived value, with the columns and objects that it depends on."""
+
+    columns: frozenset[str]
+    given: tuple[Any, ...]
+    value: Any
 
 
 class LogWriter:

@@ -39,6 +39,6 @@ def shows_feet(log: Log, robot: Walker) -> bool:
     return log.has("foot" if isinstance(robot, GivenFeet) else "q")
 
 
-def foot_columns(log: Log, robot: Walker) -> tuple[str, ...]:
-    """The columns that the positions and velocities of the feet depend on, and time."""
-    return log.columns_of(*(("foot",) if isinstance(robot, GivenFeet) else ("q", "dq")))
+def foot_groups(robot: Walker) -> tuple[str, ...]:
+    """The groups of a log that the positions and velocities of the feet depend on."""
+    return ("foot",) if isinstance(robot, GivenFeet) else ("q", "dq")

@@ -4,7 +4,7 @@ import json
 import pickle
 import re
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from surefoot.sim.log import (
     Log,
     LogError,
     LogReader,
+    LogView,
     Meta,
     joint_velocity,
 )
@@ -96,18 +97,49 @@ def test_arrays_are_contiguous_and_in_canonical_order():
     np.testing.assert_allclose(np.linalg.det(log.ref_R_GI), 1.0)
 
 
-def test_a_log_that_keeps_its_arrays_makes_those_again_whose_columns_change():
-    log = make_log().caching()
-    q, tau = log.q, log.tau
-    moved = log.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
-    assert log.q is q
-    assert moved.tau is tau
-    np.testing.assert_array_equal(moved.q[:, 0], log.q[:, 0] + 1.0)
-    np.testing.assert_array_equal(moved.q, replace(moved).q)
-    made = [
-        moved.cached("sum", ["t"], lambda x=x: x, given) for x, given in enumerate((log, log, 1))
-    ]
-    assert made == [0, 0, 2]
+def test_a_log_is_frozen_and_its_arrays_are_new_each_time():
+    log = make_log()
+    with pytest.raises(FrozenInstanceError):
+        log.name = "another"  # pyright: ignore[reportAttributeAccessIssue]
+    log.q[:] = 0.0
+    np.testing.assert_array_equal(log.q[:, 0], log.frame["q_FL_hip"])
+
+
+def test_a_view_computes_each_array_once_and_those_of_replaced_columns_anew():
+    log = make_log()
+    view = LogView.of(log)
+    moved = view.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
+    for name in ("t", "gyro", "q", "tau", "contact", "force", "ref_q", "ref_R_GI"):
+        assert getattr(view, name) is getattr(view, name)
+        np.testing.assert_array_equal(getattr(view, name), getattr(log, name))
+    again = view.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
+    assert again.tau is view.tau
+    assert again.ref_R_GI is view.ref_R_GI
+    assert again.columns["q_FR_hip"] is view.columns["q_FR_hip"]
+    for one in (moved, again):
+        np.testing.assert_array_equal(one.q[:, 0], log.q[:, 0] + 1.0)
+        np.testing.assert_array_equal(one.q[:, 1:], log.q[:, 1:])
+    np.testing.assert_array_equal(view.q, log.q)
+
+
+def test_a_view_derives_a_value_again_only_if_what_it_depends_on_changes():
+    calls, robot, column = [], object(), np.zeros(40)
+
+    def call() -> int:
+        calls.append(None)
+        return len(calls)
+
+    def number_of_call(log: Log, given: object = robot) -> int:
+        return log.once("number of the call", ["q", "x_temperature"], call, given)
+
+    view = LogView.of(make_log())
+    assert number_of_call(view) == number_of_call(view) == 1
+    assert number_of_call(view.with_columns({"gyro_x": column, "dq_FL_hip": column})) == 1
+    changed = [view.with_columns({name: column}) for name in ("q_RR_calf", "x_temperature", "t")]
+    assert [number_of_call(one) for one in changed] == [2, 3, 4]
+    assert number_of_call(view) == 1
+    assert number_of_call(view, object()) == 5
+    assert [number_of_call(make_log()) for _ in range(2)] == [6, 7]
 
 
 def test_a_pendulum_has_one_joint_and_no_feet():
@@ -423,17 +455,17 @@ def test_a_recording_read_as_a_log_is_told_what_it_is(tmp_path):
             Log.read(tmp_path / name)
 
 
-def test_replaced_columns_are_in_the_frame_when_it_is_asked_for():
-    log = make_log().caching()
+@pytest.mark.parametrize("made", [make_log, lambda: LogView.of(make_log())])
+def test_replaced_columns_are_in_the_frame(made):
+    log = made()
     once = log.with_columns({"gyro_x": np.ones(40)})
     twice = once.with_columns({"gyro_x": np.full(40, 2.0)})
-    assert "frame" not in vars(once)
-    assert "frame" not in vars(twice)
     assert (twice.gyro[:, 0] == 2.0).all()
     copied = pickle.loads(pickle.dumps(twice))
     for one, size in ((once, 1.0), (twice, 2.0), (copied, 2.0), (replace(twice, name="b"), 2.0)):
         assert list(one.frame) == list(log.frame)
         np.testing.assert_array_equal(one.frame["gyro_x"], size)
         np.testing.assert_array_equal(one.frame["gyro_y"], log.frame["gyro_y"])
-    added = twice.with_columns({"x_new": np.zeros(40)})
-    assert list(added.frame) == [*log.frame, "x_new"]
+    added = twice.with_columns({"x_new": np.zeros(40), "contact_extra": np.ones(40)})
+    assert list(added.frame) == [*log.frame, "x_new", "contact_extra"]
+    assert "extra" in added.legs
