@@ -1,6 +1,6 @@
 """Validity of a log: its columns, metadata and values. Each fault is one clear line.
 
-The messages name column and row (counted from 0); `sim.log.log` prepends the file. Joints and legs
+The messages name column and row (counted from 0); `sim.log.file` prepends the file. Joints and legs
 are those that the columns name: a quadruped's, a biped's, an arm's.
 """
 

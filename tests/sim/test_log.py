@@ -26,7 +26,7 @@ from surefoot.sim.log import (
     Meta,
     joint_velocity,
 )
-from surefoot.sim.log.log import ROW_GROUP
+from surefoot.sim.log.file import ROW_GROUP
 
 RATE = 500.0
 FUZZ = settings(
@@ -229,7 +229,7 @@ def test_nothing_is_overwritten_without_force_and_nothing_half_written(tmp_path,
     before = path.read_bytes()
     with pytest.raises(LogError, match="exists already"):
         make_log(seed=2).write(path)
-    monkeypatch.setattr("surefoot.sim.log.log.pq.ParquetWriter.write_table", _fail_half_way)
+    monkeypatch.setattr("surefoot.sim.log.file.pq.ParquetWriter.write_table", _fail_half_way)
     with pytest.raises(LogError, match="No space left"):
         make_log(seed=2).write(path, force=True)
     assert path.read_bytes() == before
@@ -380,7 +380,7 @@ def test_chunks_are_the_rows_in_turn_each_once(tmp_path, seconds):
     log.write(path)
     reader = LogReader(path)
     assert (reader.rows, reader.meta, reader.columns) == (1003, log.meta, tuple(log.frame.columns))
-    chunks = list(reader.chunks(seconds))
+    chunks = list(Log.chunks(reader, seconds))
     size = max(1, round(min(seconds * RATE, 1003)))
     assert [len(c.t) for c in chunks[:-1]] == [size] * (len(chunks) - 1)
     assert all(c.meta == log.meta and c.name == "walk" for c in chunks)
@@ -395,7 +395,7 @@ def test_a_long_log_is_in_many_row_groups_and_a_chunk_crosses_them(tmp_path):
     groups = pq.ParquetFile(tmp_path / "long.parquet").metadata
     rows = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]
     assert rows == [ROW_GROUP] * 3 + [17]
-    chunks = list(LogReader(tmp_path / "long.parquet").chunks(100.0))
+    chunks = list(Log.chunks(LogReader(tmp_path / "long.parquet"), 100.0))
     assert [len(c.t) for c in chunks] == [50_000, 48_321]
     np.testing.assert_array_equal(np.concatenate([c.q for c in chunks]), log.q)
 
@@ -409,7 +409,7 @@ def test_a_log_is_read_in_the_memory_of_a_chunk(tmp_path):
     del columns, t
     before = pa.total_allocated_bytes()
     most = 0
-    for _ in LogReader(tmp_path / "long.parquet").chunks(10.0):
+    for _ in Log.chunks(LogReader(tmp_path / "long.parquet"), 10.0):
         most = max(most, pa.total_allocated_bytes() - before)
     assert most < 0.2 * whole
 
@@ -428,7 +428,7 @@ def test_a_fault_is_found_across_chunks_with_its_row_in_the_log(tmp_path, row, c
     log = make_log(1003)
     log.frame.loc[row, column] = value
     path = written(log, tmp_path / "bad.parquet")
-    chunks = LogReader(path).chunks(1.0)
+    chunks = Log.chunks(LogReader(path), 1.0)
     assert len(next(chunks).t) == 500
     with pytest.raises(LogError) as caught:
         list(chunks)
