@@ -14,10 +14,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from surefoot import Log
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.white_noise import white_noise
 from surefoot.sim.effects.contact import STICTION_RATE
-from surefoot.sim.log import Log
 from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot.fixed_base import Machine
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from studies.bench import walking
-from studies.bench.__main__ import Bench
 from studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
 from studies.bench.filter import (
     BENCH_GAMMA,
@@ -17,7 +16,7 @@ from studies.bench.filter import (
     velocity_filter,
 )
 from studies.bench.ratio import Ratio, in_turn
-from studies.bench.run import bench
+from studies.bench.run import Bench, bench
 from studies.command import run_study
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.filter import run_coverage
