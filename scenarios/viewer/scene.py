@@ -25,7 +25,7 @@ from surefoot.scenarios.viewer.shapes import (
     link_shapes,
     rerun_quaternion,
 )
-from surefoot.sim.common.stamps import rows_every
+from surefoot.sim.common.series import rows_every
 from surefoot.sim.ground.ground_metadata import thinned
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground
