@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import ndtri
+from whole_runs import filter_of, run_imu
 
 from studies.command import run_study
 from studies.montecarlo.qmc import (
@@ -47,7 +48,6 @@ from studies.montecarlo.trials import (
 from studies.montecarlo.update import update, update_illustration
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import FilterNoise, NavState
-from surefoot.estimator.filter import InvariantFilter, run_imu
 from surefoot.scenarios.reporting.pages import read_origin
 from surefoot.sim.common.errors import SurefootError
 
@@ -114,9 +114,8 @@ def test_scores_are_those_of_the_filters_one_sample_at_a_time(study, regime):
     for setting in paper_settings(study, regime, np.random.SeedSequence(1)):
         scores = run_trials(study, truth, trials, setting)
         for k in range(2):
-            f = InvariantFilter(
-                NavState.unpack(trials.means[k]), trials.covariance, noise, setting.persistent
-            )
+            start = NavState.unpack(trials.means[k]), trials.covariance
+            f = filter_of(*start, noise, setting.persistent)
             distance, nees = [], []
             for n in range(1, len(truth.t)):
                 f.predict(trials.gyro[k, n], trials.accel[k, n], truth.t[n] - truth.t[n - 1])
