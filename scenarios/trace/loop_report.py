@@ -29,7 +29,7 @@ from surefoot.scenarios.trace.observer_errors import (
     recalibrated,
 )
 from surefoot.scenarios.trace.words import caution
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
@@ -107,7 +107,8 @@ def write_loop(
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     drawn = _trajectories(worlds)
     last = worlds[-1].comparison
-    write_recording(out / "loop.rrd", log, robot, drawn, last.prediction, last.bounds, force=True)
+    walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)
+    write_recording(out / "loop.rrd", walk, force=True)
     sections = [
         Section("Before and after", _prose(found, worlds), table),
         *_of_observers(worlds, measured, trained_on_measured),

@@ -5,22 +5,18 @@ same bits alone or beside others. `mj_step` is called by its address in the libr
 package has loaded, on the memory of its own MjModel and MjData.
 """
 
-import ctypes
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from llvmlite import binding
-from numba import types
-from numba.core import config
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.mujoco_library import mujoco_function
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.course import Course
@@ -36,7 +32,6 @@ STEPS_PER_TICK = 2  # the controller runs at 250 Hz
 TICK = TIMESTEP * STEPS_PER_TICK  # s
 UPRIGHT = 0.5  # cosine of the tilt from which a robot has fallen
 TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
-_C_TYPES = {types.intc: ctypes.c_int, types.uintp: ctypes.c_void_p}
 
 
 class Fallen(SurefootError):
@@ -53,29 +48,6 @@ class Fallen(SurefootError):
 
     def __reduce__(self):
         return type(self), (str(self), self.time, self.how, self.motion)
-
-
-def mujoco_library() -> ctypes.CDLL:
-    """The shared library that the mujoco package has loaded."""
-    folder = Path(mujoco.__file__).parent
-    return ctypes.CDLL(str(next(f for g in ("libmujoco*", "mujoco.dll") for f in folder.glob(g))))
-
-
-def mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
-    """A function of MuJoCo's library on a model and its data, callable from kernels.
-
-    Args:
-        name: of the function, which returns nothing.
-        arguments: types of those that follow the addresses of model and data.
-    """
-    function = getattr(mujoco_library(), name)
-    if config.DISABLE_JIT:
-        accepted = (ctypes.c_void_p, ctypes.c_void_p, *(_C_TYPES[one] for one in arguments))
-        function.argtypes, function.restype = accepted, None
-        return function
-    binding.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
-    # Compiled code refers to the function by its name, so that it can be cached.
-    return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))
 
 
 _mj_step = mujoco_function("mj_step")

@@ -13,22 +13,20 @@ from matplotlib.figure import Figure
 
 from studies.hardware.drives import BLOCK, between, ratio_interval
 from studies.hardware.stream_lags import WALKING, Lag
+from surefoot import Learnt, Log, Robot, evaluate
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import align_first, evaluate
+from surefoot.estimator.metrics import align_first
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.leg_velocity import leg_velocity
-from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import Effect, compensate_all, effect
-from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.robot import Robot
+from surefoot.sim.log import joint_velocity
 from surefoot.sim.sensors.stances import stance_phase
 
 TENTHS = 10
@@ -53,7 +51,7 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
     frame = log_under_model(log, robot).motion
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
     standing = log.contact & log.ref_ok[:, None]
-    v = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, frame.up_I, standing)
+    v = robot.feet.imu_velocity(log.q, joint_velocity(log), log.gyro, frame.up_I, standing)
     square = np.sum((v - frame.v_I[:, None]) ** 2, axis=2)
     walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
     out = np.full((TENTHS, log.contact.shape[1]), np.nan)
@@ -114,7 +112,7 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
 
     def error(radius: float) -> np.ndarray:
         rolling = replace(robot, foot_radius=np.full(len(robot.foot_radius), radius))
-        v = leg_velocity(rolling, log.q, dq, log.gyro, up, log.contact & walks[:, None])
+        v = rolling.feet.imu_velocity(log.q, dq, log.gyro, up, log.contact & walks[:, None])
         return v - frame.v_I[:, None]
 
     point, slope = error(0.0), error(1.0) - error(0.0)

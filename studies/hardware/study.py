@@ -22,21 +22,19 @@ from studies.hardware import pendulum as pendulum
 from studies.hardware import walks_by_feet as feet
 from studies.hardware.impulses import window_rows
 from studies.hardware.stream_lags import lags
+from surefoot import Log, Robot, trace
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.rows import finished_case
-from surefoot.scenarios.trace.run import trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.recording import import_log, read_recording
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
+from surefoot.sim.robot.machine import load_machine
 
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
@@ -155,8 +153,7 @@ def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
 def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
     """Legs against motion capture: alignment, trace, and the leg filter."""
     log = import_log(folder, "go1_square")
-    robot = machine_for_log(log, _known("go1").name)
-    assert isinstance(robot, Robot)
+    robot = Robot.for_log(log, _known("go1").name)
     late = lags(log, robot)
     with percent_bar("trace") as progress:
         found = trace(
@@ -267,8 +264,7 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
     for file in files:
         log = replace(import_log(file, "ricmonk_swing"), name=file.stem)
         logs.setdefault(file.stem.split("_")[0], []).append(log)
-    machine = machine_for_log(next(iter(logs.values()))[0], folder / "ricmonk_published.xml")
-    assert isinstance(machine, FixedBase)
+    machine = load_machine(folder / "ricmonk_published.xml").in_log(next(iter(logs.values()))[0])
     by_length = {
         length: shared_sizes.runs_left_out(
             {run: [window_rows(log, machine, length) for log in own] for run, own in logs.items()}
@@ -281,8 +277,8 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
         for length, held_out in by_length.items()
     }
     inputs = {file.stem: file_digest(file) for file in files}
-    kept = (options.data or options.out / "cases") / "ricmonk_changes"
-    tried = changes.tried_changes(logs, machine, done, RICMONK_WINDOW, kept, inputs)
+    kept = changes.KeptRows((options.data or options.out / "cases") / "ricmonk_changes", inputs)
+    tried = changes.tried_changes(logs, machine, done, RICMONK_WINDOW, kept)
     tables = {
         "Residual torque of runs that no fit has seen (root mean square)": (
             shared_sizes.left_out_table(done)
@@ -339,8 +335,7 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
     file = folder.parent.parent / "models" / "so101" / "so101.xml"
     if not file.is_file():
         raise SurefootError(f"so101: its model is not at {file}")
-    machine = machine_for_log(logs[SO101_FITTED[0]], file)
-    assert isinstance(machine, FixedBase)
+    machine = load_machine(file).in_log(logs[SO101_FITTED[0]])
     fitted, unseen = ([logs[n] for n in names] for names in (SO101_FITTED, SO101_UNSEEN))
     table, found = servos.servos_table(fitted, unseen, machine)
     with percent_bar("trace") as progress:
