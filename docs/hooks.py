@@ -74,6 +74,7 @@ def _scenario_files() -> str:
 
     from surefoot.sim import scenario
     from surefoot.sim.gait.options import GaitOptions
+    from surefoot.sim.ground.ground_from_file import GroundFile
     from surefoot.sim.sensors.streams import Sensors
 
     words = """
@@ -86,7 +87,7 @@ def _scenario_files() -> str:
         ("[ground]", scenario._GroundTable),
         ("[[ground.patch]]", scenario._PatchEntry),
         ("[[ground.strip]]", scenario._StripEntry),
-        ("[[ground.height_field]]", scenario._HeightFieldEntry),
+        ("[[ground.height_field]]", GroundFile),
         ("[ranges]", scenario.Ranges),
         ("[gait]", GaitOptions),
         ("[sensors]", Sensors),
@@ -113,7 +114,7 @@ def _moved(source: str) -> str:
 def _results() -> str:
     """One line a page: its title, the commit that it was measured on, and whether it is stale."""
     sys.path.insert(0, str(ROOT))
-    from surefoot.scenarios.studies.pages import pages_table
+    from surefoot.scenarios.reporting.pages import pages_table
 
     lines = [
         "# Results",

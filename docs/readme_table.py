@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from surefoot.scenarios.reporting.pages import origin_of
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.scenarios.studies.pages import origin_of
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 BEGIN, END = "<!-- table of the demo: made by `make readme` -->", "<!-- end of the table -->"

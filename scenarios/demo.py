@@ -11,7 +11,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.scenarios.estimate.compare import compare_log, write_comparison
+from surefoot.scenarios.compare import compare_log, write_comparison
 from surefoot.scenarios.estimate.first_use import compile_filters
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt

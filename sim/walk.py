@@ -1,6 +1,6 @@
 """Simulation of one walk: from a scenario, a robot and a seed to a Log."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.metadata import version
@@ -14,20 +14,21 @@ from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.controller import gait_for
-from surefoot.sim.gait.course import Course, course_pieces, course_ticks
+from surefoot.sim.gait.course import Course, Stretch, course_pieces, integrate_course, stretches
 from surefoot.sim.gait.irregular import irregular
 from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.schema import group_columns
 from surefoot.sim.physics.foot_truth import foot_truth
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
 from surefoot.sim.physics.springs import share_moved_at_once
-from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
+from surefoot.sim.physics.stepper import STEPS_PER_TICK, TICK, Fallen, simulate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
 from surefoot.sim.robot.model_of_log import model_metadata
-from surefoot.sim.scenario import DrawnScenario, Scenario, Segment, drawn
+from surefoot.sim.scenario import DrawnScenario, Scenario, drawn
 from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.streams import (
     ContactSwitch,
@@ -67,6 +68,7 @@ class Plan:
     effects: tuple[Effect, ...]
     declared: bool
     draw: DrawnScenario
+    commands: Sequence[Stretch]  # from settling to the end
     ground: Ground  # as drawn, under the effects
     world: World
     gait: Gait
@@ -80,22 +82,17 @@ class Plan:
         """
         what = f"scenario {self.scenario.name}: bytes of a walk of {self.seconds:.0f} s"
         check_limit("memory", BYTES_A_STEP * self.seconds / TIMESTEP, what)
-        (whole,) = self.course_pieces(self.ticks)
-        return whole
+        return integrate_course(self.commands, TICK)
 
-    def course_pieces(self, ticks: int) -> Iterator[Course]:
-        """The course in pieces of so many ticks."""
-        return course_pieces(*_course_arguments(self.scenario, self.draw), ticks)
-
-    @cached_property
+    @property
     def ticks(self) -> int:
         """Number of controller ticks, from settling to the end."""
-        return course_ticks(*_course_arguments(self.scenario, self.draw))
+        return sum(count for count, _ in self.commands)
 
     @property
     def seconds(self) -> float:
         """Duration of the walk, settling included [s]."""
-        return self.ticks * TIMESTEP * STEPS_PER_TICK
+        return self.ticks * TICK
 
 
 def walk(
@@ -156,8 +153,10 @@ def plan(
         effect.members(robot.limbs)  # refuses a target that the robot does not have
         effect.edit_spec(spec, robot)
         ground = effect.alter_ground(ground)
-    ticks = course_ticks(*_course_arguments(scenario, draw))
-    for piece in course_pieces(*_course_arguments(scenario, draw), min(ticks, PIECE_TICKS)):
+    segments = draw.scenario.segments
+    commands = stretches(segments, TICK, scenario.stand, scenario.laps, SETTLING_TIME)
+    ticks = sum(count for count, _ in commands)
+    for piece in course_pieces(commands, TICK, min(ticks, PIECE_TICKS)):
         if np.abs(piece.pose[:, :2]).max() > ground.half_size - robot.leg_length:
             raise SurefootError(
                 f"scenario {scenario.name}: the course leaves the floor; "
@@ -172,8 +171,7 @@ def plan(
     gait = gait_for(standing_on, start, draw.period, draw.clearance, draw.gain, scenario.gait)
     at_once = share_moved_at_once(world.model, world.springs, world.start, world.dof_adr)
     gait = gait._replace(slide_damping=min(SLIDE_MARGIN * at_once, 1.0) * gait.slide_damping)
-    dt = TIMESTEP * STEPS_PER_TICK
-    gait = irregular(gait, scenario.gait, ticks, dt, np.random.default_rng(gait_seed))
+    gait = irregular(gait, scenario.gait, ticks, TICK, np.random.default_rng(gait_seed))
     return Plan(
         scenario=scenario,
         robot=robot,
@@ -181,19 +179,12 @@ def plan(
         effects=tuple(effects),
         declared=declared,
         draw=draw,
+        commands=commands,
         ground=ground,
         world=world,
         gait=gait,
         sensor_seed=sensor_seed,
     )
-
-
-def _course_arguments(
-    scenario: Scenario, draw: DrawnScenario
-) -> tuple[Sequence[Segment], float, float, int, float]:
-    """Arguments of `integrate_course` for a scenario, settling included."""
-    dt = TIMESTEP * STEPS_PER_TICK
-    return draw.scenario.segments, dt, scenario.stand, scenario.laps, SETTLING_TIME
 
 
 def record(made: Plan, motion: Motion) -> Log:
@@ -284,31 +275,19 @@ def _frame(
         mu: friction under each foot (N, L).
     """
     groups = {
-        "t": streams.t[:, None],
-        "gyro": streams.gyro,
-        "accel": streams.accel,
-        "q": streams.q,
-        "dq": streams.dq,
-        "tau": streams.tau,
-        "tau_ff": streams.tau_ff,
-        "contact": contact.astype(float),
-        "force": streams.force,
-        "ref_p": reference.p_GI,
-        "ref_q": quaternion_from_matrix(reference.R_GI),
-        "ref_v": reference.v_GI,
-        "slip": slip,
-        "mu": mu,
+        "imu": (streams.gyro, streams.accel),
+        "q": (streams.q,),
+        "dq": (streams.dq,),
+        "tau": (streams.tau,),
+        "tau_ff": (streams.tau_ff,),
+        "contact": (contact.astype(float),),
+        "force": (streams.force,),
+        "reference": (reference.p_GI, quaternion_from_matrix(reference.R_GI)),
+        "ref_v": (reference.v_GI,),
+        "truth": (slip, mu),
     }
-    joints, legs = (tuple(f"_{one}" for one in names) for names in (JOINTS, LEGS))
-    axes = ("_x", "_y", "_z")
-    suffixes = {"t": ("",), "ref_q": ("_w", *axes)}
-    suffixes |= dict.fromkeys(("gyro", "accel", "ref_p", "ref_v"), axes)
-    suffixes |= dict.fromkeys(("q", "dq", "tau", "tau_ff"), joints)
-    suffixes |= dict.fromkeys(("contact", "force", "slip", "mu"), legs)
-    return pd.DataFrame(
-        {
-            name + suffix: values[:, i]
-            for name, values in groups.items()
-            for i, suffix in enumerate(suffixes[name])
-        }
-    )
+    columns = {"t": streams.t}
+    for group, parts in groups.items():
+        names = group_columns(group, JOINTS, LEGS)
+        columns |= zip(names, np.hstack(parts).T, strict=True)
+    return pd.DataFrame(columns)

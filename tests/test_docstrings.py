@@ -8,7 +8,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted(
-    f for r in ("sim", "estimator", "models", "scenarios") for f in ROOT.glob(f"{r}/**/*.py")
+    f
+    for r in ("sim", "estimator", "models", "scenarios", "studies")
+    for f in ROOT.glob(f"{r}/**/*.py")
 )
 FEW = 4
 """Arguments that a function may have without naming each."""

@@ -15,7 +15,7 @@ import pytest
 ROOT = next(p for p in Path(__file__).resolve().parents if (p / "pyproject.toml").exists())
 PAGE = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
 PAPER = Path(os.environ.get("SUREFOOT_PAPER", ROOT.parent / "shared" / "paper.tex"))
-NAME = re.compile(r"`((?:surefoot\.)?(?:sim|estimator|models|scenarios)(?:\.\w+)+)`")
+NAME = re.compile(r"`((?:surefoot\.)?(?:sim|estimator|models|scenarios|studies)(?:\.\w+)+)`")
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
 QUOTED = re.compile(r"`[^`]+`")
 NO_CODE = ("`fig:overview`",)
@@ -35,7 +35,8 @@ def labels() -> list[str]:
 
 def resolve(name: str) -> object:
     """The module, class, function or method of that dotted name."""
-    parts = f"surefoot.{name.removeprefix('surefoot.')}".split(".")
+    whole = name if name.startswith(("surefoot.", "studies.")) else f"surefoot.{name}"
+    parts = whole.split(".")
     for length in range(len(parts), 0, -1):
         module = ".".join(parts[:length])
         try:

@@ -5,7 +5,7 @@ from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("sim", "models", "estimator", "scenarios")
+ROOMS = ("sim", "models", "estimator", "scenarios", "studies")
 TYPE_VARIABLES = {"T"}
 
 

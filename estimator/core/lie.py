@@ -1,4 +1,4 @@
-"""The groups SO(3), SE_2(3), SE_{2+K}(3): hat, exp, log, adjoint, left Jacobian, Gamma functions.
+"""The groups SO(3), SE_2(3), SE_{2+K}(3): hat, exp and the Gamma functions.
 
 Every coefficient comes from one family of entire functions of the squared angle,
 
@@ -83,10 +83,15 @@ def _polynomial(phi, identity: float, linear: float, square: float, out):
 @kernel
 def gammas(phi, gamma_0, gamma_1, gamma_2):
     """Gamma_0, Gamma_1 and Gamma_2 (3, 3) of phi (3,), written into the three arrays."""
-    _, e1, e2, e3, e4, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
-    _polynomial(phi, 1.0, e1, e2, gamma_0)
-    _polynomial(phi, 1.0, e2, e3, gamma_1)
-    _polynomial(phi, 0.5, e3, e4, gamma_2)
+    gammas_of(phi, entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2), gamma_0, gamma_1, gamma_2)
+
+
+@kernel(inline="always")
+def gammas_of(phi, e, gamma_0, gamma_1, gamma_2):
+    """`gammas` with e, the values of `entire` at the squared angle."""
+    _polynomial(phi, 1.0, e[1], e[2], gamma_0)
+    _polynomial(phi, 1.0, e[2], e[3], gamma_1)
+    _polynomial(phi, 0.5, e[3], e[4], gamma_2)
 
 
 @kernel
@@ -95,144 +100,4 @@ def so3_exp(phi):
     _, e1, e2, _, _, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
     out = np.empty((3, 3))
     _polynomial(phi, 1.0, e1, e2, out)
-    return out
-
-
-@kernel
-def so3_left_jacobian(phi):
-    """Left Jacobian (3, 3) of SO(3) at phi (3,): Gamma_1."""
-    _, _, e2, e3, _, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
-    out = np.empty((3, 3))
-    _polynomial(phi, 1.0, e2, e3, out)
-    return out
-
-
-@kernel
-def so3_left_jacobian_inverse(phi):
-    """Inverse (3, 3) of the left Jacobian of SO(3) at phi (3,), |phi| < 2 pi."""
-    x = phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2
-    # (1 - (theta/2) cot(theta/2)) / theta^2 by the half angle, which avoids small quotients.
-    _, e1, e2, e3, _, _, _ = entire(0.25 * x)
-    out = np.empty((3, 3))
-    _polynomial(phi, 1.0, -0.5, 0.25 * (e2 - e3) / e1, out)
-    return out
-
-
-@kernel
-def so3_log(R):
-    """Rotation vector (3,) [rad], |phi| <= pi, of the rotation matrix R (3, 3).
-
-    Uses the largest quaternion component, so it is accurate near 0 and pi.
-    """
-    q = np.empty(4)
-    q[0] = 1.0 + R[0, 0] + R[1, 1] + R[2, 2]
-    q[1] = 1.0 + R[0, 0] - R[1, 1] - R[2, 2]
-    q[2] = 1.0 - R[0, 0] + R[1, 1] - R[2, 2]
-    q[3] = 1.0 - R[0, 0] - R[1, 1] + R[2, 2]
-    largest = np.argmax(q)
-    products = np.empty((4, 4))
-    products[0, 1] = R[2, 1] - R[1, 2]
-    products[0, 2] = R[0, 2] - R[2, 0]
-    products[0, 3] = R[1, 0] - R[0, 1]
-    products[1, 2] = R[0, 1] + R[1, 0]
-    products[1, 3] = R[0, 2] + R[2, 0]
-    products[2, 3] = R[1, 2] + R[2, 1]
-    for i in range(4):
-        products[i, i] = q[i]
-        for j in range(i):
-            products[i, j] = products[j, i]
-    q = products[largest] / np.sqrt(np.sum(products[largest] ** 2))
-    if q[0] < 0.0:
-        q = -q
-    sine = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    if sine < 1e-8:
-        return 2.0 * q[1:]
-    return 2.0 * np.arctan2(sine, q[0]) / sine * q[1:]
-
-
-@kernel
-def _coupling(phi, rho):
-    """Q(phi, rho) (3, 3): the left Jacobian's block below the diagonal (Barfoot, eq. 8.91b)."""
-    _, _, _, e3, e4, e5, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
-    P, V = hat(phi), hat(rho)
-    PV, VP = P @ V, V @ P
-    PVP = P @ VP
-    return (
-        0.5 * V
-        + e3 * (PV + VP + PVP)
-        + e4 * (P @ PV + VP @ P - 3.0 * PVP)
-        + 0.5 * (e4 - 3.0 * e5) * (PVP @ P + P @ PVP)
-    )
-
-
-@kernel
-def se_hat(xi):
-    """xi^ (3+m, 3+m) of the tangent vector xi (3 (1+m),) of SE_m(3)."""
-    m = xi.shape[0] // 3 - 1
-    out = np.zeros((3 + m, 3 + m))
-    out[:3, :3] = hat(xi[:3])
-    for c in range(m):
-        out[:3, 3 + c] = xi[3 * c + 3 : 3 * c + 6]
-    return out
-
-
-@kernel
-def se_exp(xi):
-    """exp(xi^) (3+m, 3+m) of the tangent vector xi (3 (1+m),) of SE_m(3)."""
-    m = xi.shape[0] // 3 - 1
-    out = np.eye(3 + m)
-    out[:3, :3] = so3_exp(xi[:3])
-    J = so3_left_jacobian(xi[:3])
-    for c in range(m):
-        out[:3, 3 + c] = J @ xi[3 * c + 3 : 3 * c + 6]
-    return out
-
-
-@kernel
-def se_log(X):
-    """Tangent vector xi (3 (1+m),) with exp(xi^) = X, for X (3+m, 3+m) of SE_m(3)."""
-    m = X.shape[0] - 3
-    xi = np.empty(3 * (1 + m))
-    xi[:3] = so3_log(X[:3, :3])
-    J_inverse = so3_left_jacobian_inverse(xi[:3])
-    for c in range(m):
-        xi[3 * c + 3 : 3 * c + 6] = J_inverse @ np.ascontiguousarray(X[:3, 3 + c])
-    return xi
-
-
-@kernel
-def se_inverse(X):
-    """X^-1 (3+m, 3+m) for X of SE_m(3)."""
-    out = np.eye(X.shape[0])
-    Rt = np.ascontiguousarray(X[:3, :3].T)
-    out[:3, :3] = Rt
-    out[:3, 3:] = -Rt @ np.ascontiguousarray(X[:3, 3:])
-    return out
-
-
-@kernel
-def se_adjoint(X):
-    """Ad_X (3 (1+m), 3 (1+m)) for X of SE_m(3): X exp(xi^) X^-1 = exp((Ad_X xi)^)."""
-    m = X.shape[0] - 3
-    R = np.ascontiguousarray(X[:3, :3])
-    out = np.zeros((3 * (1 + m), 3 * (1 + m)))
-    out[:3, :3] = R
-    for c in range(m):
-        rows = slice(3 * c + 3, 3 * c + 6)
-        out[rows, rows] = R
-        out[rows, :3] = hat(X[:3, 3 + c]) @ R
-    return out
-
-
-@kernel
-def se_left_jacobian(xi):
-    """Left Jacobian of SE_m(3) at xi (3 (1+m),): exp((xi + d)^) ~ exp((J d)^) exp(xi^)."""
-    m = xi.shape[0] // 3 - 1
-    J = so3_left_jacobian(xi[:3])
-    out = np.zeros((3 * (1 + m), 3 * (1 + m)))
-    out[:3, :3] = J
-    for c in range(m):
-        rows = slice(3 * c + 3, 3 * c + 6)
-        out[rows, rows] = J
-        out[rows, :3] = _coupling(xi[:3], xi[rows])
     return out

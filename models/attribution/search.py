@@ -42,6 +42,7 @@ from surefoot.models.attribution.robust_weights import (
 from surefoot.models.attribution.run_offsets import is_sampling_lag
 from surefoot.models.attribution.selection import (
     Candidate,
+    SearchState,
     cross_validated_error,
     distinct,
     evaluate_candidates,
@@ -49,8 +50,8 @@ from surefoot.models.attribution.selection import (
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import AXES, Effect, effect, known_effects
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,8 @@ def attribute(
         known, data = _refined_until_settled(cases, chosen, keys, known, floor, split)
         declared, found = declared or known.evidence, [_key(e) for e in known.explained]
         explained, limbs = approximate_gains(known), known.evidence.layout.limbs
-        candidates = evaluate_candidates(data, floor, found, explained, limbs, rng, certain)
+        state = SearchState(found, explained, certain)
+        candidates = evaluate_candidates(data, floor, state, limbs, rng)
         rounds.append(candidates)
         if _causes(known.explained, cases) >= settings.most_effects:
             break
@@ -217,7 +219,7 @@ def _is_insignificant(one: Found, limbs: Limbs, certain: bool) -> bool:
 
 def _always_present(keys: Sequence[Key], robot: Machine) -> set[Key]:
     """Candidates that every machine has, and that the model lacks."""
-    if isinstance(robot, FixedBase):
+    if robot.fixed:
         return set()
     kinds = known_effects()
     return {(name, target) for name, target in keys if kinds[name].is_always_present(target, robot)}
@@ -264,9 +266,8 @@ def _masked_candidate(
         return best
     for key in keys:
         data, effects = refine_jointly(known, key)
-        one = evaluate_candidates(
-            data, known.floor, chosen, explained, limbs, rng, {key}, len(every)
-        )[0]
+        state = SearchState(chosen, explained, {key}, len(every))
+        one = evaluate_candidates(data, known.floor, state, limbs, rng)[0]
         if one.earned and (best[0] is None or one.score > best[0].score):
             best = one, effects
     return best

@@ -13,7 +13,6 @@ import numpy as np
 from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import Mixing
-from surefoot.models.observer.observer import Observer
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.limits import bounded_json
@@ -61,14 +60,6 @@ class Bounds:
     confidence: float | None = None
     persistent: BiasModel | None = None
     warnings: tuple[str, ...] = ()
-
-    def check_observer(self, observer: Observer) -> None:
-        """Raise BoundsError if these bounds were calibrated for another observer."""
-        if observer.hash != self.observer:
-            raise BoundsError(
-                f"the bounds belong to observer {self.observer[:12]}, not to {observer.hash[:12]}; "
-                "calibrate this one"
-            )
 
     def epsilon_at(self, R_BI: np.ndarray) -> np.ndarray:
         """Bounds (3,) for a rotated IMU: the smallest box along its axes that contains ours.

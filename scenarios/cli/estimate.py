@@ -325,8 +325,7 @@ class Compare:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.compare import compare_log, write_comparison
-        from surefoot.scenarios.estimate.comparison_words import left_out_lines
+        from surefoot.scenarios.compare import compare_log, left_out_lines, write_comparison
         from surefoot.scenarios.estimate.run import robot_of
         from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.scenarios.reporting.tables import to_markdown

@@ -21,17 +21,14 @@ from surefoot.scenarios.cli.runs import (
 )
 from surefoot.scenarios.cli.signals import Interrupted, interruptions
 from surefoot.scenarios.cli.study import (
-    Bench,
     Demo,
     ExperimentCommand,
     LoopCommand,
-    Montecarlo,
     PlanCommand,
     Realism,
     Suite,
     TraceCommand,
     Tune,
-    Walking,
 )
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.plugins import with_plugins
@@ -50,7 +47,6 @@ COMMANDS: dict[str, type] = {
     "loop": LoopCommand,
     "realism": Realism,
     "plan": PlanCommand,
-    "montecarlo": Montecarlo,
     "import": Import,
     "info": Info,
     "export": Export,
@@ -58,9 +54,7 @@ COMMANDS: dict[str, type] = {
     "view": View,
     "robots": Robots,
     "new": New,
-    "walking": Walking,
     "tune": Tune,
-    "bench": Bench,
 }
 
 

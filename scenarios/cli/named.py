@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
-from surefoot.scenarios.studies.bench.items import check_item
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.files import bundled, is_file, is_there
 from surefoot.sim.common.log_file import check_first_bytes
@@ -79,10 +78,8 @@ _LOOKED_UP = {
     "robot": _machine_file,
     "walker": robot_file,
     "scenarios": scenario_file,
-    "course": scenario_file,
     "map": map_file,
     "effects": _known_effect,
-    "only": check_item,
 }
 """Option that is a name, or for some a file -> function that raises SurefootError if it is unknown.
 """

@@ -42,12 +42,10 @@ FOLDER_OPTIONS = ("data", "cache")
 BOUNDED = {
     "workers": "workers",
     "seeds": "walks",
-    "trials": "items",
-    "rounds": "items",
     "budget": "items",
 }
 """Options that are counts -> name of their limit."""
-GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "montecarlo", "walking", "tune"}
+GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "tune"}
 """Commands that continue after an interruption when run again."""
 SPACE = 4_000_000
 """Free space that a command needs to start [bytes], for reports and figures."""
@@ -82,7 +80,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             if given.get(option) and Path(given[option]).is_file():
                 raise SurefootError(f"--{option} {given[option]}: is a file, not a folder")
         if given.get("page"):
-            from surefoot.scenarios.studies.pages import check_page
+            from surefoot.scenarios.reporting.pages import check_page
 
             check_page(given["page"])
         for path in own:

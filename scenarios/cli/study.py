@@ -1,4 +1,4 @@
-"""Commands that run a whole workflow: the demo, traces, experiments and studies."""
+"""Commands that run a whole workflow: the demo, traces and experiments."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,6 @@ from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.cli.options import (
     NEEDED,
     BoundsFiles,
-    Cluster,
     Declared,
     Flag,
     Force,
@@ -18,7 +17,6 @@ from surefoot.scenarios.cli.options import (
     Json,
     Logs,
     Observers,
-    OptionalInt,
     OptionalNamed,
     OptionalPath,
     OptionalSeeds,
@@ -32,7 +30,6 @@ from surefoot.scenarios.cli.options import (
     read_logs,
 )
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
-from surefoot.scenarios.studies.bench.items import ITEMS
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 
 
@@ -71,11 +68,10 @@ class TraceCommand:
     def run(self) -> None:
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
-        from surefoot.scenarios.trace.run import trace
-        from surefoot.scenarios.trace.since import unchanged_beside
+        from surefoot.scenarios.trace.run import trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
-        from surefoot.sim.robot.fixed_base import machine_for_log
+        from surefoot.sim.robot.machine import machine_for_log
 
         if not self.logs:
             raise SurefootError("give at least one log")
@@ -288,86 +284,6 @@ class Suite(GridOptions):
 
 
 @dataclass(frozen=True)
-class Montecarlo:
-    """Reproduce the paper's runtime-accuracy and consistency tables, with further regimes."""
-
-    out: Out
-    """Folder for the tables and report.html."""
-    trials: OptionalInt = None
-    """Trials in each regime, at least two; by default those of the bundled montecarlo.toml."""
-    seed: OptionalInt = None
-    """Seed of the trials; by default that of the bundled montecarlo.toml."""
-    workers: OptionalInt = None
-    """Number of parallel processes on this machine; by default one for each core."""
-    cluster: Cluster = None
-    data: OptionalPath = None
-    """Folder of finished regimes, which later runs reuse; by default `cases` in the output."""
-    page: OptionalPath = None
-    """Page of results to write as well, such as docs/results/montecarlo.md."""
-    force: Force = False
-
-    def run(self) -> None:
-        from surefoot.scenarios.studies.montecarlo.report import montecarlo
-
-        text = montecarlo(
-            self.out,
-            self.trials,
-            self.seed,
-            self.force,
-            self.workers,
-            self.cluster,
-            self.data,
-            self.page,
-        )
-        print(text)
-        print(f"report: {self.out / 'report.html'}")
-
-
-@dataclass(frozen=True)
-class Walking:
-    """Measure how robots walk: falls, tracking, slip, creep and speed on four grounds and courses.
-
-    Without --robot and --course: every known robot, and the courses of both suites.
-    """
-
-    out: Out
-    """Folder for walking.md and finished walks."""
-    robot: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME|FILE")] = ()
-    """Name of a robot, or its file (MJCF or URDF); it walks on flat ground, a slope, a slippery
-    patch and stairs.
-    """
-    course: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME|FILE")] = ()
-    """Scenario (TOML file or bundled name), walked by its own robot with every seed."""
-    seeds: int = 5
-    """Number of seeds of each course, from 0."""
-    workers: Workers = 1
-    data: OptionalPath = None
-    """Folder of finished walks, which later runs reuse; by default `walks` in the output."""
-    page: OptionalPath = None
-    """Page of results to write as well, such as docs/results/walking.md."""
-    force: Force = False
-
-    def run(self) -> None:
-        from surefoot.scenarios.studies.walking.study import report, walking_study
-
-        print(
-            report(
-                walking_study(
-                    self.out,
-                    self.robot,
-                    self.course,
-                    self.seeds,
-                    self.workers,
-                    self.data,
-                    self.page,
-                    self.force,
-                )
-            )
-        )
-        print(f"table: {self.out / 'walking.md'}")
-
-
-@dataclass(frozen=True)
 class Tune:
     """Search the best parameters of filters, with the same budget for each; an interrupted run is
     resumed.
@@ -410,25 +326,6 @@ class Tune:
         )
         print(text)
         print(f"parameters: {self.out / 'tuned.toml'}")
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Measure run times, each as a ratio to a reference timed in the same run."""
-
-    rounds: int = 12
-    """Number of repetitions of each pair, alternating; the shortest time counts."""
-    only: Annotated[
-        UseAppendAction[tuple[str, ...]],
-        arg(metavar="ITEM", help=f"One of {', '.join(ITEMS)}; by default all."),
-    ] = ()
-    page: OptionalPath = None
-    """Page of results to write as well, such as docs/results/bench.md."""
-
-    def run(self) -> None:
-        from surefoot.scenarios.studies.bench.run import bench
-
-        print(bench(self.rounds, self.only, self.page))
 
 
 @dataclass(frozen=True)

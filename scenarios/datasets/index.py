@@ -19,7 +19,6 @@ import pandas as pd
 
 from surefoot.estimator.metrics import path_length
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, whole_file
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
@@ -237,14 +236,6 @@ def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
     with whole_file(path.with_name("README.md"), force=True) as temporary:
         temporary.write_text(card(rows), encoding="utf-8")
     return path
-
-
-def read_index(folder: Path) -> pd.DataFrame:
-    """The index of a folder of logs. Raises SurefootError where there is none."""
-    path = folder / INDEX_FOLDER / "index.parquet"
-    if not path.exists():
-        raise SurefootError(f"{path}: no such file; `surefoot simulate -o {folder}` writes it")
-    return pd.read_parquet(path)
 
 
 def with_hash(row: IndexRow, path: Path) -> IndexRow:

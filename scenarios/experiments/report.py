@@ -41,8 +41,8 @@ from surefoot.scenarios.reporting.html import (
     save_picture,
     write_report,
 )
+from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
     clear_debris,

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.models.calibration.empirical_coverage import binomial_interval
-from surefoot.scenarios.estimate.compare import LOST_FROM, MEANINGS
+from surefoot.scenarios.compare import LOST_FROM, MEANINGS
 from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.run import Outcome

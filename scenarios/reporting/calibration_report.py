@@ -19,8 +19,8 @@ from surefoot.scenarios.reporting.calibration_tables import (
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
+from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.progress import bar as drawn_bar

@@ -22,12 +22,12 @@ import pandas as pd
 from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.models.observer.observer import ObserverError
 from surefoot.scenarios.cache import contents_digest
-from surefoot.scenarios.estimate.compare import compare_log
+from surefoot.scenarios.compare import compare_log
 from surefoot.scenarios.estimate.learning import learn, learnt_in
 from surefoot.scenarios.estimate.run import Learnt, declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
+from surefoot.scenarios.reporting.pages import check_page
 from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.studies.pages import check_page
 from surefoot.scenarios.trace.gait_choice import GaitChoice, choose_gait
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import (

@@ -13,14 +13,14 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.scenarios.estimate.compare import Comparison
+from surefoot.scenarios.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
 from surefoot.scenarios.reporting.html import Picture, Section, nested, write_report
+from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.scenarios.studies.pages import origin_of, write_page
 from surefoot.scenarios.trace.gait_choice import GaitChoice
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
@@ -29,7 +29,7 @@ from surefoot.scenarios.trace.observer_errors import (
     recalibrated,
 )
 from surefoot.scenarios.trace.words import caution
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
@@ -107,7 +107,8 @@ def write_loop(
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     drawn = _trajectories(worlds)
     last = worlds[-1].comparison
-    write_recording(out / "loop.rrd", log, robot, drawn, last.prediction, last.bounds, force=True)
+    walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)
+    write_recording(out / "loop.rrd", walk, force=True)
     sections = [
         Section("Before and after", _prose(found, worlds), table),
         *_of_observers(worlds, measured, trained_on_measured),

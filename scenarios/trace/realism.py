@@ -13,11 +13,10 @@ from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.experiments.as_walked import AsWalked
 from surefoot.scenarios.reporting.html import Section
-from surefoot.scenarios.studies.pages import origin_of, write_page, write_results
-from surefoot.scenarios.trace.realism_drift import FILTER, drift_table
+from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.scenarios.trace.training_walks import beyond_simulated, simulated_robot
-from surefoot.scenarios.trace.walk_comparison import WalkComparison
+from surefoot.scenarios.trace.walk_comparison import FILTER, WalkComparison, drift_table
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
 from surefoot.sim.effects import Effect

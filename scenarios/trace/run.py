@@ -5,6 +5,7 @@ after.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from surefoot.models.attribution.diagnose import diagnose, logs_under_model
 from surefoot.models.attribution.evidence import LogUnderModel
@@ -18,10 +19,11 @@ from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import motion_to_distinguish
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import refuse_overwrite, whole_folder
+from surefoot.sim.common.files import protect, refuse_overwrite, whole_folder
+from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.machine import Machine
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
@@ -165,7 +167,7 @@ def _filtered(
     """
     done: list[BeforeAfter] = []
     for case in cases:
-        if case.fixed or isinstance(case.robot, FixedBase):
+        if case.fixed:
             continue
         if not (case.log.has("imu") and case.log.has("reference")):
             continue
@@ -173,3 +175,42 @@ def _filtered(
         begin = t[0] + (1 - share) * (t[-1] - t[0])
         done += before_and_after(case.log, case.robot, effects, learnt, begin, t[-1])
     return tuple(done)
+
+
+def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> RunVariation | None:
+    """Variation read from the trace.json beside a file of effects, if that trace found these
+    effects and had enough runs; else None.
+
+    Raises SurefootError where the trace.json is damaged.
+    """
+    file = effects_file.with_name("trace.json")
+    if not file.is_file():
+        return None
+    protect(file)
+    said = bounded_json(file, "trace")
+    if not isinstance(said, dict) or not _found(said.get("effects"), declared):
+        return None
+    if "unchanged" not in said:
+        return None
+    try:
+        one = said["unchanged"]
+        differ = {(str(x["name"]), str(x["target"])): _size(x["deviation"]) for x in one["differ"]}
+        left = {str(name): _size(level) for name, level in one["left"].items()}
+        return RunVariation(int(one["runs"]), differ, left)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        raise SurefootError(f"{file}: 'unchanged' is damaged; trace the runs again") from None
+
+
+def _found(said: Any, declared: Sequence[Effect]) -> bool:
+    """Whether a trace's effects are these."""
+    if not isinstance(said, list) or not all(isinstance(one, dict) for one in said):
+        return False
+    found = [(one.get("name"), one.get("target"), one.get("value")) for one in said]
+    return found == [(one.name, one.target, one.value) for one in declared]
+
+
+def _size(value: Any) -> float:
+    size = float(value)
+    if not 0.0 <= size < float("inf"):
+        raise ValueError(size)
+    return size

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from glob import escape
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from platformdirs import user_cache_path
 
@@ -226,6 +227,12 @@ def file_digest(path: str | Path) -> str:
     """SHA-256 of a file's content, as hexadecimal digits."""
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def json_digest(values: Any) -> str:
+    """SHA-256 of plain JSON."""
+    text = json.dumps(values, sort_keys=True, default=float)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def check_space(path: Path, needed: float) -> None:

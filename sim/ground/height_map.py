@@ -73,13 +73,3 @@ def _rough(nodes, s, x, y):
     else:
         a, b = z11 - z01, z01 - z00
     return z00 + a * u + b * v, a / dx, b / dy
-
-
-@kernel
-def surfaces(height_map, x, y):
-    """Heights (N,) [m] and unit normals (N, 3) at the points x, y (N,) [m]."""
-    z, n = np.empty(len(x)), np.empty((len(x), 3))
-    for k in range(len(x)):
-        z[k] = height(height_map, x[k], y[k])
-        n[k, 0], n[k, 1], n[k, 2] = normal(height_map, x[k], y[k])
-    return z, n

@@ -2,7 +2,6 @@
 
 import csv
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +12,9 @@ from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.layout import COMMENTS, encoding_of
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable, column_readings
+from surefoot.sim.importing.table import RecordedTable
 
 _SPACES = r"\s+"
-
-
-def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
-    """Read the named columns of a CSV file with a header, each (N,) float64 and finite.
-
-    Lines are counted from 1, including the header. Raises SurefootError for a missing or binary
-    file, a missing or duplicate column, a line of the wrong length, and a cell that is empty, not a
-    number, or not finite.
-    """
-    table = read_text(Path(path), Source())
-    return {name: column_readings(table, name, Source())[1] for name in columns}
 
 
 def read_text(path: Path, source: Source) -> RecordedTable:

@@ -5,12 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.sim.common.deferred_normals import deferred_normals
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.gauss_markov import GaussMarkov
+from surefoot.sim.common.gauss_markov import GaussMarkov, deferred_normals
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.common.low_pass import low_pass_from
+from surefoot.sim.common.series import low_pass_from
 from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
@@ -210,7 +209,7 @@ class SensorErrors:
     def __init__(
         self, sensors: Sensors, rng: np.random.Generator, shape: tuple[int, int, int], rate: float
     ):
-        """Advances `rng` to where `sensed_contact` continues.
+        """Advances `rng` to where a `ContactSwitch` continues.
 
         Args:
             sensors: sizes of the errors; noise is a density, per rtHz.
@@ -295,24 +294,11 @@ class _ImuErrors:
         return np.clip(np.round(noisy / step) * step, -self._range, self._range)
 
 
-def add_sensor_errors(streams: Streams, sensors: Sensors, rng: np.random.Generator) -> Streams:
-    """Add every sensor's errors to the readings, drawn from `rng`; noise is a density, per rtHz."""
-    shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
-    return SensorErrors(sensors, rng, shape, streams.rate).apply(streams)
-
-
-def sensed_contact(
-    streams: Streams, weight: float, sensors: Sensors, rng: np.random.Generator
-) -> np.ndarray:
-    """Sensed contact (N, 4) of each foot of a robot of `weight` [N].
-
-    The measured force compared with a threshold, delayed, and wrong in samples drawn from `rng`.
-    """
-    return ContactSwitch(sensors, rng, weight, streams.rate).read(streams)
-
-
 class ContactSwitch:
-    """`sensed_contact` for a walk whose readings come in pieces."""
+    """Sensed contact of each foot over a walk, whose readings may come in pieces.
+
+    The measured force compared with a threshold, delayed, and wrong in samples drawn at random.
+    """
 
     def __init__(self, sensors: Sensors, rng: np.random.Generator, weight: float, rate: float):
         """Draws from `rng` as pieces are read; `weight` of the robot [N], `rate` of the log

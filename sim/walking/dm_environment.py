@@ -10,7 +10,7 @@ env.log().write("mine.parquet")
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import dm_env
 import mujoco
@@ -21,10 +21,12 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.effects import Effect
+from surefoot.sim.gait.course import Course
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import (
     STEPS_PER_TICK,
+    at_rest,
     first_steps,
     has_fallen,
     mj_views,
@@ -48,9 +50,8 @@ except ModuleNotFoundError as error:
         "bring on Python 3.13 and later: there one of its dependencies is built by a compiler"
     ) from error
 
-SETTLING_PERIODS = (
-    round(SETTLING_TIME / TIMESTEP) // STEPS_PER_TICK
-)  # control periods before the log begins
+SETTLING_PERIODS = round(SETTLING_TIME / TIMESTEP) // STEPS_PER_TICK
+"""Control periods before the log begins."""
 TOLERANCE = 0.5  # m/s and rad/s, of the reward
 
 
@@ -58,11 +59,12 @@ class WalkingEnvironment(dm_env.Environment):
     """A robot on a scenario's course, one step a control period of 4 ms.
 
     actions: "torque", joint torques (12,) [N m]; or "position", joint targets (12,) [rad] that a
-    motor law kp (target - q) - kd dq follows at every timestep of 2 ms, kp [N m/rad] and kd
-    [N m s/rad] a number or (12,) (by default, scaled to the robot's size). Both are clipped to
-    their limits. Observations are true values in SI units, the inputs of `sim.gait.controller.tick`
-    (see `observation_spec`). The reward, from 0 to 1, measures how near the base's velocity is to
-    the command's; the episode ends with the course, or with discount 0 in a fall.
+    motor law kp (target - q) - kd dq follows at every timestep of 2 ms. gains: kp [N m/rad] and kd
+    [N m s/rad] of this law, a number or (12,) each; by default, scaled to the robot's size. Both
+    actions are clipped to their limits. Observations are true values in SI units, the inputs of
+    `sim.gait.controller.tick` (see `observation_spec`). The reward, from 0 to 1, measures how near
+    the base's velocity is to the command's; the episode ends with the course, or with discount 0 in
+    a fall.
 
     An episode begins with the robot standing still, as the log of `sim.walk.walk` does. The same
     scenario, robot, seed, effects and actions give the same Log, bit for bit.
@@ -74,8 +76,7 @@ class WalkingEnvironment(dm_env.Environment):
         robot: Robot,
         seed: int = 0,
         actions: Literal["torque", "position"] = "torque",
-        kp: float | np.ndarray | None = None,
-        kd: float | np.ndarray | None = None,
+        gains: tuple[float | np.ndarray, float | np.ndarray] | None = None,
         effects: Sequence[Effect] = (),
     ):
         if actions not in ("torque", "position"):
@@ -84,10 +85,11 @@ class WalkingEnvironment(dm_env.Environment):
             raise SurefootError("position targets are logged a row a timestep: [sensors] rate")
         self._scenario, self._robot, self._effects = scenario, robot, tuple(effects)
         self._by_position = actions == "position"
-        stiff = 0.75 * robot.mass * GRAVITY * robot.leg_length if kp is None else kp
-        damping = 0.03 * np.asarray(stiff) if kd is None else kd
-        self._kp = np.array(np.broadcast_to(stiff, 12), dtype=float) * self._by_position
-        self._kd = np.array(np.broadcast_to(damping, 12), dtype=float) * self._by_position
+        stiff = 0.75 * robot.mass * GRAVITY * robot.leg_length
+        self._kp, self._kd = (
+            np.array(np.broadcast_to(gain, 12), dtype=float) * self._by_position
+            for gain in gains or (stiff, 0.03 * stiff)
+        )
         self._plan_for(seed)
 
     def _plan_for(self, seed: int) -> None:
@@ -113,7 +115,9 @@ class WalkingEnvironment(dm_env.Environment):
         made, data = self._plan, self._physics.data.ptr
         mujoco.mj_resetData(made.world.model, data)
         data.qpos[:] = made.world.start
-        trot(made.world, data, self._robot, made.gait, made.course, self._trace, SETTLING_PERIODS)
+        course = made.course
+        settling = Course(*(x[:SETTLING_PERIODS] for x in (course.t, course.pose, course.velocity)))
+        trot(at_rest(made.world, self._robot, made.gait, data), settling, self._trace, course.t[-1])
         self._k = SETTLING_PERIODS * STEPS_PER_TICK
         self._over = False
         return dm_env.restart(self._observation())
@@ -130,7 +134,7 @@ class WalkingEnvironment(dm_env.Environment):
         first, self._k = self._k, self._k + STEPS_PER_TICK
         self._wanted[first : self._k] = wanted
         torque = np.zeros(12) if self._by_position else wanted
-        motors = _Motors(self._kp, self._kd, self._robot.torque_limit)
+        motors = self._kp, self._kd, self._robot.torque_limit
         _drive(self._body, self._trace, first, torque, wanted, motors)
         qpos = self._body.qpos
         fell = has_fallen(self._plan.gait, self._plan.world.height_map, qpos, rotation(*qpos[3:7]))
@@ -209,12 +213,6 @@ def _reward(observation: OrderedDict) -> float:
     return float(np.exp(-miss @ miss))
 
 
-class _Motors(NamedTuple):
-    kp: np.ndarray  # (12,) N m/rad
-    kd: np.ndarray  # (12,) N m s/rad
-    limit: np.ndarray  # (12,) N m
-
-
 @kernel(nogil=True)
 def _drive(body, trace, k, torque, target, motors):
     """One control period of torques plus those of the motor law, clipped to the motors' limits.
@@ -224,7 +222,7 @@ def _drive(body, trace, k, torque, target, motors):
         trace: a Recording, written.
         k: the period's first timestep.
         torque, target: (12,) N m and rad.
-        motors: _Motors.
+        motors: kp [N m/rad], kd [N m s/rad] and the limit [N m], (12,) each.
     """
     kp, kd, limit = motors
     for i in range(STEPS_PER_TICK):

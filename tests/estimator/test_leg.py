@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from lie_group import se_inverse, se_log
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
+from whole_runs import run_leg
 
 from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
-from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance, run_leg
+from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
 from surefoot.estimator.metrics import evaluate, nees
 from surefoot.estimator.run import imu_samples
 from surefoot.estimator.updates.contact import (
@@ -66,7 +68,7 @@ def group(mean):
 
 
 def error(estimate, truth):
-    xi = lie.se_log(group(estimate) @ lie.se_inverse(group(truth)))
+    xi = se_log(group(estimate) @ se_inverse(group(truth)))
     return np.concatenate([xi[:9], (estimate[5:7] - truth[5:7]).ravel(), xi[9:]])
 
 

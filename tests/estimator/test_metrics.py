@@ -174,10 +174,9 @@ def test_nees_is_3_for_errors_drawn_from_the_covariance():
         means.append(mean)
     means = np.array(means)
     turn = Rotation.from_euler("Z", 1.0).as_matrix()
-    Ad = lie.se_adjoint(np.block([[turn, np.zeros((3, 1)), np.array([[4.0], [5.0], [6.0]])],
-                                  [np.zeros((2, 3)), np.eye(2)]]))  # fmt: skip
     big = np.eye(15)
-    big[:9, :9] = Ad
+    big[:9, :9] = np.kron(np.eye(3), turn)
+    big[6:9, :3] = lie.hat(np.array([4.0, 5.0, 6.0])) @ turn
     estimate = Trajectory(
         truth.t,
         turn @ means[:, :3],

@@ -48,7 +48,6 @@ OPTIONS = [
     ("steps of 400 digits", f"train walk.parquet --steps {'9' * 400} -o new.pt", "--steps"),
     ("a batch of 400 digits", f"train walk.parquet --batch {'9' * 400} -o new.pt", "--batch"),
     ("a spacing of 400 digits", f"calibrate observer.pt walk.parquet --K {'9' * 400} -o new.json", "--K"),
-    ("trials of 400 digits", f"montecarlo --trials {'9' * 400} -o new", "--trials"),
     ("a level of one", "calibrate observer.pt walk.parquet --gamma 1.0 -o new.json", "gamma"),
     ("a level of no number", "calibrate observer.pt walk.parquet --gamma nan -o new.json", "gamma"),
     ("a level below zero", "calibrate observer.pt walk.parquet --gamma -0.5 -o new.json", "gamma"),
@@ -84,9 +83,6 @@ OPTIONS = [
     ("rows in a file", "experiment experiment.toml -o new --data mine.txt", "--data"),
     ("a cache in a file", "experiment experiment.toml -o new --cache mine.txt", "--cache"),
     ("a picture of another format", "robots spot_class -o new.xyz", ".png"),
-    ("trials of a trillion", "montecarlo --trials 1000000000000 -o new", "--trials"),
-    ("one trial", "montecarlo --trials 1 -o new", "--trials"),
-    ("walks below zero", "walking --seeds -1 -o new", "--seeds"),
     ("a name that no terminal has", "estimate \u2603.parquet --filter imu", ".parquet"),
     ("a name with an escape", "estimate \x1b[2J.parquet --filter imu", ".parquet"),
     ("an observer for a log", "estimate observer.pt --filter imu", "observer.pt"),
@@ -144,5 +140,4 @@ OUTPUTS = [
     ("a page over its scenario", "experiment experiment.toml -o new --page experiment.toml", "input"),
     ("a page over the user's file", "experiment experiment.toml -o new --page mine.txt", "mine.txt"),
     ("a search over the user's", "tune walk.parquet -o user --force", "tuned.toml"),
-    ("a table of walks over the user's", "walking -o user --force", "walking.md"),
 ]

@@ -13,7 +13,7 @@ from good_files import good_files  # noqa: E402
 from test_refused import CASES  # noqa: E402
 
 from surefoot.scenarios.reporting.html import Section  # noqa: E402
-from surefoot.scenarios.studies.pages import origin_of, write_page  # noqa: E402
+from surefoot.scenarios.reporting.pages import origin_of, write_page  # noqa: E402
 
 PAGE = HERE.parents[1] / "docs" / "results" / "hostile.md"
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from shutil import rmtree
 
 import numpy as np
-import pandas as pd
 import pytest
 from forked import contents, copied
 from good_files import FILES
@@ -59,15 +58,10 @@ COMMANDS = {
     "view": ("view a.parquet -o out/walk.rrd", "*.none"),
     "tune": ("tune a.parquet --filter imu --filter leg --budget 4 --workers 2 -o out", "tuned.*"),
     "plan": ("plan encoder_offset --robot spot_class", "*"),
-    "bench": ("bench --rounds 1 --only box --page out/bench.md", "*.none"),
-    "montecarlo": ("montecarlo --trials 2 --workers 2 -o out", "beyond.csv"),
-    "walking": ("walking --course c.toml --seeds 2 --workers 2 -o out", "walking.csv"),
     "realism": ("realism a.parquet -o out", "drift.csv"),
     "trace": ("trace a.parquet -o out", "effects.toml"),
 }
 """Command, and those of its files whose bytes depend on nothing but its input."""
-TIMED = {"walking.csv": ["pace", "bare_pace"]}
-"""Columns that say how fast the machine was."""
 BEGUN = {
     "suite": "suite spot --seeds 0 --workers 2 --no-recordings -o out",
     "loop": "loop a.parquet -o out",
@@ -181,14 +175,7 @@ def same_bytes(one: Path, other: Path, pattern: str) -> None:
     names = sorted(p.relative_to(one) for p in one.glob(pattern))
     assert names == sorted(p.relative_to(other) for p in other.glob(pattern))
     for name in names:
-        assert untimed(one / name) == untimed(other / name), name
-
-
-def untimed(path: Path) -> bytes:
-    """Bytes of a file, of a table without its TIMED columns."""
-    if path.name not in TIMED:
-        return path.read_bytes()
-    return pd.read_csv(path, dtype=str).drop(columns=TIMED[path.name]).to_csv().encode()
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
 
 
 def interrupted_once(command: str, folder: Path, number: int, after: float) -> bool:

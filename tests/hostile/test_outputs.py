@@ -33,7 +33,6 @@ WRITING = {
     "trace": "trace walk.parquet -o new",
     "loop": "loop walk.parquet -o new",
     "realism": "realism walk.parquet -o new",
-    "montecarlo": "montecarlo --trials 2 -o new",
     "import": "import data.csv --map map.toml -o new.parquet",
     "import's map": "import data.csv --guess -o new.toml",
     "export to CSV": "export walk.parquet -o new.csv",
@@ -43,7 +42,6 @@ WRITING = {
     "view": "view quick.toml -o new.rrd",
     "robots": "robots spot_class -o new.png",
     "new": "new estimator mine -o new",
-    "walking": "walking -o new --seeds 1 --course quick.toml",
     "tune": "tune walk.parquet --filter imu --budget 2 -o new",
 }
 """What writes -> a command that does, named `new` with or without an ending."""
@@ -57,8 +55,6 @@ HOURS = (
     "trace",
     "loop",
     "realism",
-    "montecarlo",
-    "walking",
 )
 """Those that write only when much work is done."""
 SHORT_WALK = """

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.models.attribution.angle_error import angle_error_basis, angle_errors
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.search import attribute
 from surefoot.models.attribution.split import split_of
-from surefoot.scenarios.studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot

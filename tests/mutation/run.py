@@ -34,7 +34,7 @@ from scipy.stats import binomtest  # noqa: E402
 from trial import Outcome, Workplace, dotted  # noqa: E402
 
 from surefoot.scenarios.reporting.html import Section  # noqa: E402
-from surefoot.scenarios.studies.pages import origin_of, write_page  # noqa: E402
+from surefoot.scenarios.reporting.pages import origin_of, write_page  # noqa: E402
 from surefoot.sim.common.files import cache_folder, kept_file  # noqa: E402
 from surefoot.sim.common.toml import read_typed  # noqa: E402
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from dataset_index import read_index
 
-from surefoot.scenarios.datasets.index import read_index
 from surefoot.scenarios.datasets.simulate import simulate_all
 from surefoot.sim.common.errors import SurefootError
 

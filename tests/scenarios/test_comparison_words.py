@@ -9,9 +9,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from surefoot.estimator.metrics import Metrics
-from surefoot.scenarios.estimate.compare import Comparison, _pictures
-from surefoot.scenarios.estimate.comparison_words import (
+from surefoot.scenarios.compare import (
     ONE_WALK,
+    Comparison,
+    _pictures,
     command_line,
     error_summary,
     left_out_lines,

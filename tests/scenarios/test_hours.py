@@ -5,9 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from dataset_index import read_index
 
 from surefoot.scenarios.datasets import simulate
-from surefoot.scenarios.datasets.index import read_index
 from surefoot.sim.log import LogReader
 
 LAP = """robot = "spot_class"

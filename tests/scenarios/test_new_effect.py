@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.models.attribution.diagnose import diagnose
-from surefoot.scenarios.studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, add
 from surefoot.sim.effects.base import AXES, Effect, with_columns

@@ -3,16 +3,16 @@
 import json
 from dataclasses import replace
 
-from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
-from surefoot.scenarios.reporting.plotting import new_figure
-from surefoot.scenarios.studies.pages import (
+from surefoot.scenarios.reporting.pages import (
     Origin,
     origin_of,
     pages_table,
     read_origin,
     write_page,
 )
+from surefoot.scenarios.reporting.plotting import new_figure
+from surefoot.scenarios.reporting.rows import finished_case
 
 MODULE = "surefoot.scenarios.reporting.tables"
 

@@ -7,8 +7,8 @@ import pytest
 
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.training import Schedule, train
+from surefoot.scenarios.compare import compare_log, table, write_comparison
 from surefoot.scenarios.demo import demo
-from surefoot.scenarios.estimate.compare import compare_log, table, write_comparison
 from surefoot.scenarios.estimate.run import ESTIMATORS, Learnt, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect

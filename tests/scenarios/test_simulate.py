@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from dataset_index import read_index
 
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.datasets.index import Journal, read_index
+from surefoot.scenarios.datasets.index import Journal
 from surefoot.scenarios.datasets.simulate import _without_imu, simulate_all
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects

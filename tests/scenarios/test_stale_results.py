@@ -8,6 +8,7 @@ from importlib import import_module
 import pytest
 from own_package import PACKAGES
 
+from studies import observers
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.models.residuals.registry import BUNDLED_CHANNELS
 from surefoot.scenarios import tune
@@ -20,7 +21,6 @@ from surefoot.scenarios.estimate.tuned import read_tuned
 from surefoot.scenarios.experiments import products
 from surefoot.scenarios.experiments.file import Learning
 from surefoot.scenarios.experiments.products import LearntFiles
-from surefoot.scenarios.studies import observers
 from surefoot.scenarios.trace import loop
 from surefoot.sim.common import sources
 from surefoot.sim.common.errors import SurefootError
@@ -108,7 +108,7 @@ def test_every_member_of_a_registry_counts_where_it_is_named(registry, holder):
     [
         "surefoot.scenarios.viewer.recording",
         "surefoot.scenarios.experiments.products",
-        "surefoot.scenarios.studies.hardware.go1",
+        "studies.hardware.go1",
         "surefoot.scenarios.tune",
     ],
 )

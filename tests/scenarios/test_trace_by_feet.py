@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from given_feet import with_feet_for_joints
 
+from studies.hardware.walks_by_feet import aligned_walk
 from surefoot.models.attribution.noise_floor import POINT_FEET
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.studies.hardware.walks_by_feet import aligned_walk
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.scenarios.trace.words import summary
@@ -20,7 +20,7 @@ from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 

@@ -11,14 +11,13 @@ from pendulum import swung
 
 from surefoot.models.attribution.found import Found
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.trace.run import trace, trace_logs
-from surefoot.scenarios.trace.since import unchanged_beside
+from surefoot.scenarios.trace.run import trace, trace_logs, unchanged_beside
 from surefoot.scenarios.trace.words import size_in_words, summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.file import load_effects, save_effects
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 PENDULUM = load_machine("ak80_pendulum")
 ROTOR = effect("armature", "shoulder", 0.03)

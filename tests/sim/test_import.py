@@ -19,10 +19,11 @@ from surefoot.sim.importing.map_catalog import bundled_maps, map_file
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.report import import_lines
-from surefoot.sim.importing.sections import EVENNESS
-from surefoot.sim.importing.text_file import read_csv
+from surefoot.sim.importing.sections import EVENNESS, Source
+from surefoot.sim.importing.table import column_readings
+from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import JOINTS, Log
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.sensors.contact import contact_from_force
 
 MEASURED = measured_folder()
@@ -311,6 +312,11 @@ def test_a_recording_without_stamps_takes_the_rate_of_its_map(tmp_path):
     assert log.rate == 200.0
 
 
+def readings(path, *columns):
+    table = read_text(path, Source())
+    return {name: column_readings(table, name, Source())[1] for name in columns}
+
+
 @FUZZ
 @example(content='" "')
 @example(content='"\n"\r1')
@@ -319,7 +325,7 @@ def test_any_bytes_are_a_table_or_one_clear_line(tmp_path, content):
     path = tmp_path / "any.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     try:
-        table = read_csv(path, ["a", "b"])
+        table = readings(path, "a", "b")
     except SurefootError as error:
         message = str(error)
     else:
@@ -346,7 +352,7 @@ def test_a_cell_is_a_number_or_is_named(tmp_path, row, cell):
     if np.isfinite(value):
         return
     with pytest.raises(SurefootError, match=f"column 'a', line {row + 2}"):
-        read_csv(path, ["a"])
+        readings(path, "a")
 
 
 @pytest.mark.parametrize(

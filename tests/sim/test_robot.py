@@ -16,9 +16,10 @@ from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
+from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
+from surefoot.sim.robot.machine import load_machine, machine_for_log
 from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -589,7 +590,7 @@ def test_a_urdf_whose_links_hang_from_each_other_is_refused(tmp_path):
     tip = weld.format("c", "knee", "foot")
     file = tmp_path / "circle.urdf"
     file.write_text(URDF.replace("</robot>", f"{links}{circle}{tip}</robot>"))
-    with pytest.raises(SurefootError, match="MuJoCo cannot read it"):
+    with pytest.raises(SurefootError, match="in a circle"):
         compiled_model(file)
     file.write_text(URDF.replace("</robot>", '<joint name="loose" type="fixed"/></robot>'))
     with pytest.raises(SurefootError, match="MuJoCo cannot read it"):

@@ -4,13 +4,12 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from ground_course import surfaces, whole_course
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
-from surefoot.sim.gait.course import integrate_course
-from surefoot.sim.ground.height_map import surfaces
 from surefoot.sim.scenario import Scenario, drawn
 from surefoot.sim.scenario_catalog import bundled_scenarios
 
@@ -100,7 +99,7 @@ HIGHEST_RISER = 0.13  # m: shins strike the edges of stairs from 15 cm on
 def test_no_course_leads_over_a_pit_or_a_wall(path):
     scenario = Scenario.load(path)
     height_map = drawn(scenario, np.random.default_rng(0)).scenario.ground.height_map
-    course = integrate_course(scenario.segments, 0.01, scenario.stand, scenario.laps)
+    course = whole_course(scenario.segments, 0.01, scenario.stand, scenario.laps)
     x, y, yaw = course.pose.T
     for aside in (-0.7, -0.35, 0.0, 0.35, 0.7):
         z, _ = surfaces(height_map, x - aside * np.sin(yaw), y + aside * np.cos(yaw))

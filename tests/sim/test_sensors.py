@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.low_pass import low_pass, without_low_pass
-from surefoot.sim.sensors.streams import Sensors, Streams, add_sensor_errors, sensed_contact
+from surefoot.sim.common.series import low_pass, without_low_pass
+from surefoot.sim.sensors.streams import ContactSwitch, SensorErrors, Sensors, Streams
 
 WEIGHT = 300.0  # N
 RATE = 500.0  # Hz
@@ -32,32 +32,37 @@ def streams():
     )
 
 
-def rng():
-    return np.random.default_rng(5)
+def sensed(streams, sensors):
+    return ContactSwitch(sensors, np.random.default_rng(5), WEIGHT, streams.rate).read(streams)
+
+
+def with_errors(streams, sensors):
+    shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
+    return SensorErrors(sensors, np.random.default_rng(5), shape, streams.rate).apply(streams)
 
 
 def test_contact_is_a_threshold_by_default(streams):
-    sensed = sensed_contact(streams, WEIGHT, Sensors(), rng())
-    assert_array_equal(sensed, streams.force > 0.08 * WEIGHT)
+    contact = sensed(streams, Sensors())
+    assert_array_equal(contact, streams.force > 0.08 * WEIGHT)
 
 
 def test_contact_is_told_late(streams):
-    sensed = sensed_contact(streams, WEIGHT, Sensors(contact_delay=0.02), rng())
-    assert_array_equal(sensed[10:], (streams.force > 0.08 * WEIGHT)[:-10])
+    contact = sensed(streams, Sensors(contact_delay=0.02))
+    assert_array_equal(contact[10:], (streams.force > 0.08 * WEIGHT)[:-10])
 
 
 def test_contact_is_wrong_as_often_as_told(streams):
     stands = streams.force > 0
     sensors = Sensors(contact_missed=0.05, contact_false=0.01)
-    sensed = sensed_contact(streams, WEIGHT, sensors, rng())
+    contact = sensed(streams, sensors)
     # 40000 samples of each kind: three standard deviations of the counts.
-    assert (~sensed[stands]).mean() == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 4e4))
-    assert sensed[~stands].mean() == pytest.approx(0.01, abs=3 * np.sqrt(0.01 * 0.99 / 4e4))
+    assert (~contact[stands]).mean() == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 4e4))
+    assert contact[~stands].mean() == pytest.approx(0.01, abs=3 * np.sqrt(0.01 * 0.99 / 4e4))
 
 
 def test_encoder_offsets_are_constant_and_leave_the_other_sensors_alone(streams):
-    plain = add_sensor_errors(streams, Sensors(), rng())
-    shifted = add_sensor_errors(streams, Sensors(encoder_offset=0.02), rng())
+    plain = with_errors(streams, Sensors())
+    shifted = with_errors(streams, Sensors(encoder_offset=0.02))
     offset = shifted.q[0] - plain.q[0]
     assert 0.005 < np.std(offset) < 0.05
     assert_allclose(shifted.q - plain.q, np.tile(offset, (len(plain.t), 1)), atol=1e-12)
@@ -88,8 +93,8 @@ def test_low_pass_starts_at_rest():
 
 
 def test_imu_bandwidth_takes_vibration_away_and_leaves_the_mean(streams):
-    narrow = add_sensor_errors(streams, Sensors(imu_bandwidth=10.0), rng())
-    wide = add_sensor_errors(streams, Sensors(), rng())
+    narrow = with_errors(streams, Sensors(imu_bandwidth=10.0))
+    wide = with_errors(streams, Sensors())
     assert narrow.gyro.std() < 0.4 * wide.gyro.std()
     assert_allclose(narrow.accel.mean(0), wide.accel.mean(0), atol=2e-3)
     assert_array_equal(narrow.q, wide.q)

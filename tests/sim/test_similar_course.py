@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ground_course import whole_course
 
-from surefoot.sim.gait.course import integrate_course
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -47,7 +47,7 @@ def test_the_path_is_similar_and_the_froude_number_the_same():
     scaled = course_for(COURSE, small(k))
     lead, whole = ([s.duration for s in one.segments] for one in (scaled, COURSE))
     assert np.allclose(lead, np.sqrt(k) * np.array(whole))
-    before, after = (integrate_course(one.segments, dt, 0.0) for one in (COURSE, scaled))
+    before, after = (whole_course(one.segments, dt, 0.0) for one in (COURSE, scaled))
     # Turns ramp up at one rate whatever the size, which costs a turn of four seconds some 3 %.
     assert after.pose[-1] == pytest.approx([k, k, 1.0] * before.pose[-1], rel=0.05)
     speeds = [np.abs(one.velocity[:, 0]).max() ** 2 for one in (before, after)]

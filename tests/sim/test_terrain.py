@@ -3,9 +3,10 @@
 import mujoco
 import numpy as np
 import pytest
+from ground_course import surfaces
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.height_map import height, normal, surfaces
+from surefoot.sim.ground.height_map import height, normal
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.ground.tiles import add_ground
 

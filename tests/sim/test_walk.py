@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ground_course import whole_course
 from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
@@ -9,7 +10,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import gait_for
-from surefoot.sim.gait.course import integrate_course
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.physics.scene import TIMESTEP, build_world
@@ -75,7 +75,7 @@ def test_another_seed_gives_another(log):
 def test_imu_rows_integrate_back_to_the_reference():
     """Row k carries the state of row k - 1 exactly to that of row k (Hartley et al. 2020)."""
     world = build_world(SPOT, TERRAIN)
-    course = integrate_course(SCENARIO.segments, TIMESTEP * STEPS_PER_TICK, 1.0)
+    course = whole_course(SCENARIO.segments, TIMESTEP * STEPS_PER_TICK, 1.0)
     motion = simulate(world, SPOT, gait_for(SPOT, 1.0), course)
     streams = ideal_streams(motion, SPOT)
     R_GI, p_GI, v_GI = imu_motion(motion, SPOT)

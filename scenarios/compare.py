@@ -1,0 +1,365 @@
+"""Run every filter on every log: table, figures, report and recordings."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+import surefoot
+from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.estimator.metrics import Metrics, path_length
+from surefoot.scenarios.datasets.index import slip_and_creep
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.estimate.estimators import estimator_named, traits
+from surefoot.scenarios.estimate.run import (
+    Result,
+    declared_model,
+    run_all,
+)
+from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.scenarios.reporting.figures import (
+    height_figure,
+    position_error,
+    trajectories,
+    velocity_figure,
+)
+from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
+from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.progress import bar as drawn_bar
+from surefoot.sim.ground.ground_metadata import ground_of_log
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.physics.foot_truth import SLIPPING
+from surefoot.sim.robot import Robot
+
+if TYPE_CHECKING:  # only a filter that has learnt needs torch
+    from surefoot.models.calibration.bounds import Bounds
+    from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
+    from surefoot.models.observer.predict import Prediction
+
+LOST_FROM = "not to be trusted from [s]"
+MEANINGS = {
+    "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
+    "APE_rot [deg]": "attitude RMSE after the same alignment",
+    "RPE_trans [m]": "position RMSE over all 1 m segments of the reference path",
+    "RPE_rot [deg/m]": "attitude RMSE over the same segments",
+    "pi<gamma [%]": "share of updates on which the coverage update was active",
+    "coverage [%]": "share of velocity errors jointly inside the bounds, with a 95 % interval",
+    "NEES_pos": "mean normalised squared position error; 3 is consistent, more is overconfident",
+    "NEES_vel": "the same of velocity",
+    "NEES_att": "the same of attitude",
+    LOST_FROM: "when innovations, biases or rejected measurements showed that the filter was lost",
+    "step [us]": "computing time per IMU sample, observer and legs included (varies by machine)",
+}
+CONSISTENT = 3.0
+"""NEES of three axes if a filter's covariance is that of its error."""
+ONE_WALK = tuple(float(edge) for edge in chi2.ppf((0.025, 0.975), CONSISTENT))
+"""95 % interval of the NEES of a consistent filter on one walk, whose persistent error is one
+draw.
+"""
+_LEAST = [name for name in METRICS if name.startswith(("APE", "RPE"))]
+_CONSISTENCY = [name for name in METRICS if name.startswith("NEES")]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All filters on one log."""
+
+    log: Log
+    robot: Robot | None
+    results: tuple[Result, ...]
+    left_out: dict[str, str]  # filter -> why
+    prediction: "Prediction | None"
+    bounds: "Bounds | None"
+    held: dict[str, "EmpiricalCoverage"]  # filter -> empirical coverage of its bounds
+    warnings: tuple[str, ...] = ()  # what in the log is not plausible
+
+    @property
+    def doubts(self) -> list[str]:
+        """A sentence for each filter that is not to be trusted."""
+        return [r.health.sentence(r.filter) for r in self.results if r.health.lost]
+
+    @property
+    def drawn(self) -> Robot | None:
+        """The robot that a recording draws along the reference; None without one, or without
+        joints.
+        """
+        return self.robot if self.log.has("reference") and self.log.has("q") else None
+
+
+def compare_log(
+    log: Log,
+    robot: Robot | None,
+    learnt: Learnt,
+    names: Sequence[str] | None = None,
+    settings: FilterSettings | None = None,
+) -> Comparison:
+    """Run every filter that can run on `log`, with a progress bar.
+
+    Args:
+        log: to estimate.
+        robot: of the log; without one, only filters that need none are run.
+        learnt: observers and bounds.
+        names: of the filters; by default all.
+        settings: noise, priors and start; by default those tuned for the robot.
+    """
+    with drawn_bar(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
+
+        def progress(name: str) -> None:
+            bar.set_postfix_str(name, refresh=False)  # or a pipe has a line a filter
+            bar.update()
+
+        results, left_out = run_all(log, robot, learnt, names, progress, settings)
+    known, model = declared_model(log, robot)  # as the filters see it
+    prediction, bounds = None, None
+    held: dict[str, EmpiricalCoverage] = {}
+    for name in reversed([result.filter for result in results]):  # the first one's are drawn
+        bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
+        if bounded_by is None:
+            continue
+        from surefoot.models.calibration.empirical_coverage import coverage
+        from surefoot.models.observer.predict import predict, prediction_errors
+
+        observer, bounds = bounded_by(learnt)
+        prediction = predict(observer, known, model)
+        if log.has("reference"):
+            held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
+    return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held)
+
+
+def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
+    """One row per log and filter; MEANINGS describes the columns."""
+    rows = []
+    for comparison in comparisons:
+        for result in comparison.results:
+            values: dict[str, object] = {"step [us]": 1e6 * result.step_time}
+            if result.metrics is not None:
+                held = comparison.held.get(result.filter)
+                values |= metrics_row(result.metrics)
+                values["coverage [%]"] = _with_interval(held) if held else None
+            if result.health.lost:
+                values[LOST_FROM] = result.health.since
+            row: dict[str, object] = {"log": result.log, "filter": result.filter}
+            rows.append(row | {name: values[name] for name in MEANINGS if name in values})
+    # The first row may lack columns that later ones have.
+    known = {name for row in rows for name in row}
+    return pd.DataFrame(
+        rows, columns=[name for name in ("log", "filter", *MEANINGS) if name in known]
+    )
+
+
+def write_comparison(
+    comparisons: Sequence[Comparison],
+    out: Path,
+    title: str,
+    ground: Ground | None = None,
+    extra: Sequence[Section] = (),
+    force: bool = False,
+) -> pd.DataFrame:
+    """Write table.md, table.csv, figures/, report.html and one recording per log into `out`.
+
+    Args:
+        comparisons: one per log.
+        out: folder.
+        title: of the report.
+        ground: drawn in figures and recordings; None for that of each log, if any.
+        extra: sections added to the report.
+        force: whether files may be replaced.
+    """
+    found = table(comparisons)
+    with whole_file(out / "table.md", force) as path:
+        path.write_text(to_markdown(found) + "\n", encoding="utf-8")
+    with whole_file(out / "table.csv", force) as path:
+        path.write_text(to_csv(found), encoding="utf-8")
+    sections = _summary_sections(comparisons, found)
+    for comparison in comparisons:
+        pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
+        for name, picture in pictures.items():
+            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
+        sections.append(
+            Section(
+                f"The log '{comparison.log.name}'",
+                _walk_prose(comparison),
+                None,
+                tuple(pictures.values()),
+            )
+        )
+        if (robot := comparison.drawn) is not None:
+            walk = RecordedWalk(
+                comparison.log,
+                robot,
+                {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
+                comparison.prediction,
+                comparison.bounds,
+                ground,
+            )
+            write_recording(out / f"{comparison.log.name}.rrd", walk, force)
+    made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
+    sections += [*extra, Section("Made by", made_by)]
+    write_report(out / "report.html", title, sections, force)
+    return found
+
+
+def _with_interval(held: "EmpiricalCoverage") -> str:
+    low, high = 100 * held.joint_interval
+    return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
+
+
+def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
+    """The table, and an explanation of it."""
+    first = [
+        error_summary(c.log.name, {r.filter: r.metrics for r in c.results if r.metrics is not None})
+        for c in comparisons
+    ]
+    first += [f"On {c.log.name}, {words}." for c in comparisons for words in c.doubts]
+    first += [
+        f"Not plausible in {c.log.name}: {words}." for c in comparisons for words in c.warnings
+    ]
+    left_out = [
+        f"{line[0].upper()}{line[1:]}."
+        for c in comparisons
+        for line in left_out_lines(c.log.name, c.left_out)
+    ]
+    ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
+    glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
+    glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
+    return [
+        Section("Filters compared", "\n\n".join(first), with_best_marked(found)),
+        Section(
+            "How to read the table",
+            "\n\n".join(["The best values are in bold.", *left_out]),
+            glossary,
+        ),
+    ]
+
+
+def _walk_prose(comparison: Comparison) -> str:
+    log = comparison.log
+    name = comparison.robot.name if comparison.robot else "A robot that is not named"
+    text = f"{name}, {log.t[-1] - log.t[0]:.1f} s"
+    if log.has("reference"):
+        text += f", {path_length(log.t, log.ref_p):.1f} m"
+    if log.has("truth"):
+        slipping, creep = slip_and_creep(log)
+        text += (
+            f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * slipping:.1f} % of their "
+            f"samples; on dry ground they creep at {1e3 * creep:.2f} mm/s (median)"
+        )
+    if comparison.bounds is not None:
+        x, y, z = comparison.bounds.epsilon
+        text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"
+    if comparison.drawn is not None:
+        text += f". Recording: surefoot view {log.name}.rrd"
+    elif log.has("reference"):
+        text += ". No recording, which needs joint angles and a known robot"
+    if log.meta.seed is not None:
+        text += f". Simulated from {log.meta.scenario}, seed {log.meta.seed}"
+    return text + "."
+
+
+def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Picture]:
+    if not (comparison.log.has("reference") and comparison.results):
+        return {}
+    truth = reference(comparison.log)
+    shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
+    errors: dict[str, ErrorSeries] = {
+        r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
+    }
+    pictures = {
+        "trajectories": Picture(
+            trajectories(
+                comparison.log,
+                errors,
+                ground.patches if ground else (),
+                fields=ground.fields if ground else (),
+            ),
+            "The walk from above: truth and every estimate, aligned at the start.",
+        ),
+        "height": Picture(
+            height_figure(comparison.log, errors),
+            "Height over time: no sensor on board measures it, so every filter drifts.",
+        ),
+        "position_error": Picture(
+            position_error(errors),
+            "Distance from the truth, and the three sigma each filter claims for itself.",
+        ),
+    }
+    prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
+    if prediction is not None and bounds is not None and robot is not None:
+        pictures["velocity"] = Picture(
+            velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI)),
+            "Body velocity: the observer's prediction, its calibrated bounds, and the truth.",
+        )
+    return pictures
+
+
+def error_summary(log: str, metrics: Mapping[str, Metrics]) -> str:
+    """Describe which filter has the least error on a log, and which are over- or underconfident."""
+    if not metrics:
+        return f"On {log}: no errors to compare, without a reference or a filter that held."
+    errors = {name: one.ape_trans for name, one in metrics.items()}
+    best = min(errors, key=lambda name: errors[name])
+    what = "has an error of" if len(errors) == 1 else "has the least error,"
+    text = f"On {log}: {best} {what} {cell(errors[best])} m (APE_trans)"
+    nees = {name: one.nees_position for name, one in metrics.items()}
+    low, high = ONE_WALK
+    for what, names in (
+        ("overconfident", [name for name, value in nees.items() if value > high]),
+        ("underconfident", [name for name, value in nees.items() if value < low]),
+    ):
+        if names:
+            shown = ", ".join(f"{name} ({cell(nees[name], 2)})" for name in names)
+            text += f"; {what} (NEES_pos, 3 if consistent): {shown}"
+    return f"{text}."
+
+
+def left_out_lines(log: str, reasons: Mapping[str, str]) -> list[str]:
+    """Lines on the filters that did not run on a log, grouped by reason."""
+    together: dict[str, list[str]] = {}
+    for name, why in reasons.items():
+        together.setdefault(why.removeprefix(f"{log}: "), []).append(name)
+    return [f"left out on {log}: {', '.join(names)} ({why})" for why, names in together.items()]
+
+
+def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
+    """The table without empty columns, with the best values on each log in bold.
+
+    That is the least error and, among consistent filters, the NEES with the ratio nearest to 1 of
+    3.
+    """
+    marked = found.dropna(axis=1, how="all").astype(object)
+    for _, rows in found.groupby("log", sort=False):
+        for column in _LEAST + _CONSISTENCY:
+            if column not in marked or len(rows[column].dropna()) < 2:
+                continue
+            values = rows[column].astype(float)
+            off = values
+            if column in _CONSISTENCY:
+                off = np.abs(np.log(np.maximum(values, 1e-12) / CONSISTENT))
+                off = off[values.between(ONE_WALK[0], ONE_WALK[1])]
+            if off.empty:
+                continue
+            best = cell(values[off.idxmin()])
+            for at in values.index[[cell(value) == best for value in values]]:
+                marked.at[at, column] = f"**{best}**"
+    return marked
+
+
+def command_line(arguments: Sequence[str]) -> str:
+    """The command as in `sys.argv`, without the folders of absolute paths; empty if surefoot was
+    not started as a command.
+    """
+    program, *rest = arguments or [""]
+    if not program.endswith(("/surefoot", "/__main__.py")):
+        return ""
+    return " ".join(
+        ["surefoot", *(one.rpartition("/")[2] if one[:1] == "/" else one for one in rest)]
+    )

@@ -1,0 +1,89 @@
+"""Operations on sampled series: low-pass filter, convolution, noise level, evenly spaced rows."""
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from surefoot.sim.common.kernels import kernel
+
+
+def low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
+    """Filter x (N, K), sampled at `rate` [Hz], with a first-order low-pass of time constant `time`
+    [s], in equilibrium with its first sample.
+    """
+    return low_pass_from(None, x, time, rate)[0] if time > 0.0 else x
+
+
+def low_pass_from(
+    state: np.ndarray | None, x: np.ndarray, time: float, rate: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Apply `low_pass` to a piece of the readings; also returns its state at the end.
+
+    Args:
+        state: at the end of the previous piece; None for the first.
+        x: readings (N, K).
+        time: time constant [s], above zero.
+        rate: sampling rate [Hz].
+    """
+    keep = np.exp(-1.0 / (time * rate))
+    state = keep * x[0] if state is None else state
+    return recursion(np.ascontiguousarray(x, dtype=float), 1.0 - keep, keep, state)
+
+
+@kernel
+def recursion(x, gain, keep, state):
+    """First-order recursion y[n] = gain x[n] + keep y[n-1] of x (N, K), each column by itself.
+
+    Args:
+        x: (N, K).
+        gain: of the input.
+        keep: of the output before.
+        state: (K,), keep times the output before the first row.
+
+    Returns y (N, K) and the state after the last row.
+    """
+    out, state = np.empty_like(x), state.copy()
+    for n in range(len(x)):
+        for k in range(x.shape[1]):
+            out[n, k] = state[k] + gain * x[n, k]
+            state[k] = keep * out[n, k]
+    return out, state
+
+
+def without_low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
+    """Inverse of `low_pass`, for filtered readings x (N, K); amplifies noise added after the
+    filter.
+
+    time: time constant [s]; rate: sampling rate [Hz].
+    """
+    if not time > 0.0:
+        return x
+    keep = np.exp(-1.0 / (time * rate))
+    return np.concatenate([x[:1], (x[1:] - keep * x[:-1]) / (1.0 - keep)])
+
+
+def convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Convolution (A + B - 1,) of a (A,) with b (B,), by FFT.
+
+    As `scipy.signal.fftconvolve`, whose package takes half a second to import.
+    """
+    size = len(a) + len(b) - 1
+    fast = next_fast_len(size, real=True)
+    product = np.asarray(rfft(a, fast)) * np.asarray(rfft(b, fast))
+    return np.asarray(irfft(product, fast))[:size]
+
+
+def white_noise(x: np.ndarray) -> np.ndarray:
+    """Standard deviation (...,) of the white noise of readings x (N, ...), N >= 3.
+
+    The second difference has six times the variance of the noise, and little of the motion.
+    """
+    return np.std(np.diff(x, n=2, axis=0), axis=0) / np.sqrt(6.0)
+
+
+def rows_every(t: np.ndarray, period: float) -> np.ndarray:
+    """Increasing rows of t (N,) [s]: for each multiple of `period` [s] after t[0], the first row at
+    or after it.
+    """
+    rows = np.searchsorted(t, np.arange(t[0], t[-1], period))
+    # Rounding may put the last time after the last row.
+    return np.unique(np.minimum(rows, len(t) - 1))

@@ -1,0 +1,96 @@
+"""The blind study of `trace`: logs with undeclared effects, and the effects that it finds.
+
+`study.toml` is the plan. Finished cases are stored, so that an interrupted study is resumed. Run
+it, and write its report, by `python -m studies.blind -o DIR`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from studies.blind.plan import PLAN, Case, draw_cases, study_robot
+from studies.blind.report import write_report_of
+from studies.blind.trial import run_case
+from studies.command import OutputFolder
+from surefoot.models.attribution.evidence import candidates_digest
+from surefoot.scenarios.reporting.rows import finished_case, read_case
+from surefoot.scenarios.stages import processes, stage
+from surefoot.sim.common.toml import read_toml
+
+_MODULE = "studies.blind.trial"
+
+
+def run_blind_study(
+    folder: Path, workers: int = 1, at_most: int | None = None, plan: Path = PLAN
+) -> list[dict[str, Any]]:
+    """Run up to `at_most` unfinished cases of a plan; returns the records of all finished ones.
+
+    Each finished case is a file in `folder`, so a stopped study resumes. Cases of the same walk are
+    run by one worker, since they share its noise floor.
+    """
+    drawn = read_toml(plan, "study")
+    groups: dict[tuple, list[Case]] = {}
+    records: dict[int, dict[str, Any]] = {}
+    left = float("inf") if at_most is None else at_most
+    for case in draw_cases(drawn):
+        row = read_case(folder, _name(case), _inputs(case, drawn), _MODULE)
+        if row is not None:
+            records[case.number] = row
+        elif left > 0:
+            left -= 1
+            # Small groups, so that a study stopped early has covered all effects alike.
+            key = case.number // 80, case.robot, case.seed
+            groups.setdefault(key, []).append(case)
+    with processes(workers) as pool:
+        jobs = {key: (_run_group, group, folder, plan) for key, group in groups.items()}
+        for rows in stage(pool, "study", jobs).values():
+            records |= rows
+    return [records[number] for number in sorted(records)]
+
+
+def _run_group(group: Sequence[Case], folder: Path, plan: Path) -> dict[int, dict[str, Any]]:
+    drawn = read_toml(plan, "study")
+    return {
+        case.number: finished_case(
+            folder,
+            _name(case),
+            _inputs(case, drawn),
+            _MODULE,
+            lambda case=case: run_case(case, plan),
+        )
+        for case in group
+    }
+
+
+def _name(case: Case) -> str:
+    return f"{case.number:03d}"
+
+
+def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
+    effects = [e.as_dict() for e in case.effects]
+    drawn = {"kind": case.kind, "robot": case.robot, "seed": case.seed, "effects": effects}
+    known = {"candidates": candidates_digest(), "model": study_robot(case.robot).digest}
+    return drawn | known | {"standing": case.standing, "walk": plan["walk"]}
+
+
+@dataclass(frozen=True)
+class BlindStudy:
+    """Run or resume the blind study of trace, and write its report."""
+
+    out: OutputFolder = Path("out/blind_study")
+    """Folder of the report."""
+    data: Path | None = None
+    """Folder of finished cases; by default `cases` in the output folder."""
+    workers: int = 2
+    at_most: int | None = None
+    """Number of unfinished cases to run now; 0 for the report alone."""
+    page: Path | None = None
+    """Page of results to write too, such as docs/results/blind.md."""
+    plan: Path = PLAN
+    """Another plan of draws, courses and robots; `pilot.toml` is for development."""
+
+    def run(self) -> None:
+        folder = self.data or self.out / "cases"
+        records = run_blind_study(folder, self.workers, self.at_most, self.plan)
+        print(write_report_of(self.out, records, self.page, self.plan))

@@ -1,0 +1,43 @@
+"""An oracle for error states: SE_{2+K}(3) by the matrix exponential, and its logarithm.
+
+Tangent vectors are ordered (rotation, velocity, position, ...), as the paper orders xi.
+"""
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from surefoot.estimator.core.lie import gammas, hat
+
+
+def wedge(xi: np.ndarray) -> np.ndarray:
+    """xi^ (3+m, 3+m) of xi (3 (1+m),)."""
+    m = len(xi) // 3 - 1
+    out = np.zeros((3 + m, 3 + m))
+    out[:3, :3], out[:3, 3:] = hat(xi[:3]), xi[3:].reshape(m, 3).T
+    return out
+
+
+def se_exp(xi: np.ndarray) -> np.ndarray:
+    """exp(xi^) (3+m, 3+m)."""
+    return expm(wedge(xi))
+
+
+def se_log(X: np.ndarray) -> np.ndarray:
+    """xi (3 (1+m),) with exp(xi^) = X."""
+    phi = so3_log(X[:3, :3])
+    left_jacobian = np.empty((3, 3))
+    gammas(phi, np.empty((3, 3)), left_jacobian, np.empty((3, 3)))
+    return np.concatenate([phi, np.linalg.solve(left_jacobian, X[:3, 3:]).T.ravel()])
+
+
+def se_inverse(X: np.ndarray) -> np.ndarray:
+    """X^-1 (3+m, 3+m)."""
+    out = np.eye(len(X))
+    out[:3, :3], out[:3, 3:] = X[:3, :3].T, -X[:3, :3].T @ X[:3, 3:]
+    return out
+
+
+def so3_log(R: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) [rad] of R (3, 3)."""
+    return Rotation.from_matrix(R).as_rotvec()

