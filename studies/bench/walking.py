@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
+from surefoot import Robot, Scenario
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.physics.stepper import start
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.scenario import Ranges, Segment
 from surefoot.sim.sensors.streams import Motion
 from surefoot.sim.walk import Plan, plan, simulate
 from surefoot.sim.walking.batch import Job, walk_batch
