@@ -6,7 +6,8 @@ from surefoot.sim.log.derived import (
     reference_velocity,
     with_velocities,
 )
-from surefoot.sim.log.log import Log, LogError, LogReader, LogWriter
+from surefoot.sim.log.file import LogError, LogReader, LogWriter
+from surefoot.sim.log.log import Log, MemoisedLog
 from surefoot.sim.log.schema import JOINTS, LEGS, SCHEMA, Meta
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "LogError",
     "LogReader",
     "LogWriter",
+    "MemoisedLog",
     "Meta",
     "foot_velocity",
     "joint_velocity",

@@ -21,9 +21,9 @@ from studies.hardware.drives import (
     select,
 )
 from studies.hardware.row_times import RowTimes, row_times
+from surefoot import Log
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Modelled
 
 HANGING_WIDTH = 0.03
@@ -70,7 +70,7 @@ class Drives:
 
 def drives(log: Log, machine: Modelled, period: float) -> Drives:
     """The balance of the log if a row takes `period` [s]."""
-    retimed = replace(log, frame=log.frame.assign(t=period * np.arange(len(log.t))))
+    retimed = log.with_columns({"t": period * np.arange(len(log.t))})
     one = balance(retimed, machine, HANGING_WIDTH, STOPS)
     late = one.t > (1 - REPORT_SHARE) * one.t[-1]
     return Drives(
