@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from surefoot.sim.importing.german_names import in_english, in_plain_letters
 from surefoot.sim.log.schema import LEGS
 
 
@@ -121,10 +120,10 @@ def words_of(name: str) -> list[str]:
     """The words of a name in lower case, separated at punctuation and capitals."""
     # Frames in between, as in EuRoC's a_RS_S_x.
     name = re.sub(r"\b([apqw])_[A-Z]{2}(?:_[A-Z])?_([wxyz])\b", r"\1\2", name)
-    name = in_plain_letters(name).replace("°", " deg ")
+    name = name.replace("°", " deg ")
     apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", name)
     words = [word.lower() for word in re.split(r"[^A-Za-z0-9]+", apart) if word]
-    return _legs_in_one(in_english(words))
+    return _legs_in_one(words)
 
 
 def _legs_in_one(words: list[str]) -> list[str]:

@@ -188,34 +188,14 @@ MANNERS: dict[str, dict[str, str | tuple[str, float]]] = {
     | {"dq": "go.joints.{leg}_{part}_joint.dq", "tau": "go.joints.{leg}_{part}_joint.tau"}
     | {"contact": "go.feet.{leg}.inContact", "ref_p": "go.mocap.translation.{a}"}
     | {"ref_q": "go.mocap.rotation.{a}"},
-    "German": {
-        "t": "Zeit [s]",
-        "gyro": ("Drehrate {A} [°/s]", DEGREES),
-        "accel": "Beschleunigung {A} [m/s²]",
-    }
-    | {
-        "q": ("Winkel {vorne} {links} {Hüfte} [Grad]", DEGREES),
-        "contact": "Kontakt {vorne} {links}",
-    }
-    | {"dq": ("Winkelgeschwindigkeit {vorne} {links} {Hüfte} [Grad/s]", DEGREES)}
-    | {"tau": "Drehmoment {vorne} {links} {Hüfte} [Nm]", "ref_q": "Referenz Quaternion {A}"}
-    | {"ref_p": ("Referenz Position {A} [mm]", 1e3)},
-    "German in short": {"t": ("Zeitstempel_ms", 1e3), "gyro": "Winkelgeschwindigkeit{A}"}
-    | {"accel": "Beschleunigung{A}", "q": "{VL}_{huefte}_Gelenkwinkel"}
-    | {"dq": "{VL}_{huefte}_Geschwindigkeit", "tau": "{VL}_{huefte}_Moment"}
-    | {"contact": "{VL}_Fußkontakt", "ref_p": "Mocap_Position_{A}"}
-    | {"ref_q": "Mocap_Orientierung_{A}"},
 }
 """How others name the columns of a log, and what they multiply its values by where they do."""
 ANYMAL = {"FL": "LF", "FR": "RF", "RL": "LH", "RR": "RH"}
 RIGHT_FIRST = ["FR", "FL", "RR", "RL"]
 PARTS = {
-    "hip": {"HAA": "HAA", "hx": "hx", "roll": "hip_roll", "abduct": "abduct"}
-    | {"Hüfte": "Hüfte", "huefte": "Huefte"},
-    "thigh": {"HAA": "HFE", "hx": "hy", "roll": "hip_pitch", "abduct": "hip"}
-    | dict.fromkeys(("Hüfte", "huefte"), "Oberschenkel"),
-    "calf": {"HAA": "KFE", "hx": "kn", "roll": "knee_pitch", "abduct": "knee"}
-    | {"Hüfte": "Unterschenkel", "huefte": "Knie"},
+    "hip": {"HAA": "HAA", "hx": "hx", "roll": "hip_roll", "abduct": "abduct"},
+    "thigh": {"HAA": "HFE", "hx": "hy", "roll": "hip_pitch", "abduct": "hip"},
+    "calf": {"HAA": "KFE", "hx": "kn", "roll": "knee_pitch", "abduct": "knee"},
 }
 
 
@@ -234,11 +214,6 @@ def in_the_manner_of(manner: str, name: str) -> tuple[str, float]:
     place = ["hip", "thigh", "calf"].index(part) if part else 0
     number, foot = LEGS.index(leg), RIGHT_FIRST.index(leg)
     words = {"leg": leg, "LF": ANYMAL[leg], "part": part, "Part": part.title()}
-    words |= {
-        "vorne": {"front": "vorne", "rear": "hinten"}[end],
-        "VL": "VH"[end == "rear"] + leg[1],
-    }
-    words |= {"links": {"left": "links", "right": "rechts"}[side]}
     counts = {"i": 3 * number + place, "mit": 3 * foot + place, "foot": foot}
     counts |= {"l": number + 1, "j": place + 1}
     return text.format(**words, **counts, **PARTS.get(part, {})), scale
@@ -346,7 +321,7 @@ def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
 def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     t = 0.01 * np.arange(200)
-    table = pd.DataFrame({"Zeit": t, "Kanal 1": np.sin(t), "Kanal 2": np.cos(t)})
+    table = pd.DataFrame({"time": t, "channel 1": np.sin(t), "channel 2": np.cos(t)})
     table.to_csv(tmp_path / "run.csv", index=False)
     draft = guess_map(["run.csv"])
     assert draft.notes == ("no name says what a column is: which of those not used below is what?",)
