@@ -15,9 +15,9 @@ import pandas as pd
 
 from studies.command import OutputFolder, run_study
 from surefoot import Log, Robot, train
+from surefoot.extend import Schedule, SurefootError
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.training import Schedule
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.datasets.simulate import simulate_all
@@ -26,7 +26,6 @@ from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.sources import code_digest
