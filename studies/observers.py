@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 
 from studies.command import OutputFolder, run_study
+from surefoot import Log, Robot, train
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.training import Schedule
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.datasets.simulate import simulate_all
@@ -29,8 +30,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.sources import code_digest
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 
 COURSES = bundled("surefoot.scenarios", "courses")
 _MODULE = "studies.observers"

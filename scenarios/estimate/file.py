@@ -92,7 +92,7 @@ def estimate_file(
         out: file for the trajectory; None to write none.
     """
     estimator, whole = estimator_named(name), not is_long(reader) or bool(reader.meta.effects)
-    first = next(reader.chunks(np.inf if whole else LOG_PIECE))
+    first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
     first, robot = declared_model(first, robot_of(first, robot_name))
     judge = _Judge(None if whole else reader)
@@ -107,7 +107,7 @@ def estimate_file(
     try:
         with ExitStack() as files:
             write: Callable[[Trajectory], None] | None = None
-            chunks = pieces([first] if whole else reader.chunks(LOG_PIECE))
+            chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
             for part in estimated_in_chunks(estimator, chunks, robot, learnt, None, settings):
                 if out is not None:
                     write = write or files.enter_context(_opened(out, part if whole else None))
@@ -147,7 +147,7 @@ def is_long(reader: LogReader) -> bool:
 
 def first_minutes(reader: LogReader) -> Log:
     """The log, or the first CHECKED seconds of a long one, for checks."""
-    return next(reader.chunks(CHECKED if is_long(reader) else np.inf))
+    return next(Log.chunks(reader, CHECKED if is_long(reader) else np.inf))
 
 
 class _Judge:

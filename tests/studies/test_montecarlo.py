@@ -8,7 +8,6 @@ from scipy.special import ndtri
 from whole_runs import filter_of, run_imu
 
 from studies.command import run_study
-from studies.montecarlo.__main__ import Montecarlo
 from studies.montecarlo.qmc import (
     _phi_inverse,
     ordinary_boxes,
@@ -16,7 +15,7 @@ from studies.montecarlo.qmc import (
     runtime_accuracy,
     tensor_moments,
 )
-from studies.montecarlo.report import montecarlo, write_study
+from studies.montecarlo.report import MonteCarlo, montecarlo, write_study
 from studies.montecarlo.settings import (
     BIASED,
     MIXING_LAWS,
@@ -344,12 +343,12 @@ def test_the_command_refuses_bad_options(tmp_path):
         ["--cluster", "tcp://x:1", "--workers", "2"],
     ):
         with pytest.raises(SystemExit) as caught:
-            run_study(Montecarlo, ["-o", str(tmp_path / "out"), *option])
+            run_study(MonteCarlo, ["-o", str(tmp_path / "out"), *option])
         assert option[0] in str(caught.value)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a").write_text("")
     with pytest.raises(SurefootError, match="not empty"):
-        montecarlo(tmp_path / "full", trials=2)
+        montecarlo(MonteCarlo(tmp_path / "full", trials=2))
 
 
 @pytest.mark.parametrize("gamma", [0.6, 0.8])
