@@ -1,6 +1,7 @@
 """Train both observers on some walks, and calibrate bounds for both."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.models.calibration.bounds import Bounds
@@ -13,15 +14,28 @@ from surefoot.scenarios.stages import processes, submitted
 from surefoot.sim.log import Log
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """How observers are trained, and their bounds calibrated.
+
+    Attributes:
+        inputs: columns of the observer, as for `train`.
+        schedule: length and learning rate of the training.
+        gamma: joint level of the bounds.
+    """
+
+    inputs: str = "q,dq,tau"
+    schedule: Schedule = DEFAULT_SCHEDULE
+    gamma: float = 0.8
+
+
 def learn(
     training: Sequence[Log],
     calibration: Log,
     out: Path,
     seed: int,
-    inputs: str = "q,dq,tau",
-    gamma: float = 0.8,
+    recipe: Recipe | None = None,
     force: bool = False,
-    schedule: Schedule = DEFAULT_SCHEDULE,
 ) -> Learnt:
     """Train with each loss in parallel, one process each, calibrate, and store all four in `out`.
 
@@ -30,19 +44,18 @@ def learn(
         calibration: log for the bounds.
         out: folder for observers and bounds.
         seed: of weights and windows.
-        inputs: columns of the observer, as for `train`.
-        gamma: joint level of the bounds.
+        recipe: how.
         force: whether files may be replaced.
-        schedule: length and learning rate of the training.
     """
+    recipe = recipe or Recipe()
     with processes(len(LOSSES)) as pool:
         assert pool is not None
-        tasks = [(_train, list(training), loss, seed, inputs, schedule) for loss in LOSSES]
+        tasks = [(_train, list(training), loss, seed, recipe) for loss in LOSSES]
         observers = tuple(job.result() for job in [submitted(pool, task) for task in tasks])
     bounds = []
     for observer in observers:
         observer.save(out / f"observer_{observer.loss}.pt", force)
-        bounds.append(calibrate(observer, calibration, gamma))
+        bounds.append(calibrate(observer, calibration, recipe.gamma))
         bounds[-1].save(out / f"bounds_{observer.loss}.json", force)
     return Learnt(observers, tuple(bounds))
 
@@ -55,14 +68,13 @@ def learnt_in(out: Path) -> Learnt:
     )
 
 
-def _train(logs: list[Log], loss: str, seed: int, inputs: str, schedule: Schedule) -> Observer:
-    """`train` with positional arguments, for another process.
-
-    Args:
-        logs: to train on.
-        loss: "mse" or "gml".
-        seed: of weights and windows.
-        inputs: columns of the observer, as for `train`.
-        schedule: length and learning rate.
-    """
-    return train(logs, inputs=inputs, loss=loss, seed=seed, progress=True, schedule=schedule)
+def _train(logs: list[Log], loss: str, seed: int, recipe: Recipe) -> Observer:
+    """`train` with positional arguments, for another process."""
+    return train(
+        logs,
+        inputs=recipe.inputs,
+        loss=loss,
+        seed=seed,
+        progress=True,
+        schedule=recipe.schedule,
+    )

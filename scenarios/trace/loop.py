@@ -23,7 +23,7 @@ from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.models.observer.observer import ObserverError
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.compare import compare_log
-from surefoot.scenarios.estimate.learning import learn, learnt_in
+from surefoot.scenarios.estimate.learning import Recipe, learn, learnt_in
 from surefoot.scenarios.estimate.run import Learnt, declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.pages import check_page
@@ -254,9 +254,8 @@ def _learnt(
             )
         training = [rates_as_of(one, log) for one in training]
         calibration = rates_as_of(calibration, log)
-        learnt = learn(
-            training, calibration, out, seed, inputs_of(log), force=True, schedule=plan.schedule
-        )
+        recipe = Recipe(inputs_of(log), plan.schedule)
+        learnt = learn(training, calibration, out, seed, recipe, force=True)
         _write(out / "errors.json", error_parts(learnt.observers[0], calibration).rms)
         done.touch()
     simulated = ErrorParts(json.loads((out / "errors.json").read_text(encoding="utf-8")))
