@@ -17,7 +17,7 @@ from surefoot.models.observer.predict import predict
 from surefoot.scenarios.cli.options import learnt_from
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, traits
 from surefoot.scenarios.estimate.run import declared_model, run_all
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 
 PICTURE = Path(__file__).resolve().parent / "viewer.png"
 MOMENT = 38.0
@@ -38,7 +38,7 @@ def overview(demo: Path, path: Path) -> None:
     observer, bounds = learnt.bounded()
     seen = predict(observer, *declared_model(log, robot))
     estimates = {result.filter: result.trajectory for result in results}
-    write_recording(path, log, robot, estimates, seen, bounds, tab="Overview")
+    write_recording(path, RecordedWalk(log, robot, estimates, seen, bounds), tab="Overview")
 
 
 def draw(recording: Path) -> None:

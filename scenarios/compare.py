@@ -31,7 +31,7 @@ from surefoot.scenarios.reporting.figures import (
 )
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
@@ -193,16 +193,15 @@ def write_comparison(
             )
         )
         if (robot := comparison.drawn) is not None:
-            write_recording(
-                out / f"{comparison.log.name}.rrd",
+            walk = RecordedWalk(
                 comparison.log,
                 robot,
                 {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
                 comparison.prediction,
                 comparison.bounds,
                 ground,
-                force=force,
             )
+            write_recording(out / f"{comparison.log.name}.rrd", walk, force)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
     write_report(out / "report.html", title, sections, force)

@@ -37,11 +37,13 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
     exists (without `force`).
     """
     if picture is not None and picture.suffix != ".png":
-        raise SurefootError(f"-o {picture}: the picture is a .png")
+        raise SurefootError(f"{picture}: the picture is a .png")
     robot = load_machine(name_or_path)
     if isinstance(robot, FixedBase):
         if picture is not None:
-            raise SurefootError(f"-o: {robot.name} is a machine on a fixed base, without a picture")
+            raise SurefootError(
+                f"out: {robot.name} is a machine on a fixed base, without a picture"
+            )
         joints = ", ".join(robot.joint_names)
         text = f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
         if robot.legless:

@@ -13,13 +13,15 @@ if TYPE_CHECKING:
     from surefoot.models.alignment.alignment import align
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.calibration.calibrate import calibrate
+    from surefoot.models.calibration.settings import CalibrateSettings
     from surefoot.models.observer.observer import Observer
+    from surefoot.models.observer.settings import TrainSettings
     from surefoot.models.observer.training import train
     from surefoot.scenarios.compare import compare_log as compare
     from surefoot.scenarios.estimate.contract import Learnt, Sample
     from surefoot.scenarios.estimate.run import run_filter
     from surefoot.scenarios.estimate.streaming import StreamingEstimator
-    from surefoot.scenarios.trace.run import trace
+    from surefoot.scenarios.trace.run import TraceOptions, trace
     from surefoot.sim.log import Log
     from surefoot.sim.robot.robot import Robot
     from surefoot.sim.scenario import Scenario
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bounds",
+    "CalibrateSettings",
     "Learnt",
     "Log",
     "Observer",
@@ -34,6 +37,8 @@ __all__ = [
     "Sample",
     "Scenario",
     "StreamingEstimator",
+    "TraceOptions",
+    "TrainSettings",
     "__version__",
     "align",
     "calibrate",
@@ -47,6 +52,7 @@ __all__ = [
 
 _HOMES = {
     "Bounds": "surefoot.models.calibration.bounds:Bounds",
+    "CalibrateSettings": "surefoot.models.calibration.settings:CalibrateSettings",
     "Learnt": "surefoot.scenarios.estimate.contract:Learnt",
     "Log": "surefoot.sim.log:Log",
     "Observer": "surefoot.models.observer.observer:Observer",
@@ -54,6 +60,8 @@ _HOMES = {
     "Sample": "surefoot.scenarios.estimate.contract:Sample",
     "Scenario": "surefoot.sim.scenario:Scenario",
     "StreamingEstimator": "surefoot.scenarios.estimate.streaming:StreamingEstimator",
+    "TraceOptions": "surefoot.scenarios.trace.run:TraceOptions",
+    "TrainSettings": "surefoot.models.observer.settings:TrainSettings",
     "align": "surefoot.models.alignment.alignment:align",
     "calibrate": "surefoot.models.calibration.calibrate:calibrate",
     "compare": "surefoot.scenarios.compare:compare_log",

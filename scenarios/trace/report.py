@@ -20,7 +20,7 @@ from surefoot.scenarios.trace.words import (
     sizes_in_words,
     unexplained_in_words,
 )
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot import Robot
@@ -51,7 +51,7 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
         if effects:
             estimates[f"{first.filter} (effect added)"] = first.after
         assert isinstance(robot, Robot)
-        write_recording(out / "trace.rrd", first.log, robot, estimates)
+        write_recording(out / "trace.rrd", RecordedWalk(first.log, robot, estimates))
     write_report(out / "report.html", "Trace: what does the model lack?", sections(found))
     save_effects(out / "effects.toml", effects, limbs=robot.limbs)
     with whole_file(out / "trace.json") as temporary:

@@ -7,13 +7,16 @@ those around the cursor explain the colours in their titles.
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from surefoot.scenarios.estimate.estimators import shown_at_first
-from surefoot.scenarios.viewer.scene import estimate_path
+from surefoot.scenarios.viewer.scene import estimate_path, trunk_size
 from surefoot.scenarios.viewer.series import ANGLES, BANDS, series_part
 from surefoot.sim.effects.base import AXES
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 
 _WINDOW = 3.0  # s on each side of the time cursor, about six strides
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.LeftTop)
@@ -29,29 +32,28 @@ _ANGLE_WORDS = {"roll": "about forward", "pitch": "about left", "yaw": "about up
 
 
 def layout(
+    log: Log,
+    robot: Robot,
     estimators: Sequence[str],
-    eye: tuple[float, float, float],
-    centre: tuple[float, float, float],
-    span: float,
-    times: tuple[float, float],
-    has_feet: bool,
-    has_slip: bool,
     has_update: bool,
     tab: str = EXPLANATION,
 ) -> rrb.Blueprint:
     """The blueprint of one recording.
 
     Args:
+        log: the walk.
+        robot: whose size determines the camera's distance.
         estimators: their names; without any there are no error tabs.
-        eye: (3,) m, position of the following camera relative to the robot's on the ground.
-        centre: (3,) m, middle of the walk.
-        span: m, its longer side on the ground.
-        times: start and end of the walk [s], on the recording's timeline.
-        has_feet: contacts were written.
-        has_slip: slip speeds were written.
         has_update: masses of the coverage update were written.
         tab: that is open initially.
     """
+    lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
+    eye = tuple(4.0 * float(trunk_size(robot)[0]) * np.array([-0.9, -1.2, 0.8]))
+    centre = tuple(0.5 * (lower + upper))
+    span = float((upper - lower)[:2].max()) + 1.0
+    times = float(log.t[0]), float(log.t[-1])
+    has_feet = log.has("contact")
+    has_slip = has_feet and log.has("truth")
     shown = shown_at_first(estimators)
     scene = rrb.Vertical(_following(estimators, shown, eye), _map(estimators, shown, centre, span))
     scene.row_shares = [3, 2]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.log import Log, Meta
@@ -34,16 +34,17 @@ def write_preview(
     """
     if Path(source).suffix == ".parquet":
         log = Log.read(source)
-        write_recording(path, log, Robot.for_log(log, robot), {}, force=force)
+        write_recording(path, RecordedWalk(log, Robot.for_log(log, robot)), force)
         return
     if source not in bundled_scenarios() and Path(source).suffix != ".toml":
         raise SurefootError(f"{source}: view opens recordings (.rrd), logs and scenarios (.toml)")
     scenario = Scenario.load(source)
     name = robot or scenario.robot
     if not name:
-        raise SurefootError(f"scenario {source}: names no robot: say which with --robot")
+        raise SurefootError(f"scenario {source}: names no robot: say which")
     made = plan(scenario, Robot.load(name), seed)
-    write_recording(path, _course_log(made), made.robot, {}, ground=made.ground, force=force)
+    walk = RecordedWalk(_course_log(made), made.robot, ground=made.ground)
+    write_recording(path, walk, force)
 
 
 def _course_log(made: Plan) -> Log:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import rerun as rr
-from rerun.blueprint import Blueprint
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
@@ -67,16 +66,30 @@ _FEET = (
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 
 
+@dataclass(frozen=True)
+class RecordedWalk:
+    """A walk and its estimates, to be shown.
+
+    Attributes:
+        log: the walk; needs its joints and a reference. Contacts, truth and IMU are optional.
+        robot: whose geoms are drawn, and which has the mounting of the IMU.
+        trajectories: estimator name -> its estimate.
+        prediction: the observer's rows (M,) of the log and v_I (M, 3) m/s there.
+        bounds: of that observer; they are rotated to the robot's IMU if its mounting differs.
+        ground: on which the robot walked, as drawn with its seed; None draws that of the log, if
+            any.
+    """
+
+    log: Log
+    robot: Robot
+    trajectories: Mapping[str, Trajectory] = field(default_factory=dict)
+    prediction: Prediction | None = None
+    bounds: Bounds | None = None
+    ground: Ground | None = None
+
+
 def write_recording(
-    path: str | Path,
-    log: Log,
-    robot: Robot,
-    trajectories: Mapping[str, Trajectory],
-    prediction: Prediction | None = None,
-    bounds: Bounds | None = None,
-    ground: Ground | None = None,
-    force: bool = False,
-    tab: str = EXPLANATION,
+    path: str | Path, walk: RecordedWalk, force: bool = False, tab: str = EXPLANATION
 ) -> None:
     """Write the .rrd. Raises SurefootError where it exists (without `force`) or the log lacks a
     group.
@@ -87,42 +100,37 @@ def write_recording(
 
     Args:
         path: file to write, with the suffix .rrd.
-        log: the walk; needs its joints and a reference. Contacts, truth and IMU are optional.
-        robot: whose geoms are drawn, and which has the mounting of the IMU.
-        trajectories: estimator name -> its estimate.
-        prediction: the observer's rows (M,) of the log and v_I (M, 3) m/s there.
-        bounds: of that observer; they are rotated to the robot's IMU if its mounting differs.
-        ground: on which the robot walked, as drawn with its seed; None draws that of the log, if
-            any.
+        walk: to show.
         force: overwrite.
         tab: of the viewer that is open initially.
     """
+    log, robot, bounds = walk.log, walk.robot, walk.bounds
     log.require("q", "reference")
     _check_name(path)
     truth = reference(log)
-    errors = {n: error_series(truth, e, rate=_ERROR_RATE) for n, e in trajectories.items()}
+    errors = {n: error_series(truth, e, rate=_ERROR_RATE) for n, e in walk.trajectories.items()}
     stream = rr.RecordingStream("surefoot")
-    records = {name: estimate.updates for name, estimate in trajectories.items()}
+    records = {name: estimate.updates for name, estimate in walk.trajectories.items()}
     records = {n: r for n, r in records.items() if r is not None and r.pi is not None}
     with whole_file(path, force) as temporary:
         # Kept in memory until complete, since rerun's own files wait forever if the disk is full.
         whole = stream.memory_recording()
-        blueprint = _layout(log, robot, tuple(trajectories), bool(records), tab)
+        blueprint = layout(log, robot, tuple(walk.trajectories), bool(records), tab)
         stream.send_blueprint(blueprint, make_active=False)
         stream.send_recording_name(str(log.meta.scenario or Path(path).stem))
-        text = _about(log, robot, errors, prediction is not None)
+        text = _about(log, robot, errors, walk.prediction is not None)
         about = rr.TextDocument(text, media_type="text/markdown")
         stream.log("/about", about, static=True)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         corners = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
-        if ground := ground or ground_of_log(log):
+        if ground := walk.ground or ground_of_log(log):
             write_ground(stream, corners, ground)
             write_shadow(stream, log, robot, ground)
         write_robot(stream, log, robot)
         write_truth_path(stream, log)
         write_estimates(stream, errors, robot, trunk_size(robot))
         epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI)
-        write_velocity(stream, log, prediction, epsilon)
+        write_velocity(stream, log, walk.prediction, epsilon)
         write_errors(stream, errors)
         if log.has("contact"):
             write_footprints(stream, log, robot)
@@ -135,33 +143,6 @@ def write_recording(
 def _check_name(path: str | Path) -> None:
     if Path(path).suffix != ".rrd":
         raise SurefootError(f"{path}: a recording's name ends in .rrd")
-
-
-def _layout(
-    log: Log, robot: Robot, estimators: tuple[str, ...], has_update: bool, tab: str
-) -> Blueprint:
-    """The blueprint of a recording.
-
-    Args:
-        log: the walk.
-        robot: whose size determines the camera's distance.
-        estimators: their names.
-        has_update: masses of the coverage update were written.
-        tab: that is open initially.
-    """
-    lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
-    reach = 4.0 * float(trunk_size(robot)[0])
-    return layout(
-        estimators=estimators,
-        eye=tuple(reach * np.array([-0.9, -1.2, 0.8])),
-        centre=tuple(0.5 * (lower + upper)),
-        span=float((upper - lower)[:2].max()) + 1.0,
-        times=(float(log.t[0]), float(log.t[-1])),
-        has_feet=log.has("contact"),
-        has_slip=log.has("contact") and log.has("truth"),
-        has_update=has_update,
-        tab=tab,
-    )
 
 
 def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries], has_observer: bool) -> str:
@@ -213,13 +194,7 @@ def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequenc
 
         observer, bounds = learnt.bounded()
         prediction = predict(observer, *declared_model(log, robot))
-    write_recording(
-        path,
-        log,
-        robot,
-        {result.filter: result.trajectory for result in results},
-        prediction,
-        bounds,
-        plan(job.scenario, robot, job.seed, job.effects, job.declared).ground,
-        force=True,
-    )
+    trajectories = {result.filter: result.trajectory for result in results}
+    ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
+    walk = RecordedWalk(log, robot, trajectories, prediction, bounds, ground)
+    write_recording(path, walk, force=True)

@@ -66,16 +66,16 @@ def write_velocity(
     t, ok = log.t[rows], log.ref_ok[rows]
     for k, axis in enumerate(AXES):
         root = f"velocity/{axis}"
-        _line(stream, f"{root}/truth", t[ok], truth[ok, k], "Truth", TRUTH, 3.0)
+        _line(stream, f"{root}/truth", t[ok], truth[ok, k], _style("Truth", TRUTH, 3.0))
         if prediction is None:
             continue
         v = np.asarray(prediction.v_I)[:, k]
         if epsilon is not None:
             half = np.broadcast_to(epsilon, prediction.v_I.shape)[:, k]
-            _band(stream, f"{root}/bounds", t, (v - half, v + half), "Bounds", BOUNDS, _BAND)
+            _band(stream, f"{root}/bounds", t, (v - half, v + half), "Bounds", rgba(BOUNDS, _BAND))
             outside = ok & (np.abs(truth[:, k] - v) > half)
             _points(stream, f"{root}/outside", t[outside], truth[outside, k])
-        _line(stream, f"{root}/observer", t, v, "Observer", OBSERVER, 1.5)
+        _line(stream, f"{root}/observer", t, v, _style("Observer", OBSERVER, 1.5))
 
 
 def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) -> None:
@@ -84,20 +84,20 @@ def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) 
         part = series_part(name)
         label, color = estimator_label(name), estimator_color(name)
         far = f"{label}: {error.distance[-1]:.2f} m at the end"
-        _line(stream, f"distance/error/{part}", error.t, error.distance, far, color, 2.0)
+        _line(stream, f"distance/error/{part}", error.t, error.distance, _style(far, color, 2.0))
         if error.distance_sigma is not None:
             root, sigma = f"distance/{BANDS}/{part}", error.distance_sigma
-            _line(stream, root, error.t, 3.0 * sigma, f"{label} 3σ", color, 1.0, 0.5)
+            _line(stream, root, error.t, 3.0 * sigma, _style(f"{label} 3σ", color, 1.0, 0.5))
         for kind, names, values, sigma, scale in (
             ("position_error", AXES, error.position, error.position_sigma, 1.0),
             ("attitude_error", ANGLES, error.attitude, error.attitude_sigma, 180.0 / np.pi),
         ):
             for k, axis in enumerate(names):
                 root, off = f"{kind}/{axis}", scale * values[:, k]
-                _line(stream, f"{root}/error/{part}", error.t, off, label, color, 2.0)
+                _line(stream, f"{root}/error/{part}", error.t, off, _style(label, color, 2.0))
                 if sigma is not None:
                     half, path = 3.0 * scale * sigma[:, k], f"{root}/{BANDS}/{part}"
-                    _band(stream, path, error.t, (-half, half), f"{label} ±3σ", color, _FAINT)
+                    _band(stream, path, error.t, (-half, half), f"{label} ±3σ", rgba(color, _FAINT))
 
 
 def write_update(
@@ -108,11 +108,11 @@ def write_update(
     """
     label, color = estimator_label(name), estimator_color(name)
     root = f"update/{series_part(name)}"
-    _line(stream, f"{root}/mass", record.t, record.pi, f"{label}: mass π", color, 1.5)
+    _line(stream, f"{root}/mass", record.t, record.pi, _style(f"{label}: mass π", color, 1.5))
     if gamma is not None:
         level = np.full(2, gamma)
         ends = record.t[[0, -1]]
-        _line(stream, f"{root}/gamma", ends, level, f"{label}: γ = {gamma:g}", TRUTH, 1.5)
+        _line(stream, f"{root}/gamma", ends, level, _style(f"{label}: γ = {gamma:g}", TRUTH, 1.5))
 
 
 def write_feet(stream: rr.RecordingStream, log: Log) -> None:
@@ -141,10 +141,15 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
             step = max(1, round(log.rate / SERIES_RATE))
             starts = np.arange(0, len(t), step)
             peak = np.maximum.reduceat(slip[:, k], starts)
-            _line(stream, f"feet/slip/{leg}", t[starts], peak, leg, leg_color(leg), 1.5)
+            _line(stream, f"feet/slip/{leg}", t[starts], peak, _style(leg, leg_color(leg), 1.5))
 
 
-def _band(stream, path, t, sides, name, color, alpha) -> None:
+def _style(name: str, color: str, width: float, alpha: float = 1.0) -> rr.SeriesLines:
+    """Name in the legend, colour, width [points] and opacity (0 to 1) of a line."""
+    return rr.SeriesLines(colors=[rgba(color, alpha)], widths=[width], names=[name])
+
+
+def _band(stream, path, t, sides, name, color) -> None:
     """Draw the band between two curves by strokes from side to side, dense enough to fill it.
 
     The viewer cannot fill areas between series.
@@ -155,20 +160,17 @@ def _band(stream, path, t, sides, name, color, alpha) -> None:
         t: (N,) [s].
         sides: lower and upper (N,), in the unit of the plot.
         name: in the legend.
-        color: of the band.
-        alpha: opacity of a stroke, 0 to 1.
+        color: of the band, RGBA.
     """
     between = np.append(0.5 * (t[1:] + t[:-1]), t[-1:] + 1e-9)
     times = np.stack([t, between], axis=1).ravel()
-    style = rr.SeriesLines(
-        colors=[rgba(color, alpha)], widths=[2.0], names=[name], aggregation_policy="MinMax"
-    )
+    style = rr.SeriesLines(colors=[color], widths=[2.0], names=[name], aggregation_policy="MinMax")
     stream.log(path, style, static=True)
     columns = rr.Scalars.columns(scalars=np.stack(sides, axis=1).ravel())
     stream.send_columns(path, indexes=[time_column(times)], columns=columns)
 
 
-def _line(stream, path, t, values, name, color, width, alpha=1.0) -> None:
+def _line(stream, path, t, values, style) -> None:
     """Draw one line over time.
 
     Args:
@@ -176,12 +178,8 @@ def _line(stream, path, t, values, name, color, width, alpha=1.0) -> None:
         path: of the entity.
         t: (N,) [s].
         values: (N,), in the unit of the plot.
-        name: in the legend.
-        color: of the line.
-        width: of the line [points].
-        alpha: opacity, 0 to 1.
+        style: of the line.
     """
-    style = rr.SeriesLines(colors=[rgba(color, alpha)], widths=[width], names=[name])
     stream.log(path, style, static=True)
     stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))
 

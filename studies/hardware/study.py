@@ -27,7 +27,7 @@ from surefoot.scenarios.reporting.pages import origin_of, write_page, write_resu
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.rows import finished_case
-from surefoot.scenarios.trace.run import trace
+from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
@@ -348,9 +348,9 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
             fitted,
             machine,
             options.out / "so101_trace",
+            TraceOptions(holdout=unseen),
             progress=progress,
             force=options.force,
-            holdout=unseen,
         )
     tables = {
         "Servos fitted to three runs, and their errors in the other three": table,

@@ -6,7 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.scenarios.cli.estimate import Calibrate
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -41,8 +42,8 @@ def files(tmp_path_factory) -> dict[str, Path]:
     found["bare"] = folder / "bare.parquet"
     Log(bare.frame.drop(columns=truth), bare.meta, "bare").write(found["bare"])
     found["observer"] = folder / "observer.pt"
-    schedule = Schedule(steps=60, batch=4, every=20)
-    train(Log.read(found["learnt"]), seed=0, schedule=schedule).save(found["observer"])
+    schedule = TrainSettings(steps=60, batch=4, every=20)
+    train(Log.read(found["learnt"]), settings=replace(schedule, seed=0)).save(found["observer"])
     return found
 
 

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, shown_at_first, traits
 from surefoot.scenarios.reporting.palette import estimator_color, friction_color
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.scenarios.viewer.scene import write_estimates
 from surefoot.scenarios.viewer.shapes import geom_shapes
 from surefoot.sim.common.errors import SurefootError
@@ -45,10 +45,11 @@ class Contents:
         return np.array(self.moving[entity][component])
 
 
-def written(path: Path, walk: Walk, **options) -> Contents:
-    write_recording(
-        path, walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds, **options,
-    )  # fmt: skip
+def written(path: Path, walk: Walk, ground: Ground | None = None) -> Contents:
+    shown = RecordedWalk(
+        walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds, ground
+    )
+    write_recording(path, shown)
     return Contents(path)
 
 
@@ -220,7 +221,7 @@ def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):
 def test_without_estimates_contacts_and_truth_there_is_still_a_robot(walk, tmp_path):
     kept = [c for c in walk.log.frame if not c.startswith(("contact", "slip", "mu", "ref_v"))]
     log = Log(walk.log.frame[kept], walk.log.meta)
-    write_recording(tmp_path / "bare.rrd", log, walk.robot, {})
+    write_recording(tmp_path / "bare.rrd", RecordedWalk(log, walk.robot))
     contents = Contents(tmp_path / "bare.rrd")
     assert {"/world/robot", "/velocity/x/truth"} <= set(contents.moving)
     assert not any(entity.startswith("/feet") for entity in contents.moving)
@@ -249,7 +250,9 @@ def test_an_estimator_may_have_any_name_and_a_log_may_have_calendar_time(walk, t
     shifted = type(leg)(
         leg.t + offset, *[getattr(leg, n) for n in ("R_GI", "v_GI", "p_GI", "b_a", "b_g")]
     )
-    write_recording(tmp_path / "a.rrd", log, walk.robot, {"my filter/v2 (new)": shifted})
+    write_recording(
+        tmp_path / "a.rrd", RecordedWalk(log, walk.robot, {"my filter/v2 (new)": shifted})
+    )
     contents = Contents(tmp_path / "a.rrd")
     entity = next(e for e in contents.moving if e.startswith("/distance"))
     assert contents.moving[entity]["time"][0].year == 2023
@@ -265,7 +268,7 @@ def test_errors_are_one_clear_line(walk, tmp_path):
         written(tmp_path / "walk.mp4", walk)
     blind = Log(walk.log.frame.drop(columns=["ref_p_x"]), walk.log.meta)
     with pytest.raises(SurefootError, match="lacks reference"):
-        write_recording(tmp_path / "b.rrd", blind, walk.robot, {})
+        write_recording(tmp_path / "b.rrd", RecordedWalk(blind, walk.robot))
 
 
 def test_a_capsule_is_centred_where_mujoco_centres_it():

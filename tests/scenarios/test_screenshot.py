@@ -17,7 +17,7 @@ from matplotlib.image import imread
 from rerun.experimental import ViewerClient
 
 from surefoot.scenarios.reporting.palette import OBSERVER, estimator_color, friction_color, rgba
-from surefoot.scenarios.viewer.recording import write_recording
+from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.ground.terrain import Ground, Strip
 
 pytestmark = pytest.mark.pictures
@@ -118,10 +118,15 @@ def near(image: np.ndarray, color: str, tolerance: int = 30) -> int:
 
 def test_the_picture_shows_robot_ground_estimates_and_series(viewer, walk: Walk, tmp_path):
     recording = tmp_path / "walk.rrd"
-    write_recording(
-        recording, walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds,
-        ground=Ground(0.8, walk.patches), tab="Overview",
-    )  # fmt: skip
+    shown = RecordedWalk(
+        walk.log,
+        walk.robot,
+        walk.trajectories,
+        walk.prediction,
+        walk.bounds,
+        Ground(0.8, walk.patches),
+    )
+    write_recording(recording, shown, tab="Overview")
     image = picture(viewer, recording, 2.0, tmp_path / "walk.png")
     rows, columns, _ = image.shape
     scene, plots = image[:, : columns // 2], image[:, columns // 2 :]
@@ -148,7 +153,8 @@ def test_stairs_slopes_and_bumps_are_in_the_picture(viewer, walk: Walk, tmp_path
     images = []
     for name, ground in (("level", Ground(0.8)), ("course", Ground(0.8, walk.patches, 20, strips))):
         recording = tmp_path / f"{name}.rrd"
-        write_recording(recording, walk.log, walk.robot, walk.trajectories, ground=ground)
+        shown = RecordedWalk(walk.log, walk.robot, walk.trajectories, ground=ground)
+        write_recording(recording, shown)
         images.append(picture(viewer, recording, 2.0, tmp_path / f"{name}.png"))
     level, course = images
     scene = np.s_[:, : level.shape[1] // 2]

@@ -105,8 +105,8 @@ def test_a_search_that_is_done_is_not_run_again(log, tmp_path, monkeypatch):
 
 def test_filters_that_the_inputs_do_not_allow_are_left_out_or_one_line(log, tmp_path):
     text = tune.tune([log], tmp_path / "all", budget=1)
-    assert "left out for spot_class: coverage (needs --observer" in text
-    with pytest.raises(SurefootError, match="filter velocity, spot_class: needs --observer"):
+    assert "left out for spot_class: coverage (needs observer" in text
+    with pytest.raises(SurefootError, match="filter velocity, spot_class: needs observer"):
         tune.tune([log], tmp_path / "one", ["velocity"], budget=1)
-    with pytest.raises(SurefootError, match="--filter legs: unknown; choose"):
+    with pytest.raises(SurefootError, match="filter legs: unknown; choose"):
         tune.tune([log], tmp_path / "none", ["legs"])
