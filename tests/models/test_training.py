@@ -157,7 +157,7 @@ def test_labels_without_a_measured_reference_are_left_alone(walks):
     nonsense = frame.copy()
     nonsense.loc[~measured, "ref_v_x"] = 1e6
     ours, theirs = (
-        train(replace(log, frame=f), Body(), "q", seed=2, schedule=replace(TINY, batch=1))
+        train(replace(log, frame=f), Body(), replace(TINY, inputs="q", seed=2, batch=1))
         for f in (frame, nonsense)
     )
     assert np.all(np.isfinite(ours.rmse))

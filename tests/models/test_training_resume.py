@@ -81,12 +81,13 @@ def test_an_early_end_stays_an_early_end(tmp_path):
 
 @pytest.mark.parametrize(
     "other",
-    [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"schedule": replace(PLAN, steps=22)}],
+    [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"steps": 22}],
 )
 def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
     partial = tmp_path / "o.pt.partial"
     fit(partial)
-    assert fit(partial, **other).hash == fit(**other).hash
+    changed = replace(PLAN, **other)
+    assert fit(partial, settings=changed).hash == fit(settings=changed).hash
 
 
 @pytest.mark.parametrize("what", ["text", "observer"])
