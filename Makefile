@@ -4,7 +4,7 @@ BIN := .venv/bin
 # As for the commands (`scenarios/cli/start.py`): the matrices are small, and more threads only wait.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check docs readme nightly mutants study study-observer study-trace study-hardware study-bounds study-montecarlo \
+.PHONY: setup demo test check size docs readme nightly yardstick mutants study study-observer study-trace study-hardware study-bounds study-montecarlo \
 	study-walking study-bench study-realism study-loop suites tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -30,6 +30,10 @@ check: setup
 	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/pyright
 
+# Lines, classes and constants by room; fails above the limits of tests/size.py.
+size:
+	$(PYTHON) tests/size.py
+
 # The site into out/site, and which pages of results have gone stale.
 docs: setup
 	$(BIN)/mkdocs build --strict
@@ -47,6 +51,11 @@ study: setup
 # eight hours of walking (prints peak memory).
 nightly: setup
 	$(BIN)/pytest -m slow -s tests/scenarios/test_fuzzed_streams.py tests/scenarios/test_hours.py tests/hostile
+
+# Whether results are those of an earlier commit, to the bit; killed, it goes on where it was.
+yardstick: START = 27e71444
+yardstick: setup
+	$(BIN)/python tests/yardstick.py --start $(START)
 
 # Five hundred small changes of the code that results hang on, each tried against the tests that cover
 # it; killed, it goes on where it was.

@@ -74,6 +74,7 @@ def _scenario_files() -> str:
 
     from surefoot.sim import scenario
     from surefoot.sim.gait.options import GaitOptions
+    from surefoot.sim.ground.ground_from_file import GroundFile
     from surefoot.sim.sensors.streams import Sensors
 
     words = """
@@ -86,7 +87,7 @@ def _scenario_files() -> str:
         ("[ground]", scenario._GroundTable),
         ("[[ground.patch]]", scenario._PatchEntry),
         ("[[ground.strip]]", scenario._StripEntry),
-        ("[[ground.height_field]]", scenario._HeightFieldEntry),
+        ("[[ground.height_field]]", GroundFile),
         ("[ranges]", scenario.Ranges),
         ("[gait]", GaitOptions),
         ("[sensors]", Sensors),

@@ -38,7 +38,8 @@ def overview(demo: Path, path: Path) -> None:
     observer, bounds = learnt.bounded()
     seen = predict(observer, *declared_model(log, robot))
     estimates = {result.filter: result.trajectory for result in results}
-    write_recording(path, RecordedWalk(log, robot, estimates, seen, bounds), tab="Overview")
+    walk = RecordedWalk(log, robot, estimates, seen, bounds)
+    write_recording(path, walk, tab="Overview")
 
 
 def draw(recording: Path) -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.core.lie import hats
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
-from surefoot.sim.common.stamps import rows_every
+from surefoot.sim.common.series import rows_every
 
 METRICS_RATE = 100.0
 """Rate at which metrics are computed [Hz]."""

@@ -16,8 +16,8 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import build_world
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine
 from surefoot.sim.robot.legs import outline_G
+from surefoot.sim.robot.machine import Modelled, load_machine
 from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
 from surefoot.sim.robot.robot import IMU_SITES, Robot
 
@@ -38,24 +38,26 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
     """
     if picture is not None and picture.suffix != ".png":
         raise SurefootError(f"{picture}: the picture is a .png")
-    robot = load_machine(name_or_path)
-    if isinstance(robot, FixedBase):
+    machine = load_machine(name_or_path)
+    if machine.legged is None:
         if picture is not None:
-            raise SurefootError(
-                f"out: {robot.name} is a machine on a fixed base, without a picture"
-            )
-        joints = ", ".join(robot.joint_names)
-        text = f"{robot.name}: a machine on a fixed base, joints {joints}\nfile: {robot.file}"
-        if robot.legless:
-            text += f"\nno legs: {robot.legless}"
-        elif robot.file.suffix != ".urdf":
-            text += "\nbase: fixed, as no body has a free joint; that of a walking robot needs one"
-        text = "\n".join([text, *changes_on_reading(robot.file)])
-        values = {"name": robot.name, "file": robot.file, "joints": robot.joint_names}
-        return RobotCard(text, values)
+            raise SurefootError(f"out: {machine.name} is on a fixed base, without a picture")
+        return _card_without_legs(machine)
     if picture is not None:
-        save_png(portrait(robot), picture, force)
-    return _card(robot)
+        save_png(portrait(machine.legged), picture, force)
+    return _card(machine.legged)
+
+
+def _card_without_legs(machine: Modelled) -> RobotCard:
+    joints = ", ".join(machine.joint_names)
+    text = f"{machine.name}: a machine on a fixed base, joints {joints}\nfile: {machine.file}"
+    if machine.legless:
+        text += f"\nno legs: {machine.legless}"
+    elif machine.file.suffix != ".urdf":
+        text += "\nbase: fixed, as no body has a free joint; that of a walking robot needs one"
+    text = "\n".join([text, *changes_on_reading(machine.file)])
+    values = {"name": machine.name, "file": machine.file, "joints": machine.joint_names}
+    return RobotCard(text, values)
 
 
 def _card(robot: Robot) -> RobotCard:

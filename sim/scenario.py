@@ -15,19 +15,17 @@ from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_typed
 from surefoot.sim.gait.course import Segment
 from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.ground.ground_from_file import ground_from_file
-from surefoot.sim.ground.terrain import Ground, Layer, Patch, Strip
+from surefoot.sim.ground.ground_from_file import GroundFile, ground_from_file
+from surefoot.sim.ground.terrain import Friction, Ground, Layer, Length, Patch, Strip
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 
 Role = Literal["train", "calibrate", "test"]
-Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
 Factor = Annotated[float, msgspec.Meta(ge=0.01, le=100.0)]
 Speed = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
 """[m/s or rad/s]; the limit is twice the speed of any legged robot."""
 SHORTEST_SEGMENT = 0.004
 """Shortest segment [s]: a tick of the controller."""
-Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
 
 
 @dataclass(frozen=True)
@@ -236,23 +234,6 @@ class _StripEntry(Strip):
 
 
 @dataclass(frozen=True)
-class _HeightFieldEntry:
-    """Your own ground on floor and strips: a grid of heights, with rows along y and columns along
-    x, or a mesh, of which the upper surface counts.
-    """
-
-    file: Name  # in the scenario's folder: .png, .npy, .csv or .hf (MuJoCo's), .obj or .stl
-    center: tuple[float, float] = (0.0, 0.0)  # m, of a grid; where the origin of a mesh lies
-    size: tuple[Length, Length] | None = None  # m, of a grid, along x and y
-    heights: tuple[float, float] | None = None
-    """m, of a grid's lowest and highest number; by default the numbers are metres. Required for
-    a picture.
-    """
-    spacing: Length | None = None  # m, of the points at which a mesh's height is taken; 0.05
-    mu: Friction | None = None  # friction coefficient; the ground's where left out
-
-
-@dataclass(frozen=True)
 class _GroundTable:
     """The floor."""
 
@@ -260,7 +241,7 @@ class _GroundTable:
     half_size: Length = 100.0  # m, from the centre to the edge of the floor
     patch: tuple[_PatchEntry, ...] = ()  # [[ground.patch]], of another friction
     strip: tuple[_StripEntry, ...] = ()  # [[ground.strip]], of another height
-    height_field: tuple[_HeightFieldEntry, ...] = ()  # [[ground.height_field]], of a file
+    height_field: tuple[GroundFile, ...] = ()  # [[ground.height_field]], of a file
 
     OTHER_WORDS: ClassVar = {"friction": "mu", "ramp": "[[ground.strip]]"}
 
@@ -276,7 +257,7 @@ class _GroundTable:
         fields = []
         for k, entry in enumerate(self.height_field, 1):
             try:
-                fields.append(ground_from_file(folder, *vars(entry).values()))
+                fields.append(ground_from_file(folder, entry))
             except SurefootError as error:
                 raise SurefootError(f"[[ground.height_field]] {k} {error}") from None
         return Ground(

@@ -1,6 +1,6 @@
 """Simulation of one walk: from a scenario, a robot and a seed to a Log."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.metadata import version
@@ -14,7 +14,7 @@ from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.controller import gait_for
-from surefoot.sim.gait.course import Course, course_pieces, course_ticks
+from surefoot.sim.gait.course import Course, Stretch, course_pieces, integrate_course, stretches
 from surefoot.sim.gait.irregular import irregular
 from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.ground_metadata import ground_metadata
@@ -23,11 +23,11 @@ from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.foot_truth import foot_truth
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
 from surefoot.sim.physics.springs import share_moved_at_once
-from surefoot.sim.physics.stepper import STEPS_PER_TICK, Fallen, simulate
+from surefoot.sim.physics.stepper import STEPS_PER_TICK, TICK, Fallen, simulate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
 from surefoot.sim.robot.model_of_log import model_metadata
-from surefoot.sim.scenario import DrawnScenario, Scenario, Segment, drawn
+from surefoot.sim.scenario import DrawnScenario, Scenario, drawn
 from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.streams import (
     ContactSwitch,
@@ -67,6 +67,7 @@ class Plan:
     effects: tuple[Effect, ...]
     declared: bool
     draw: DrawnScenario
+    commands: Sequence[Stretch]  # from settling to the end
     ground: Ground  # as drawn, under the effects
     world: World
     gait: Gait
@@ -80,22 +81,17 @@ class Plan:
         """
         what = f"scenario {self.scenario.name}: bytes of a walk of {self.seconds:.0f} s"
         check_limit("memory", BYTES_A_STEP * self.seconds / TIMESTEP, what)
-        (whole,) = self.course_pieces(self.ticks)
-        return whole
+        return integrate_course(self.commands, TICK)
 
-    def course_pieces(self, ticks: int) -> Iterator[Course]:
-        """The course in pieces of so many ticks."""
-        return course_pieces(*_course_arguments(self.scenario, self.draw), ticks)
-
-    @cached_property
+    @property
     def ticks(self) -> int:
         """Number of controller ticks, from settling to the end."""
-        return course_ticks(*_course_arguments(self.scenario, self.draw))
+        return sum(count for count, _ in self.commands)
 
     @property
     def seconds(self) -> float:
         """Duration of the walk, settling included [s]."""
-        return self.ticks * TIMESTEP * STEPS_PER_TICK
+        return self.ticks * TICK
 
 
 def walk(
@@ -156,8 +152,10 @@ def plan(
         effect.members(robot.limbs)  # refuses a target that the robot does not have
         effect.edit_spec(spec, robot)
         ground = effect.alter_ground(ground)
-    ticks = course_ticks(*_course_arguments(scenario, draw))
-    for piece in course_pieces(*_course_arguments(scenario, draw), min(ticks, PIECE_TICKS)):
+    segments = draw.scenario.segments
+    commands = stretches(segments, TICK, scenario.stand, scenario.laps, SETTLING_TIME)
+    ticks = sum(count for count, _ in commands)
+    for piece in course_pieces(commands, TICK, min(ticks, PIECE_TICKS)):
         if np.abs(piece.pose[:, :2]).max() > ground.half_size - robot.leg_length:
             raise SurefootError(
                 f"scenario {scenario.name}: the course leaves the floor; "
@@ -172,8 +170,7 @@ def plan(
     gait = gait_for(standing_on, start, draw.period, draw.clearance, draw.gain, scenario.gait)
     at_once = share_moved_at_once(world.model, world.springs, world.start, world.dof_adr)
     gait = gait._replace(slide_damping=min(SLIDE_MARGIN * at_once, 1.0) * gait.slide_damping)
-    dt = TIMESTEP * STEPS_PER_TICK
-    gait = irregular(gait, scenario.gait, ticks, dt, np.random.default_rng(gait_seed))
+    gait = irregular(gait, scenario.gait, ticks, TICK, np.random.default_rng(gait_seed))
     return Plan(
         scenario=scenario,
         robot=robot,
@@ -181,19 +178,12 @@ def plan(
         effects=tuple(effects),
         declared=declared,
         draw=draw,
+        commands=commands,
         ground=ground,
         world=world,
         gait=gait,
         sensor_seed=sensor_seed,
     )
-
-
-def _course_arguments(
-    scenario: Scenario, draw: DrawnScenario
-) -> tuple[Sequence[Segment], float, float, int, float]:
-    """Arguments of `course_pieces` for a scenario, settling included."""
-    dt = TIMESTEP * STEPS_PER_TICK
-    return draw.scenario.segments, dt, scenario.stand, scenario.laps, SETTLING_TIME
 
 
 def record(made: Plan, motion: Motion) -> Log:

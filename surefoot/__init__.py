@@ -3,8 +3,9 @@
 Everything named here is imported when it is first used, so that `import surefoot` is quick.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from surefoot.lazy import lazy_names
 
 __version__ = "0.2.0.dev0"
 
@@ -51,35 +52,22 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Bounds": "surefoot.models.calibration.bounds:Bounds",
-    "CalibrateSettings": "surefoot.models.calibration.settings:CalibrateSettings",
-    "Learnt": "surefoot.scenarios.estimate.contract:Learnt",
-    "Log": "surefoot.sim.log:Log",
-    "Observer": "surefoot.models.observer.observer:Observer",
-    "Robot": "surefoot.sim.robot.robot:Robot",
-    "Sample": "surefoot.scenarios.estimate.contract:Sample",
-    "Scenario": "surefoot.sim.scenario:Scenario",
-    "StreamingEstimator": "surefoot.scenarios.estimate.streaming:StreamingEstimator",
-    "TraceOptions": "surefoot.scenarios.trace.run:TraceOptions",
-    "TrainSettings": "surefoot.models.observer.settings:TrainSettings",
-    "align": "surefoot.models.alignment.alignment:align",
-    "calibrate": "surefoot.models.calibration.calibrate:calibrate",
-    "compare": "surefoot.scenarios.compare:compare_log",
-    "evaluate": "surefoot.estimator.metrics:evaluate",
-    "run_filter": "surefoot.scenarios.estimate.run:run_filter",
-    "trace": "surefoot.scenarios.trace.run:trace",
-    "train": "surefoot.models.observer.training:train",
-    "walk": "surefoot.sim.walk:walk",
+    "estimator.metrics": ("evaluate",),
+    "models.alignment.alignment": ("align",),
+    "models.calibration.bounds": ("Bounds",),
+    "models.calibration.calibrate": ("calibrate",),
+    "models.calibration.settings": ("CalibrateSettings",),
+    "models.observer.observer": ("Observer",),
+    "models.observer.settings": ("TrainSettings",),
+    "models.observer.training": ("train",),
+    "scenarios.compare": ("compare_log as compare",),
+    "scenarios.estimate.contract": ("Learnt", "Sample"),
+    "scenarios.estimate.run": ("run_filter",),
+    "scenarios.estimate.streaming": ("StreamingEstimator",),
+    "scenarios.trace.run": ("TraceOptions", "trace"),
+    "sim.log": ("Log",),
+    "sim.robot.robot": ("Robot",),
+    "sim.scenario": ("Scenario",),
+    "sim.walk": ("walk",),
 }
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'surefoot' has no attribute {name!r}")
-    module, _, attribute = _HOMES[name].partition(":")
-    value = globals()[name] = getattr(import_module(module), attribute)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(globals(), _HOMES)

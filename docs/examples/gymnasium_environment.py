@@ -10,9 +10,7 @@ import gymnasium
 import numpy as np
 
 import surefoot
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walking.dm_environment import WalkingEnvironment
+from surefoot.extend import Ground, Scenario, Segment, WalkingEnvironment
 
 REACH = 0.6
 """rad, from the home pose, of a joint's target at an action of one."""

@@ -11,7 +11,7 @@ sample, with the last joints and contacts before it. The robot stands for the fi
 import numpy as np
 
 import surefoot
-from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.extend import quaternion_from_matrix
 
 
 class Estimation:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.convolution import convolve
+from surefoot.sim.common.series import convolve
 from surefoot.sim.log.reference import Poses
 
 _STEP = 0.005

@@ -14,7 +14,6 @@ from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.registry import CHANNELS, channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 
 LACKING = ": not used, the log lacks "
 """Text of a note between a channel and the columns that it lacks."""
@@ -143,7 +142,8 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes.append(
             f"the ground is assumed even to {1e3 * floor.evenness:.2g} mm (standard deviation)"
         )
-    if any(isinstance(c.robot, Robot) and np.any(c.robot.foot_radius == 0) for c in cases):
+    robots = [case.robot.legged for case in cases]
+    if any(robot is not None and np.any(robot.foot_radius == 0) for robot in robots):
         notes.append(
             "the model's feet are points; the walks of the noise floor have the feet of its file"
         )

@@ -40,8 +40,7 @@ from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
-from surefoot.sim.robot.given_feet import GivenFeet
+from surefoot.sim.robot.machine import Machine
 
 ONLY_BETWEEN_FEET = (
     "shows only as relative motion of feet in stance, as do effects that need a reference to be "
@@ -335,10 +334,11 @@ def logs_under_model(
     settings: TraceSettings = DEFAULT,
 ) -> list[LogUnderModel]:
     """The logs' readings with the declared effects compensated, each with its model."""
-    by_feet, robot = isinstance(robot, GivenFeet), _with_declared(robot, declared)
+    robot = _with_declared(robot, declared)
     return [
         log_under_model(
-            *compensate_all(declared, readings(log, settings, by_feet), robot), settings
+            *compensate_all(declared, readings(log, settings, robot.limbs.feet_alone), robot),
+            settings,
         )
         for log in logs
     ]
@@ -346,14 +346,14 @@ def logs_under_model(
 
 def _with_declared(robot: Machine, declared: Sequence[Effect]) -> Machine:
     """A fixed base that knows what was declared of it and it may have less of."""
-    if not isinstance(robot, FixedBase):
+    if not robot.fixed:
         return robot
     sizes: dict[tuple[str, str], float] = {}
     for one in declared:
         if one.may_lessen:
             for part in one.members(robot.limbs):
                 sizes[one.name, part] = sizes.get((one.name, part), 0.0) + one.value
-    return replace(robot, declared=tuple(sizes.items()))
+    return replace(robot, extras=replace(robot.extras, declared=tuple(sizes.items())))
 
 
 def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> list[str]:

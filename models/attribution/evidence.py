@@ -42,9 +42,7 @@ from surefoot.sim.effects.base import changed_columns, with_columns
 from surefoot.sim.effects.joint import TorqueScale
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
-from surefoot.sim.robot.given_feet import GivenFeet
+from surefoot.sim.robot.machine import Machine
 from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
@@ -117,7 +115,7 @@ class LogUnderModel:
     @property
     def by_feet(self) -> bool:
         """Whether the machine is known by the feet that its logs give, without a robot model."""
-        return isinstance(self.robot, GivenFeet)
+        return self.robot.limbs.feet_alone
 
 
 def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
@@ -129,7 +127,7 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     stands = log.has("contact") and log.contact.any()
     turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.fixed_base_rate
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
-    fixed = isinstance(robot, FixedBase) or hung
+    fixed = robot.fixed or hung
     log = log.caching()
     motion = motion_under_model(log, robot, fixed)
     if fixed and log.has("tau") and angles_are_quieter(log, motion):
@@ -150,7 +148,7 @@ def channels_of(case: LogUnderModel) -> tuple[str, ...]:
 
 def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that can be compensated and has a channel in the log."""
-    there, keys = {*channels_of(case)}, []
+    there, legged, keys = {*channels_of(case)}, case.robot.legged, []
     for kind in known_effects().usable()[0].values():
         lacks = case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
@@ -161,7 +159,7 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
             (kind.name, target)
             for target in kind.targets_on(case.robot.limbs)
             if there & {*kind.channels_of(target)}
-            and not (isinstance(case.robot, Robot) and kind.equals_another(target, case.robot))
+            and not (legged is not None and kind.equals_another(target, legged))
         ]
     return tuple(keys)
 

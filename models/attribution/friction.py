@@ -17,13 +17,10 @@ from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.settings import TraceSettings
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.binning import at_rows, base_motion
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import effect
 from surefoot.sim.log import joint_velocity
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
-from surefoot.sim.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -165,7 +162,7 @@ def slip_notes(
 
 def _is_determined(case: LogUnderModel) -> bool:
     groups = ("q", "tau", "contact", "reference", "imu")
-    return isinstance(case.robot, Robot) and not case.fixed and all(map(case.log.has, groups))
+    return case.robot.legged is not None and not case.fixed and all(map(case.log.has, groups))
 
 
 def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -174,23 +171,22 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Returns the speed over the ground [m/s], and the ratio of tangential to normal force: the
     component against the motion, and the magnitude.
     """
-    log, motion, robot, s = case.log, case.motion, case.robot, case.settings
-    assert isinstance(robot, Robot)
+    log, motion, robot, s = case.log, case.motion, case.robot.legged, case.settings
+    assert robot is not None  # as `_is_determined`
     stands, dq = log.contact & motion.ok[:, None], joint_velocity(log)
     rows = max(1, round(s.force_window * log.rate))
 
     def smooth(x: np.ndarray) -> np.ndarray:
         return uniform_filter1d(x, rows, axis=0)
 
-    v_I = leg_velocity(robot, log.q, dq, at_rows(log.gyro), motion.up_I, stands)
+    v_I = robot.feet.imu_velocity(log.q, dq, at_rows(log.gyro), motion.up_I, stands)
     # A foot at rest reproduces the reference's velocity; the difference is the foot's own.
     v_B = smooth(np.nan_to_num(motion.v_I[:, None] - v_I) @ robot.R_BI.T)
     up_B = motion.up_I @ robot.R_BI.T
     ddq = np.gradient(smooth(dq), log.t, axis=0)
     imu = (motion.gyro, motion.accel) if log.has("ref_v") else (log.gyro, log.accel)
     base = base_motion(log.t, *imu, robot)
-    dynamics = dynamics_of(robot.file, robot.joint_names)
-    _, torque = dynamics.inverse(log.q, dq, ddq, base, body_changes(robot))
+    _, torque = robot.dynamics.inverse(log.q, dq, ddq, base)
     radius = np.tile(np.maximum(robot.foot_radius, 0.0), (len(log.t), 1))
     taken = np.ascontiguousarray(torque - log.tau)
     force_B = feet_wrenches(robot.legs, radius, log.q, up_B, stands, taken)[..., :3]

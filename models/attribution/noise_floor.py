@@ -41,7 +41,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -402,10 +401,10 @@ def _with_reference(case: LogUnderModel) -> Log:
 
     That is accurate enough for the course of a simulated walk.
     """
-    log, robot = case.log, case.robot
-    if log.has("reference") or not isinstance(robot, Robot) or not can_dead_reckon(log):
+    log, feet = case.log, case.robot.feet
+    if log.has("reference") or feet is None or feet.roll_unknown or not can_dead_reckon(log):
         return log
-    return with_dead_reckoning(log, robot)
+    return with_dead_reckoning(log, feet)
 
 
 def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel
 from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,12 @@ def outside_forces(
         stands = np.isfinite(known.table[own][:, feet]).all(axis=(1, 2))
         walks = ~stands if stands.mean() < 0.5 else stands
         there = np.flatnonzero(np.isfinite(force) & walks)
-        if not isinstance(case.robot, Robot) or len(there) == 0:
+        if case.robot.legged is None or len(there) == 0:
             continue
         t, force = known.t[own][there] - case.log.t[0], force[there]
         middle = np.median(force)
         spread = 1.4826 * np.median(np.abs(force - middle))
-        least = s.push_share * case.robot.mass * GRAVITY
+        least = s.push_share * case.robot.legged.mass * GRAVITY
         rows = np.flatnonzero(force > max(middle + s.push_outlier * spread, least))
         apart = np.flatnonzero(np.diff(t[rows]) > s.push_gap) + 1
         found = [

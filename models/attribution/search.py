@@ -49,8 +49,8 @@ from surefoot.models.attribution.selection import (
 from surefoot.models.attribution.split import REPORT, Split
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.effects import AXES, Effect, effect, known_effects
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def _is_insignificant(one: Found, limbs: Limbs, certain: bool) -> bool:
 
 def _always_present(keys: Sequence[Key], robot: Machine) -> set[Key]:
     """Candidates that every machine has, and that the model lacks."""
-    if isinstance(robot, FixedBase):
+    if robot.fixed:
         return set()
     kinds = known_effects()
     return {(name, target) for name, target in keys if kinds[name].is_always_present(target, robot)}

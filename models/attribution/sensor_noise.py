@@ -19,7 +19,7 @@ from surefoot.models.attribution.reference_sampling import (
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import motion_under_model
-from surefoot.sim.common.white_noise import white_noise
+from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import AXES, Effect, with_columns
 from surefoot.sim.sensors.streams import Sensors

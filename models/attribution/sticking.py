@@ -10,7 +10,6 @@ from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.torques import dilate
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import joint_velocity
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot.limbs import Limbs
 
@@ -54,6 +53,8 @@ def _with_dry_friction(case: LogUnderModel, effects: Sequence[Effect]) -> set[st
     """Names of the joints that have dry friction, by the effects or by the model's file."""
     limbs: Limbs = case.robot.limbs
     found = {joint for e in effects if e.name == "coulomb_friction" for joint in e.members(limbs)}
-    dynamics = dynamics_of(case.robot.file, case.robot.joint_names)
+    dynamics = case.robot.dynamics
+    if dynamics is None:
+        return found
     dry = dynamics.model.dof_frictionloss[dynamics.dof_adr] > 0.0
     return found | {joint for joint, has in zip(limbs.joints, dry, strict=True) if has}

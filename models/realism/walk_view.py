@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 
 from surefoot.models.residuals.binning import at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
@@ -90,7 +89,7 @@ class WalkView:
         log = self.log
         stands = log.contact & (self.walks & log.ref_ok)[:, None]
         R_GI = log.ref_R_GI
-        v_I = leg_velocity(self.robot, log.q, self.dq, at_rows(log.gyro), R_GI[:, 2], stands)
+        v_I = self.robot.feet.imu_velocity(log.q, self.dq, at_rows(log.gyro), R_GI[:, 2], stands)
         by_leg = np.einsum("nij,njk,nlk->nli", self.heading, R_GI, v_I)
         return self.velocity[:, None] - by_leg
 

@@ -5,20 +5,18 @@ A bin is short compared with a step of a walk and long compared with a sample.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.sim.common.low_pass import low_pass, without_low_pass
-from surefoot.sim.common.white_noise import white_noise
-from surefoot.sim.log import Log, foot_velocity, joint_velocity, reference_velocity
+from surefoot.sim.common.series import low_pass, white_noise, without_low_pass
+from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
-from surefoot.sim.robot.given_feet import GivenFeet
+from surefoot.sim.robot.feet import shown_feet
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.sensors.streams import imu_between_states
 
@@ -100,18 +98,6 @@ class ReferenceMotion:
         }
 
 
-class FeetMotion(NamedTuple):
-    """Motion of L feet relative to the IMU.
-
-    Attributes:
-        feet_I: positions (M, L, 3) in I [m].
-        rates_I: their derivatives (M, L, 3) [m/s].
-    """
-
-    feet_I: np.ndarray
-    rates_I: np.ndarray
-
-
 @dataclass(frozen=True)
 class Bins:
     """Means over M bins, for J joints and L feet.
@@ -134,9 +120,10 @@ class Bins:
         q_step: angles (M, J) at the times of the torques [rad].
         dq_step: rates (M, J) at the times of the torques [rad/s].
         ddq: accelerations (M, J) at the times of the torques [rad/s^2].
+        feet: readings that show the feet, and their derivatives (`sim.robot.feet`), NaN where the
+            log has none.
         depth: sinkage of the feet in soft ground (M, L) [m], where the model has soft ground.
         v_sole: velocity of the soles in it (M, L, 3) in I [m/s].
-        feet: motion of the feet, where the log gives it instead of angles.
     """
 
     t: np.ndarray
@@ -156,9 +143,9 @@ class Bins:
     q_step: np.ndarray
     dq_step: np.ndarray
     ddq: np.ndarray
+    feet: tuple[np.ndarray, np.ndarray]
     depth: np.ndarray | None = None
     v_sole: np.ndarray | None = None
-    feet: FeetMotion | None = None
 
 
 def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMotion:
@@ -215,7 +202,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     mean, angles, rates = bin_mean(motion), log.columns_of("q"), log.columns_of("q", "dq")
     gyro = accel = np.full((n, 3), np.nan)
     omega = motion.gyro
-    if log.has("imu") and not isinstance(robot, FixedBase):
+    if log.has("imu") and not robot.fixed:
         slow = robot.extras.imu_lowpass
         # Over a bin, the noise that this adds averages out.
         omega = without_low_pass(log.gyro, slow, log.rate)
@@ -230,11 +217,19 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
 
     moving = derivative(log.t, q, JOINT_WINDOW, causal=False) if motion.rates_of_angles else dq
 
+    legged, feet = robot.legged, shown_feet(log, robot.feet)
+
     def base() -> np.ndarray:
-        if not isinstance(robot, Robot):
+        if legged is None:
             return np.zeros((len(motion.t), 9))
         imu = (motion.gyro, motion.accel) if known else (omega, log.accel)
-        return mean(base_motion(log.t, *imu, robot))
+        return mean(base_motion(log.t, *imu, legged))
+
+    of_feet = ("t",) if feet is None else log.columns_of(*feet.groups)
+
+    def feet_readings() -> tuple[np.ndarray, np.ndarray]:
+        place, rate = (none, none) if feet is None else feet.readings(log)
+        return mean(place), mean(rate)
 
     def tau() -> np.ndarray:
         return mean(log.tau if log.has("tau") else none)
@@ -243,12 +238,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
         return mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0))
 
     of_base = ("t",) if known else log.columns_of("imu")
-    mounted = (robot.R_BI, robot.p_BI) if isinstance(robot, Robot) else ()
-
-    def feet() -> FeetMotion:
-        return FeetMotion(mean(log.foot_I), mean(foot_velocity(log)))
-
-    given = isinstance(robot, GivenFeet)
+    mounted = () if legged is None else (legged.R_BI, legged.p_BI)
     return Bins(
         t=motion.t,
         q=log.cached("binned q", angles, lambda: mean(q)),
@@ -261,7 +251,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
             log.columns_of("imu"),
             lambda: mean(at_rows(omega)),
             motion,
-            None if isinstance(robot, FixedBase) else robot.extras.imu_lowpass,
+            None if robot.fixed else robot.extras.imu_lowpass,
         ),
         base=log.cached("binned base", of_base, base, motion, *mounted),
         **motion.means,
@@ -271,7 +261,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
             "binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion
         ),
         ddq=log.cached("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
-        feet=log.cached("binned feet", log.columns_of("foot"), feet) if given else None,
+        feet=log.cached("binned feet", of_feet, feet_readings),
     )
 
 

@@ -34,10 +34,9 @@ from surefoot.models.residuals.torques import (
     link_jacobians,
 )
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
-from surefoot.sim.robot.given_feet import shows_feet
+from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 from surefoot.sim.sensors.streams import Sensors
 
 OF_WALKS = ("contact", "reference")
@@ -82,12 +81,12 @@ class ResidualInputs:
     @cached_property
     def bins(self) -> Bins:
         """Bin means of the readings, with the sinkage of the feet on soft ground."""
-        bins, stands = self._readings, self.log.has("q") and self._readings.standing.any()
-        stands = stands and self.motion.by_reference
-        if not (isinstance(self.robot, Robot) and stands and self.robot.extras.softness):
+        bins, robot = self._readings, self.robot.legged
+        stands = self.log.has("q") and bins.standing.any() and self.motion.by_reference
+        if robot is None or not (stands and robot.extras.softness):
             return bins
-        known = self.log, self.robot, self.motion, bins
-        load = foot_loads(*known, dynamics_inputs(bins, self.robot))
+        known = self.log, robot, self.motion, bins
+        load = foot_loads(*known, dynamics_inputs(bins, robot))
         depth, v_sole = foot_sinking(*known, load)
         return replace(bins, depth=depth, v_sole=v_sole)
 
@@ -99,20 +98,22 @@ class ResidualInputs:
 
     @cached_property
     def inverse_dynamics(self) -> InverseDynamics | None:
-        """Inverse dynamics of the motion; None where the log has no torques."""
+        """Inverse dynamics of the motion; None where the log has no torques, or the machine no
+        model.
+        """
         return inverse_dynamics(self.steps, self.robot) if self.log.has("tau") else None
 
     @cached_property
-    def feet_stand(self) -> bool:
-        """Whether the log shows where the feet are, and any of them stands."""
-        if isinstance(self.robot, FixedBase) or not shows_feet(self.log, self.robot):
-            return False
-        return bool(self.bins.standing.any())
+    def feet(self) -> Feet | None:
+        """The feet, where the log shows them and any of them stands."""
+        shown = shown_feet(self.log, self.robot.feet)
+        return shown if shown is not None and self.bins.standing.any() else None
 
     @cached_property
-    def link_jacobians(self) -> np.ndarray:
-        """Derivatives of inverse dynamics by the inertia of each link."""
-        return link_jacobians(self.steps, self.robot)
+    def link_jacobians(self) -> np.ndarray | None:
+        """Derivatives of inverse dynamics by the inertia of each link; None without a model."""
+        dynamics = self.robot.dynamics
+        return None if dynamics is None else link_jacobians(self.steps, dynamics)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:
@@ -121,10 +122,9 @@ class ResidualInputs:
         Without a reference, the feet are compared with each other. None where no foot stands, or
         the log shows no feet.
         """
-        if not self.feet_stand:
+        if self.feet is None:
             return None
-        assert not isinstance(self.robot, FixedBase)
-        v = leg_velocities(self.bins, self.robot)
+        v = leg_velocities(self.bins, self.feet)
         return v if self.motion.by_reference else between_feet(v)
 
     @cached_property

@@ -27,8 +27,7 @@ from surefoot.models.residuals.stance_motion import stance_displacement, stance_
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.feet import shown_feet
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
 
@@ -108,9 +107,7 @@ class LegVelocity(Channel):
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """Shares of their way that feet of unknown size roll, where the log gives the feet."""
-        if inputs.bins.feet is None:
-            return ()
-        return [np.nan_to_num(way) for way in travel_regressors(inputs.bins)]
+        return [np.nan_to_num(way) for way in _unknown_rolling(inputs)]
 
 
 class StanceVelocity(Channel):
@@ -138,10 +135,14 @@ class StanceVelocity(Channel):
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """The same shares as of the leg velocity."""
-        if inputs.bins.feet is None:
-            return ()
-        ways = travel_regressors(inputs.bins)
+        ways = _unknown_rolling(inputs)
         return [np.nan_to_num(_means_of_stances(inputs.bins, way)) for way in ways]
+
+
+def _unknown_rolling(inputs: ResidualInputs) -> Sequence[np.ndarray]:
+    """`travel_regressors` of feet that may roll by any share of their way."""
+    feet = shown_feet(inputs.log, inputs.robot.feet)
+    return travel_regressors(inputs.bins, feet) if feet is not None and feet.roll_unknown else ()
 
 
 def _means_of_stances(bins: Bins, v: np.ndarray) -> np.ndarray:
@@ -170,10 +171,10 @@ class StanceDisplacement(Channel):
         return _of_legs("moved", self.unit, limbs, AXES[:2])
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not inputs.feet_stand:
+        if inputs.feet is None:
             return None
-        assert isinstance(inputs.robot, Robot)
-        return stance_displacement(inputs.log, inputs.robot, inputs.motion)
+        late = inputs.robot.extras.liftoff_late
+        return stance_displacement(inputs.log, inputs.feet, inputs.motion, late)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 * STANCE_BINS * BIN / rate)
@@ -197,10 +198,9 @@ class FootHeight(Channel):
         return tuple(Column(f"height_{leg}", self.unit, leg, "", i) for i, leg in legs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not (inputs.feet_stand and inputs.motion.level):
+        if inputs.feet is None or not inputs.motion.level:
             return None
-        assert not isinstance(inputs.robot, FixedBase)
-        return foot_heights(inputs.bins, inputs.robot)
+        return foot_heights(inputs.bins, inputs.feet)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return float(np.hypot(sensors.encoder_step * LEVER_ARM, evenness))
@@ -250,10 +250,10 @@ class BaseWrench(Channel):
         return (*_of_axes("force", "N", limbs), *_of_axes("moment", "N m", limbs))
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if inputs.inverse_dynamics is None:
+        robot, needed = inputs.robot.legged, inputs.inverse_dynamics
+        if robot is None or needed is None:
             return None
-        assert isinstance(inputs.robot, Robot)
-        return wrench_residual(inputs.steps, inputs.inverse_dynamics, inputs.robot)
+        return wrench_residual(inputs.steps, needed, robot)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate)) / LEVER_ARM * np.sqrt(12)
@@ -312,10 +312,9 @@ class ContactTiming(Channel):
         )
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if not inputs.feet_stand:
+        if inputs.feet is None:
             return None
-        assert not isinstance(inputs.robot, FixedBase)
-        return contact_timing(inputs.log, inputs.robot, inputs.motion)
+        return contact_timing(inputs.log, inputs.feet, inputs.motion, inputs.robot.extras)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return 1.0 / rate

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.models.residuals.binning import STANCE_MARGIN, ReferenceMotion, at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity_of
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.given_feet import Walker, foot_columns
+from surefoot.sim.robot.feet import Feet, shown_feet
+from surefoot.sim.robot.machine import Machine
+from surefoot.sim.robot.robot import DeclaredExtras
 from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
 from surefoot.sim.sensors.stances import changes, inside_stances
 
@@ -39,29 +39,27 @@ on models of seven robots.
 """
 
 
-def contact_timing(log: Log, robot: Walker, motion: ReferenceMotion) -> np.ndarray:
-    """Delay of contact changes (M, 2 legs) [s]: touchdowns of the feet, then their lift-offs.
+def contact_timing(
+    log: Log, feet: Feet, motion: ReferenceMotion, extras: DeclaredExtras
+) -> np.ndarray:
+    """Delay of contact changes (M, 2 legs) [s]: touchdowns of the feet, then their lift-offs,
+    beyond those of the declared `extras`.
 
     Each change is in the bin in which the foot stopped or started to move; all other bins are NaN.
     """
     rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
-    geometry = ()
-    if isinstance(robot, Robot):
-        geometry = robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI
     moves = log.cached(
         "when touching points stop and start",
-        (*foot_columns(log, robot), *log.columns_of("imu", "contact", "reference", "ref_v")),
-        lambda: _all_motion_changes(log, robot, motion, turns, rows, bounce),
+        log.columns_of(*feet.groups, "imu", "contact", "reference", "ref_v"),
+        lambda: _all_motion_changes(log, feet, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
-        *geometry,
+        *feet.geometry,
     )
     late = np.full((len(motion.first), 2 * len(turns)), np.nan)
     # A debounced contact begins late by the debounce time.
-    begins = (
-        USUAL_DELAY[0] + log.meta.model.get("contact_debounce", 0.0) + robot.extras.touchdown_late
-    )
-    usual = (begins, USUAL_DELAY[1] + robot.extras.liftoff_late)
+    begins = USUAL_DELAY[0] + log.meta.model.get("contact_debounce", 0.0) + extras.touchdown_late
+    usual = (begins, USUAL_DELAY[1] + extras.liftoff_late)
     for leg, (change, (at, when, lifts)) in enumerate(zip(turns, moves, strict=True)):
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
@@ -71,16 +69,19 @@ def contact_timing(log: Log, robot: Walker, motion: ReferenceMotion) -> np.ndarr
     return late
 
 
-def within_windows(motion: ReferenceMotion, log: Log, robot: Walker) -> ReferenceMotion:
+def within_windows(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
     """Restrict stances and swings of the reference motion to the feet's actual ones.
 
     Where contacts end late or begin early relative to the foot's motion, stances are shortened by
     that much. A leaving foot deviates by a hundred times the noise of a standing one, and a foot
     radius or a leg's compliance would be fitted to it. Where contacts begin late, the ends of
     swings, in which legs already carry load, are removed, by the delay of nearly all steps since
-    each step has a delay of its own.
+    each step has a delay of its own. Unchanged where the log shows no feet.
     """
-    timing = contact_timing(log, robot, motion)
+    feet = shown_feet(log, robot.feet)
+    if feet is None:
+        return motion
+    timing = contact_timing(log, feet, motion, robot.extras)
     legs = timing.shape[1] // 2
     begins, ends = timing[:, :legs], timing[:, legs:]
     begins, ends = (x[np.isfinite(x)] for x in (begins, ends))
@@ -100,7 +101,7 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Walker) -> Referenc
 
 def _all_motion_changes(
     log: Log,
-    robot: Walker,
+    feet: Feet,
     motion: ReferenceMotion,
     turns: Sequence[np.ndarray],
     rows: int,
@@ -113,7 +114,7 @@ def _all_motion_changes(
 
     Args:
         log: the measured log.
-        robot: as declared.
+        feet: of the machine.
         motion: reference motion of the log.
         turns: rows at which each foot's contact changes.
         rows: to search on either side.
@@ -121,7 +122,7 @@ def _all_motion_changes(
     """
     close = max(1, round(CLOSE_WINDOW * log.rate))
     where = near_changes(turns, log.contact, rows, close) & motion.ok[:, None]
-    speed = speed_over_ground(log, robot, motion, where)
+    speed = speed_over_ground(log, feet, motion, where)
 
     def search() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         return [
@@ -137,7 +138,7 @@ def _all_motion_changes(
     more = near_changes(left, log.contact, rows, rows) & motion.ok[:, None] & ~where
     if not more.any():
         return moves
-    speed = np.where(more, speed_over_ground(log, robot, motion, more), speed)
+    speed = np.where(more, speed_over_ground(log, feet, motion, more), speed)
     return search()
 
 
@@ -161,13 +162,13 @@ def near_changes(
 
 
 def speed_over_ground(
-    log: Log, robot: Walker, motion: ReferenceMotion, where: np.ndarray
+    log: Log, feet: Feet, motion: ReferenceMotion, where: np.ndarray
 ) -> np.ndarray:
     """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
     elsewhere.
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
-    v = leg_velocity_of(log, robot, omega, motion.up_I, where)
+    v = feet.imu_velocity(*feet.readings(log), omega, motion.up_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
     return np.sqrt(x * x + y * y + z * z)
 

@@ -3,43 +3,31 @@
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins
-from surefoot.models.residuals.leg_velocity import leg_velocity, velocity_by_feet
-from surefoot.sim.common.kernels import kernel
-from surefoot.sim.robot.given_feet import GivenFeet, Walker
-from surefoot.sim.robot.kinematics import leg_forward
+from surefoot.sim.robot.feet import Feet
 
 HALFWAY = 0.5
 """Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
 
 
-def leg_velocities(bins: Bins, robot: Walker) -> np.ndarray:
-    """Velocity of the body by each standing foot minus the reference's, (M, 3 legs) [m/s] in I.
-
-    With v_foot = 0 at the contact point of a foot that rolls on its sphere of radius r, v_I = -J dq
-    - omega x f + (omega + omega_foot) x r n, all in I. Feet that a log gives are points, r = 0.
-    """
-    if isinstance(robot, GivenFeet):
-        assert bins.feet is not None
-        v = velocity_by_feet(*bins.feet, bins.omega, bins.standing) - bins.v_I[:, None]
-        return v.reshape(len(v), -1)
-    v = leg_velocity(robot, bins.q, bins.dq, bins.omega, bins.R_GI[:, 2], bins.standing)
+def leg_velocities(bins: Bins, feet: Feet) -> np.ndarray:
+    """Velocity of the body by each standing foot minus the reference's, (M, 3 legs) [m/s] in I."""
+    v = feet.imu_velocity(*bins.feet, bins.omega, bins.R_GI[:, 2], bins.standing)
     v -= bins.v_I[:, None]
     if bins.depth is not None and bins.v_sole is not None:
-        spin = bins.omega[:, None] + robot.foot_rates_I(bins.q, bins.dq)
+        spin = bins.omega[:, None] + feet.rates_I(*bins.feet)
         rise = HALFWAY * bins.depth[:, :, None] * bins.R_GI[:, None, 2]
         v += bins.v_sole - np.cross(spin, rise)
     return v.reshape(len(v), -1)
 
 
-def travel_regressors(bins: Bins) -> list[np.ndarray]:
+def travel_regressors(bins: Bins, feet: Feet) -> list[np.ndarray]:
     """Regressors (M, 3 L) [m/s] of leg velocities in which each point foot moves over the ground by
     a share of its way relative to the body, forwards and sideways.
 
     A foot of unknown size that rolls under a leg does so, and one that creeps with it. NaN where no
     foot stands.
     """
-    assert bins.feet is not None
-    v_I = velocity_by_feet(*bins.feet, bins.omega, bins.standing)
+    v_I = feet.imu_velocity(*bins.feet, bins.omega, bins.R_GI[:, 2], bins.standing)
     regressors = []
     for leg in range(v_I.shape[1]):
         for axis in range(2):
@@ -64,46 +52,19 @@ def between_feet(v: np.ndarray) -> np.ndarray:
     return np.where(before > 0, against, np.nan).reshape(v.shape)
 
 
-def foot_heights(bins: Bins, robot: Walker) -> np.ndarray:
+def foot_heights(bins: Bins, feet: Feet) -> np.ndarray:
     """Height (M, legs) [m] of each standing foot's sole in the world."""
-    if isinstance(robot, GivenFeet):
-        assert bins.feet is not None
-        z = bins.p_GI[:, 2, None] + np.einsum("nj,nlj->nl", bins.R_GI[:, 2], bins.feet.feet_I)
-        return np.where(bins.standing, z, np.nan)
-    up_B = bins.R_GI[:, 2] @ robot.R_BI.T
-    z = _heights_in_base(robot.legs, np.ascontiguousarray(bins.q), up_B, bins.standing)
-    z += (bins.p_GI[:, 2] - up_B @ robot.p_BI)[:, None] - robot.foot_radius
+    z = feet.heights(bins.feet[0], bins.p_GI, bins.R_GI[:, 2], bins.standing)
     return z if bins.depth is None else z + bins.depth
 
 
-@kernel
-def _heights_in_base(legs, q, up, standing):
-    """Height (M, L) [m] of each standing foot's centre over the base's origin; NaN for the others.
-
-    Args:
-        legs: geometry of the legs, as of `leg_forward`.
-        q: (M, J) [rad].
-        up: (M, 3), the world's vertical in B.
-        standing: (M, L) bool.
-    """
-    out = np.full(standing.shape, np.nan)
-    most = legs.q_zero.shape[1]
-    foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
-    for k in range(len(q)):
-        for leg in range(standing.shape[1]):
-            if standing[k, leg]:
-                leg_forward(legs, leg, q[k], foot, J, axes)
-                out[k, leg] = up[k, 0] * foot[0] + up[k, 1] * foot[1] + up[k, 2] * foot[2]
-    return out
-
-
-def level_ground(bins: Bins, robot: Walker, within: float = 0.006) -> bool:
+def level_ground(bins: Bins, feet: Feet, within: float = 0.006) -> bool:
     """Whether the feet stand on one plane.
 
     True if heights vary by less than `within` [m] about a plane through all feet plus a constant
     for each leg.
     """
-    z = foot_heights(bins, robot)
+    z = foot_heights(bins, feet)
     rows, legs = np.nonzero(np.isfinite(z))
     if len(rows) < 100:
         return False

@@ -3,7 +3,7 @@
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, at_torques
-from surefoot.models.residuals.torques import DynamicsInputs, inverse_dynamics
+from surefoot.models.residuals.torques import DynamicsInputs
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
@@ -34,7 +34,7 @@ def foot_loads(
         if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
             weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
             return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
-        taken = inverse_dynamics(steps, robot, every=True).torque
+        _, taken = robot.dynamics.inverse(steps.q, steps.dq, steps.ddq, steps.base)
         every = np.ones_like(bins.standing)
         from_motion = normal_forces(robot.legs, steps.q, steps.up_B, every, taken)
         up_B = motion.R_GI[:, 2] @ robot.R_BI.T

@@ -20,7 +20,6 @@ from surefoot.models.residuals.torques import (
     InverseDynamics,
     dilate,
     inverse_dynamics,
-    inverse_dynamics_jacobians,
     load_wrench,
     slope,
     smooth_121,
@@ -29,7 +28,7 @@ from surefoot.models.residuals.torques import (
 )
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.machine import Machine
 
 DIFFERENCE_STEP = 1e-5  # rad, rad/s
 
@@ -92,7 +91,7 @@ class ResidualJacobians:
         """
         _, joints = self.parts.inputs.bins.q.shape
         needed = self.parts.inputs.inverse_dynamics
-        if needed is None:
+        if needed is None or self.robot.dynamics is None:
             return np.zeros((4, joints, len(self.parts.t), joints + 6))
         return _dynamics_jacobians(self.parts, needed, self.robot)
 
@@ -105,13 +104,14 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
     per = max(map(len, chains), default=0)
     leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
     height_q = np.zeros((m, legs, per))
-    if np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
-        assert not isinstance(robot, FixedBase)
+    feet = robot.feet
+    if feet is not None and np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
+        place, rate = bins.feet
         # Of each foot alone: contrasts between feet are taken in `wrt_readings`.
-        velocities = leg_velocities(bins, robot)
+        velocities = leg_velocities(bins, feet)
 
         def by(**moved) -> np.ndarray:
-            ahead = leg_velocities(replace(bins, **moved), robot)
+            ahead = leg_velocities(replace(bins, **moved), feet)
             return np.nan_to_num(ahead - velocities) / DIFFERENCE_STEP
 
         for axis in range(3):
@@ -122,10 +122,10 @@ def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobian
             # only.
             all_legs = np.zeros(joints)
             all_legs[[chain[j] for chain in chains if j < len(chain)]] = DIFFERENCE_STEP
-            leg[0, ..., j] = by(q=bins.q + all_legs).reshape(m, legs, 3)
-            leg[1, ..., j] = by(dq=bins.dq + all_legs).reshape(m, legs, 3)
+            leg[0, ..., j] = by(feet=(place + all_legs, rate)).reshape(m, legs, 3)
+            leg[1, ..., j] = by(feet=(place, rate + all_legs)).reshape(m, legs, 3)
             if np.isfinite(heights).any():
-                rise = foot_heights(replace(bins, q=bins.q + all_legs), robot)
+                rise = foot_heights(replace(bins, feet=(place + all_legs, rate)), feet)
                 height_q[:, :, j] = np.nan_to_num(rise - heights) / DIFFERENCE_STEP
     return ResidualJacobians(parts, robot, leg_omega, leg[0], leg[1], height_q)
 
@@ -142,12 +142,13 @@ def _dynamics_jacobians(
     out = np.zeros((4, joints, m, joints + 6))
     use = np.flatnonzero(dilate(steps.swings.any(axis=1) | steps.steady))
     s = replace(steps, **{name: values[use] for name, values in vars(steps).items()})
-    wrench, torque = inverse_dynamics_jacobians(s, robot, DIFFERENCE_STEP)
+    wrench, torque = robot.dynamics.derivatives(s.q, s.dq, s.ddq, s.base, DIFFERENCE_STEP)
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
         out[3, j, use, j] = 1.0
-    if isinstance(robot, Robot) and s.steady.any() and robot.limbs.point_feet:
-        out[:, :, use, joints:] += _feet_wrench_jacobians(s, needed.torque[use], torque, robot)
+    legged = robot.legged
+    if legged is not None and s.steady.any() and robot.limbs.point_feet:
+        out[:, :, use, joints:] += _feet_wrench_jacobians(s, needed.torque[use], torque, legged)
     return out
 
 
@@ -256,14 +257,16 @@ def _inverse_dynamics_under(
     inputs: ResidualInputs, robot: Machine, one: Machine
 ) -> InverseDynamics | None:
     """Inverse dynamics of `inputs`, which are under the model `robot`, under the model `one`."""
-    needed, steps = inputs.inverse_dynamics, inputs.steps
-    if needed is None:
+    needed, steps, dynamics = inputs.inverse_dynamics, inputs.steps, robot.dynamics
+    if needed is None or dynamics is None:
         return None
     if not _same_joints(robot, one):
         return inverse_dynamics(steps, one)
     links = one.extras.links
-    if links[:-1] == robot.extras.links and links:
-        needed = with_link_change(needed, links[-1], inputs.link_jacobians, steps, robot)
+    one_more = bool(links) and links[:-1] == robot.extras.links
+    by_links = inputs.link_jacobians if one_more else None
+    if by_links is not None:
+        needed = with_link_change(needed, links[-1], by_links, steps, dynamics)
     elif links != robot.extras.links:
         return inverse_dynamics(steps, one)
     more = load_wrench(steps, one) - load_wrench(steps, robot)
@@ -290,9 +293,9 @@ def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:
 
 def _same_joints(robot: Machine, one: Machine) -> bool:
     """Whether both models have their joints at the same places."""
-    if not (isinstance(robot, Robot) and isinstance(one, Robot)):
+    if robot.legged is None or one.legged is None:
         return True
-    own, other = robot.legs, one.legs
+    own, other = robot.legged.legs, one.legged.legs
     return np.array_equal(own.offset, other.offset) and np.array_equal(own.rotation, other.rotation)
 
 

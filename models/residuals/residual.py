@@ -13,8 +13,8 @@ from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.without_reference import motion_without_reference
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
-from surefoot.sim.robot.given_feet import shows_feet
+from surefoot.sim.robot.feet import shown_feet
+from surefoot.sim.robot.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -67,20 +67,17 @@ def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion
 
     Without a reference, the motion by IMU and legs.
     """
-    if fixed or isinstance(robot, FixedBase):
+    if fixed or robot.fixed:
         return reference_motion(log, robot.limbs, fixed)
     if not log.has("reference"):
         return motion_without_reference(log, robot)
     motion = reference_motion(log, robot.limbs)
-    if not (shows_feet(log, robot) and motion.standing.any()):
-        return motion
-    return within_windows(motion, log, robot)
+    return within_windows(motion, log, robot) if motion.standing.any() else motion
 
 
 def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
     """Detect whether the ground is level, so that heights of feet can be compared."""
-    if isinstance(robot, FixedBase) or not (motion.by_reference and motion.standing.any()):
+    feet = shown_feet(log, robot.feet)
+    if feet is None or not (motion.by_reference and motion.standing.any()):
         return motion
-    if not shows_feet(log, robot):
-        return motion
-    return replace(motion, level=level_ground(binned(log, robot, motion), robot))
+    return replace(motion, level=level_ground(binned(log, robot, motion), feet))

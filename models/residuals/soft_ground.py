@@ -21,12 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, bin_mean
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.tiles import SOLIMP, SOLREF
 from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances_between_swings
@@ -107,7 +105,7 @@ def foot_sinking(
 
 def foot_mobilities(robot: Robot) -> np.ndarray:
     """Acceleration of each foot per unit of force (L,) [1/kg], from the declared masses."""
-    model = dynamics_of(robot.file, robot.joint_names).model
+    model = robot.dynamics.model
     return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
 
 
@@ -116,12 +114,12 @@ def acceleration_at_constant_rates(robot: Robot, bins: Bins) -> np.ndarray:
     base, and constant velocity of the base's origin in the world.
     """
     up, every = bins.R_GI[:, 2], np.ones(bins.standing.shape, dtype=bool)
-    at_origin = replace(robot, p_BI=np.zeros(3))
+    at_origin = replace(robot.feet, p_BI=np.zeros(3))
 
     def soles(time: float) -> np.ndarray:
         turned = up - time * np.cross(bins.omega, up)
         q = bins.q + time * bins.dq
-        return -leg_velocity(at_origin, q, bins.dq, bins.omega, turned, every)
+        return -at_origin.imu_velocity(q, bins.dq, bins.omega, turned, every)
 
     now = soles(0.0)
     return np.cross(bins.omega[:, None], now) + (soles(RATE_STEP) - now) / RATE_STEP
@@ -144,7 +142,8 @@ def foot_stances(
     rows = np.clip(first[:, None] + np.arange(-around, around + 1), 0, len(log.t) - 1)
     at, only = rows.ravel(), np.zeros((rows.size, log.contact.shape[1]), dtype=bool)
     only[:, leg] = True
-    v_I = leg_velocity(robot, log.q[at], dq[at], motion.gyro[at], motion.R_GI[at, 2], only)[:, leg]
+    turning = motion.gyro[at], motion.R_GI[at, 2]
+    v_I = robot.feet.imu_velocity(log.q[at], dq[at], *turning, only)[:, leg]
     v_G = np.einsum("nij,nj->ni", motion.R_GI[at], motion.v_I[at] - v_I).reshape(*rows.shape, 3)
     return Stances(first, last, first > 0, np.nan_to_num(v_G.mean(axis=1)))
 

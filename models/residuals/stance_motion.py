@@ -8,9 +8,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from surefoot.models.residuals.binning import BIN, ReferenceMotion, at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity
-from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.robot import Robot
+from surefoot.sim.log import Log
+from surefoot.sim.robot.feet import Feet
 from surefoot.sim.sensors.stances import stances
 
 FEWEST_STANCE_BINS = 3
@@ -37,18 +36,20 @@ def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.nda
     return means
 
 
-def stance_displacement(log: Log, robot: Robot, motion: ReferenceMotion) -> np.ndarray:
+def stance_displacement(
+    log: Log, feet: Feet, motion: ReferenceMotion, liftoff_late: float = 0.0
+) -> np.ndarray:
     """Displacement (M, 2 L) [m] of each foot over the ground during each of its contacts.
 
     From the leg's kinematics and the reference, along the forward and lateral axes of the heading,
     and negated, so that it is the distance by which leg odometry moves the body too far. Values are
     in the middle bin of each contact. Contacts are shortened to the time in which the foot does not
-    move, and by the delays that the model declares.
+    move, and by the delay of lift-offs that the model declares [s].
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     # One more row on either side, for contacts that the model delays by a part of a row.
     around = maximum_filter1d(log.contact, 3, axis=0) & motion.ok[:, None]
-    v_I = leg_velocity(robot, log.q, joint_velocity(log), omega, motion.up_I, around)
+    v_I = feet.imu_velocity(*feet.readings(log), omega, motion.up_I, around)
     ahead = motion.R_GI[:, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     # The heading's axes, level in G, expressed in I.
@@ -62,7 +63,7 @@ def stance_displacement(log: Log, robot: Robot, motion: ReferenceMotion) -> np.n
     for leg in range(around.shape[1]):
         first, end = stances(log.contact[:, leg])
         begin = edges[first] + motion.early
-        until = edges[end] - robot.extras.liftoff_late - motion.late
+        until = edges[end] - liftoff_late - motion.late
         use = (until - begin > SHORTEST_CONTACT) & (lost[end] == lost[first])
         use &= (first > 0) & (end < len(log.t))
         bins = np.searchsorted(motion.first, (first + end) // 2, side="right") - 1

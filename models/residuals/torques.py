@@ -13,11 +13,11 @@ import numpy as np
 
 from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
 from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.inverse_dynamics import Dynamics
 from surefoot.sim.robot.kinematics import leg_forward
+from surefoot.sim.robot.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     whole[1:-1] = gaps[1:] & gaps[:-1]
     stays, lifted = _always(bins.standing), _always(bins.lifted)
     up_B = np.zeros((len(bins.t), 3))
-    if isinstance(robot, Robot):
-        up_B = bins.R_GI[:, 2] @ robot.R_BI.T
+    if robot.legged is not None:
+        up_B = bins.R_GI[:, 2] @ robot.legged.R_BI.T
         # Joints that belong to no leg carry no foot's load.
         swings = np.ones_like(bins.q, dtype=bool)
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
@@ -102,17 +102,16 @@ class InverseDynamics:
     torque: np.ndarray
 
 
-def inverse_dynamics(s: DynamicsInputs, robot: Machine, every: bool = False) -> InverseDynamics:
-    """Inverse dynamics of the declared model with its declared masses.
+def inverse_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics | None:
+    """Inverse dynamics of the declared model with its declared masses; None without a model.
 
-    Bins that no residual needs are zero, unless `every` bin is requested.
+    Bins that no residual needs are zero.
     """
-    use = np.flatnonzero(needed_bins(s) | every)
-    dynamics = dynamics_of(robot.file, robot.joint_names)
+    if robot.dynamics is None:
+        return None
+    use = needed_bins(s)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
-    wrench[use], torque[use] = dynamics.inverse(
-        s.q[use], s.dq[use], s.ddq[use], s.base[use], body_changes(robot)
-    )
+    wrench[use], torque[use] = robot.dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use])
     return InverseDynamics(wrench + load_wrench(s, robot), torque)
 
 
@@ -121,25 +120,12 @@ def needed_bins(s: DynamicsInputs) -> np.ndarray:
     return dilate(s.swings.any(axis=1) | s.steady)
 
 
-def inverse_dynamics_jacobians(
-    s: DynamicsInputs, robot: Machine, step: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of wrench (3, J, M, 6) and torque (3, J, M, J) by each joint's angle, rate and
-    acceleration.
-
-    Forward differences of size `step`.
-    """
-    dynamics = dynamics_of(robot.file, robot.joint_names)
-    return dynamics.derivatives(s.q, s.dq, s.ddq, s.base, body_changes(robot), step)
-
-
-def link_jacobians(s: DynamicsInputs, robot: Machine) -> np.ndarray:
+def link_jacobians(s: DynamicsInputs, dynamics: Dynamics) -> np.ndarray:
     """Derivatives (5, J, nv, K) of the generalised forces by each link's mass, centre and inertia,
     in the K needed bins.
     """
-    use, dynamics = needed_bins(s), dynamics_of(robot.file, robot.joint_names)
-    motion = s.q[use], s.dq[use], s.ddq[use], s.base[use]
-    return dynamics.link_derivatives(*motion, body_changes(robot))
+    use = needed_bins(s)
+    return dynamics.link_derivatives(s.q[use], s.dq[use], s.ddq[use], s.base[use])
 
 
 def with_link_change(
@@ -147,7 +133,7 @@ def with_link_change(
     change: LinkChange,
     by_links: np.ndarray,
     s: DynamicsInputs,
-    robot: Machine,
+    dynamics: Dynamics,
 ) -> InverseDynamics:
     """Inverse dynamics with one more change of a link, to first order.
 
@@ -156,24 +142,24 @@ def with_link_change(
         change: of one link.
         by_links: `link_jacobians` of the robot.
         s: inputs of both.
-        robot: without the change.
+        dynamics: of the robot.
     """
     sizes = (change.mass, *change.com, change.inertia)
     gained = np.tensordot(sizes, by_links[:, change.joint], 1).T
     use, wrench, torque = needed_bins(s), needed.wrench.copy(), needed.torque.copy()
-    more = dynamics_of(robot.file, robot.joint_names).parted(gained)
+    more = dynamics.parted(gained)
     wrench[use] += more[0]
     torque[use] += more[1]
     return InverseDynamics(wrench, torque)
 
 
-def load_wrench(s: DynamicsInputs, robot: Machine) -> np.ndarray:
+def load_wrench(s: DynamicsInputs, machine: Machine) -> np.ndarray:
     """Wrench (M, 6) for the declared payload and shift of the base's centre of mass."""
-    wrench = np.zeros((len(s.q), 6))
-    if not isinstance(robot, Robot) or not (robot.extras.payload or robot.extras.com_shift.any()):
+    wrench, robot = np.zeros((len(s.q), 6)), machine.legged
+    if robot is None or not (robot.extras.payload or robot.extras.com_shift.any()):
         return wrench
     omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
-    body = dynamics_of(robot.file, robot.joint_names).model.body(robot.base_name)
+    body = robot.dynamics.model.body(robot.base_name)
     shift, mass, place = robot.extras.com_shift, float(body.mass[0]), body.ipos
     felt = [
         force + np.cross(spin, c) + np.cross(omega, np.cross(omega, c))

@@ -14,11 +14,10 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.residuals.binning import ReferenceMotion, at_rows, reference_motion
 from surefoot.models.residuals.contact_timing import within_windows
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.given_feet import GivenFeet, Walker
+from surefoot.sim.log import Log
+from surefoot.sim.robot.feet import Feet
+from surefoot.sim.robot.machine import Machine
 
 LEVELLING_WINDOW = 1.0
 """Averaging time of the specific force for the vertical [s]: accelerations of a walk average to a
@@ -31,16 +30,17 @@ def can_dead_reckon(log: Log) -> bool:
     return all(map(log.has, ("imu", "q", "contact"))) and bool(log.contact.any())
 
 
-def motion_without_reference(log: Log, robot: Walker) -> ReferenceMotion:
+def motion_without_reference(log: Log, robot: Machine) -> ReferenceMotion:
     """Stances, bins and vertical of a walk without a reference.
 
     No foot stands or swings where the log lacks IMU, angles or contacts, or where it gives the
     feet: their differences while one turns depend on how far each rolls, which is not known.
     """
-    if isinstance(robot, GivenFeet) or not can_dead_reckon(log):
+    feet = robot.feet
+    if feet is None or feet.roll_unknown or not can_dead_reckon(log):
         motion = reference_motion(log, robot.limbs, fixed=True)
         return replace(motion, lifted=motion.standing, by_reference=False)
-    reckoned = with_dead_reckoning(log, robot)
+    reckoned = with_dead_reckoning(log, feet)
     motion = within_windows(reference_motion(reckoned, robot.limbs), reckoned, robot)
     nothing = np.zeros((len(log.t), 3))
     unknown = np.full_like(nothing, np.nan)
@@ -49,7 +49,7 @@ def motion_without_reference(log: Log, robot: Walker) -> ReferenceMotion:
     )
 
 
-def with_dead_reckoning(log: Log, robot: Robot) -> Log:
+def with_dead_reckoning(log: Log, feet: Feet) -> Log:
     """Replace a log's reference by dead reckoning.
 
     The velocity is the mean over the standing feet, up is the direction of the mean specific force,
@@ -57,7 +57,7 @@ def with_dead_reckoning(log: Log, robot: Robot) -> Log:
     """
     up = uniform_filter1d(log.accel, max(1, round(LEVELLING_WINDOW * log.rate)), axis=0)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    by_foot = leg_velocity(robot, log.q, joint_velocity(log), at_rows(log.gyro), up, log.contact)
+    by_foot = feet.imu_velocity(*feet.readings(log), at_rows(log.gyro), up, log.contact)
     count = log.contact.sum(axis=1)
     v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
     stands = np.flatnonzero(count)

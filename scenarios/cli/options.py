@@ -164,7 +164,7 @@ def not_plausible(
     `robot` is the logs' own by default. Raises SurefootError if there are any and `strict` is set.
     """
     from surefoot.sim.plausibility import check_log
-    from surefoot.sim.robot.fixed_base import machine_for_log
+    from surefoot.sim.robot.machine import machine_for_log
 
     found: dict[str, tuple[str, ...]] = {}
     for log in logs:

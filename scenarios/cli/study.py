@@ -66,7 +66,7 @@ class TraceCommand:
         from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
-        from surefoot.sim.robot.fixed_base import machine_for_log
+        from surefoot.sim.robot.machine import machine_for_log
 
         if not self.logs:
             raise SurefootError("give at least one log")

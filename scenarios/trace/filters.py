@@ -17,14 +17,14 @@ from surefoot.estimator.metrics import (
     path_length,
 )
 from surefoot.models.residuals.binning import at_rows
-from surefoot.models.residuals.leg_velocity import leg_velocity_of
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.given_feet import Walker, shows_feet
+from surefoot.sim.robot.feet import Feet, shown_feet
+from surefoot.sim.robot.machine import Machine
 
 REPORTED = (
     "ape_trans",
@@ -58,7 +58,7 @@ class BeforeAfter:
 
 
 def before_and_after(
-    log: Log, robot: Walker, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
+    log: Log, robot: Machine, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
     """Run every filter for which log and `learnt` suffice on a part of a log, without and with
     effects.
@@ -95,9 +95,10 @@ def before_and_after(
     of_filter = {one.filter: traits(one.filter) for one in done}
     done.sort(key=lambda one: of_filter[one.filter].variant or not of_filter[one.filter].of_legs)
     stands = plain_part.has("contact") and plain_part.contact.any()
-    if stands and shows_feet(plain_part, robot):
-        before = dead_reckoned(plain_part, robot)
-        after = dead_reckoned(compensated_part, corrected)
+    feet, changed = shown_feet(plain_part, robot.feet), corrected.feet
+    if stands and feet is not None and changed is not None:
+        before = dead_reckoned(plain_part, feet)
+        after = dead_reckoned(compensated_part, changed)
         done.append(_compared(DEAD_RECKONING, plain_part, truth, before, after))
     return done
 
@@ -129,13 +130,13 @@ def drift(truth: Trajectory, estimate: Trajectory) -> float:
     return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
 
 
-def dead_reckoned(log: Log, robot: Walker) -> Trajectory:
+def dead_reckoned(log: Log, feet: Feet) -> Trajectory:
     """Leg odometry: the mean velocity by the standing feet, rotated by the reference's attitude and
     integrated. While no foot stands, the last velocity in the IMU's frame is held.
     """
     R_GI, stands = log.ref_R_GI, log.contact
     omega = at_rows(log.gyro) if log.has("imu") else np.zeros((len(log.t), 3))
-    v_I = leg_velocity_of(log, robot, omega, R_GI[:, 2], stands)
+    v_I = feet.imu_velocity(*feet.readings(log), omega, R_GI[:, 2], stands)
     supported = np.flatnonzero(stands.any(axis=1))
     mean = np.nansum(v_I[supported], axis=1) / stands[supported].sum(axis=1, keepdims=True)
     latest = np.searchsorted(supported, np.arange(len(log.t)), side="right") - 1
@@ -145,7 +146,7 @@ def dead_reckoned(log: Log, robot: Walker) -> Trajectory:
     return Trajectory(log.t, R_GI, v_GI, p_GI, zeros, zeros)
 
 
-def filtered(name: str, log: Log, robot: Walker, learnt: Learnt) -> Trajectory:
+def filtered(name: str, log: Log, robot: Machine, learnt: Learnt) -> Trajectory:
     """One filter's estimate over a log, until it diverged.
 
     Raises SurefootError naming what the log or `learnt` lacks for it.
@@ -155,18 +156,18 @@ def filtered(name: str, log: Log, robot: Walker, learnt: Learnt) -> Trajectory:
     return found
 
 
-def _known_to_filters(robot: Walker) -> Robot | None:
+def _known_to_filters(robot: Machine) -> Robot | None:
     """The robot that a filter runs with; None where only its feet are known."""
-    if not isinstance(robot, Robot):
+    known = robot.legged
+    if known is None:
         return None
-    return replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
+    return replace(known, foot_radius=np.maximum(known.foot_radius, 0.0))
 
 
-def doubts(name: str, log: Log, robot: Walker, estimate: Trajectory) -> str:
+def doubts(name: str, log: Log, robot: Machine, estimate: Trajectory) -> str:
     """Why a filter's estimate over a log should not be trusted; "" if it can be."""
     run = [summary_of_run(estimate, log)]
-    known = robot if isinstance(robot, Robot) else None
-    return health_of(run, estimator_named(name), known, log).sentence(name)
+    return health_of(run, estimator_named(name), robot.legged, log).sentence(name)
 
 
 def stretch(log: Log, begin: float, end: float) -> Log | None:

@@ -23,8 +23,7 @@ from surefoot.scenarios.trace.words import (
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.effects.file import save_effects
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 _METRICS = {
     "ape_trans": "APE [m]",
@@ -45,13 +44,12 @@ _OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
 def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
     """Write the trace's files into an empty folder."""
     effects = found.effects
-    if found.stretches and found.stretches[0].log.has("q"):
+    if robot.legged is not None and found.stretches and found.stretches[0].log.has("q"):
         first = found.stretches[0]
         estimates = {f"{first.filter} (declared model)": first.before}
         if effects:
             estimates[f"{first.filter} (effect added)"] = first.after
-        assert isinstance(robot, Robot)
-        write_recording(out / "trace.rrd", RecordedWalk(first.log, robot, estimates))
+        write_recording(out / "trace.rrd", RecordedWalk(first.log, robot.legged, estimates))
     write_report(out / "report.html", "Trace: what does the model lack?", sections(found))
     save_effects(out / "effects.toml", effects, limbs=robot.limbs)
     with whole_file(out / "trace.json") as temporary:

@@ -23,7 +23,7 @@ from surefoot.sim.common.files import protect, refuse_overwrite, whole_folder
 from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.machine import Machine
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
@@ -163,7 +163,7 @@ def _filtered(
     """
     done: list[BeforeAfter] = []
     for case in cases:
-        if case.fixed or isinstance(case.robot, FixedBase):
+        if case.fixed:
             continue
         if not (case.log.has("imu") and case.log.has("reference")):
             continue

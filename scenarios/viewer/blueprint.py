@@ -13,11 +13,12 @@ import rerun.blueprint as rrb
 
 from surefoot.scenarios.estimate.estimators import shown_at_first
 from surefoot.scenarios.viewer.scene import estimate_path, trunk_size
-from surefoot.scenarios.viewer.series import ANGLES, BANDS, series_part
+from surefoot.scenarios.viewer.series import BANDS, series_part
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
+_Time = rrb.TimeRangeBoundary
 _WINDOW = 3.0  # s on each side of the time cursor, about six strides
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.LeftTop)
 _NO_LEGEND = rrb.PlotLegend(visible=False)
@@ -28,15 +29,15 @@ _SHARES = (4, 6, 5, 4)  # heights of the overview's plots: legends need the seco
 EXPLANATION = "What is this?"
 """The tab that is open initially."""
 _AXIS_WORDS = {"x": "forward", "y": "left", "z": "up"}
-_ANGLE_WORDS = {"roll": "about forward", "pitch": "about left", "yaw": "about up"}
+_ANGLE_WORDS = {
+    "roll": "Roll error (about forward)",
+    "pitch": "Pitch error (about left)",
+    "yaw": "Yaw error (about up)",
+}
 
 
 def layout(
-    log: Log,
-    robot: Robot,
-    estimators: Sequence[str],
-    has_update: bool,
-    tab: str = EXPLANATION,
+    log: Log, robot: Robot, estimators: Sequence[str], has_update: bool, tab: str = EXPLANATION
 ) -> rrb.Blueprint:
     """The blueprint of one recording.
 
@@ -47,48 +48,36 @@ def layout(
         has_update: masses of the coverage update were written.
         tab: that is open initially.
     """
-    lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
-    eye = tuple(4.0 * float(trunk_size(robot)[0]) * np.array([-0.9, -1.2, 0.8]))
-    centre = tuple(0.5 * (lower + upper))
-    span = float((upper - lower)[:2].max()) + 1.0
-    times = float(log.t[0]), float(log.t[-1])
-    has_feet = log.has("contact")
-    has_slip = has_feet and log.has("truth")
     shown = shown_at_first(estimators)
-    scene = rrb.Vertical(_following(estimators, shown, eye), _map(estimators, shown, centre, span))
+    scene = rrb.Vertical(
+        _following(estimators, shown, trunk_size(robot)), _map(log, estimators, shown)
+    )
     scene.row_shares = [3, 2]
-    distance = "Distance between estimate and truth [m], thin: the filter's own 3σ"
-    errors = [_whole_walk("/distance", distance, shown, times)] if estimators else []
+    distance = ("/distance", "Distance between estimate and truth [m], thin: the filter's own 3σ")
+    errors = [_whole_walk(log, shown, *distance)] if estimators else []
     tabs: dict[str, list[rrb.View]] = {
-        "Overview": [_velocity("x"), *errors, *(_feet(has_slip) if has_feet else [])],
+        "Overview": [_velocity("x"), *errors, *_feet(log)],
         "Velocity and bounds": [_velocity(axis) for axis in AXES],
     }
     if estimators:
         tabs["Position error"] = [
             _whole_walk(
-                f"/position_error/{axis}",
+                *(log, shown, f"/position_error/{axis}"),
                 f"Position error along {axis} of the world [m], {_THIN}",
-                shown,
-                times,
             )
             for axis in AXES
         ]
         tabs["Attitude error"] = [
-            _whole_walk(
-                f"/attitude_error/{angle}",
-                f"{angle.capitalize()} error ({_ANGLE_WORDS[angle]}) [deg], {_THIN}",
-                shown,
-                times,
-            )
-            for angle in ANGLES
+            _whole_walk(log, shown, f"/attitude_error/{angle}", f"{words} [deg], {_THIN}")
+            for angle, words in _ANGLE_WORDS.items()
         ]
     if set(shown) != set(estimators):
         tabs["All estimators"] = [
-            _map(estimators, estimators, centre, span),
-            _whole_walk("/distance", distance, estimators, times),
+            _map(log, estimators, estimators),
+            _whole_walk(log, estimators, *distance),
         ]
-    if has_feet:
-        tabs["Feet"] = _feet(has_slip)
+    if log.has("contact"):
+        tabs["Feet"] = _feet(log)
     if has_update:
         name = "Prior mass π inside the bounds: an update acts where it is below γ"
         tabs["Coverage update"] = [_plot("/update", name, _LEGEND)]
@@ -113,8 +102,14 @@ def _hidden(estimators: Sequence[str], shown: Sequence[str]) -> dict[Any, Any]:
     return {path: rrb.EntityBehavior(visible=False) for path in others}
 
 
-def _following(estimators: Sequence[str], shown: Sequence[str], eye) -> rrb.Spatial3DView:
-    """View in a frame that moves with the robot without rotating, so the robot stays in view."""
+def _following(
+    estimators: Sequence[str], shown: Sequence[str], size: np.ndarray
+) -> rrb.Spatial3DView:
+    """View in a frame that moves with the robot without rotating, so the robot stays in view.
+
+    `size` is half of the trunk's (3,) [m].
+    """
+    eye = 4.0 * size[0] * np.array([-0.9, -1.2, 0.8])
     estimates = [
         f"- /{estimate_path(n)}/{part}"
         for n in estimators
@@ -134,14 +129,15 @@ def _following(estimators: Sequence[str], shown: Sequence[str], eye) -> rrb.Spat
         ),
         line_grid=rrb.LineGrid3D(visible=False),
         time_ranges=rrb.VisibleTimeRange(
-            "time",
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
+            "time", start=_Time.cursor_relative(seconds=-_TRAIL), end=_Time.cursor_relative()
         ),
     )
 
 
-def _map(estimators: Sequence[str], shown: Sequence[str], centre, span: float) -> rrb.Spatial3DView:
+def _map(log: Log, estimators: Sequence[str], shown: Sequence[str]) -> rrb.Spatial3DView:
+    """View of the whole walk from above."""
+    lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
+    centre, span = 0.5 * (lower + upper), float((upper - lower)[:2].max()) + 1.0
     hidden = ("trail", "body/outline", "body/forward", "body/pole", "body/flag")
     estimates = [f"- /{estimate_path(n)}/{part}" for n in estimators for part in hidden]
     found = ", estimates, dots where they are now, wire: 3σ" if estimators else ""
@@ -165,18 +161,17 @@ def _plot(origin: str, name: str, legend: rrb.PlotLegend) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(origin=origin, name=name, axis_x=_about_cursor(), plot_legend=legend)
 
 
-def _whole_walk(
-    origin: str, name: str, estimators: Sequence[str], times: tuple[float, float]
-) -> rrb.TimeSeriesView:
+def _whole_walk(log: Log, estimators: Sequence[str], origin: str, name: str) -> rrb.TimeSeriesView:
     """Series of estimators under `origin` over the whole walk, with the legend before its start."""
-    start, end = times
+    start, end = float(log.t[0]), float(log.t[-1])
+    times = (_Time.absolute(seconds=at) for at in (start - _ROOM * (end - start), end))
     return rrb.TimeSeriesView(
         origin=origin,
         contents=[
             f"{origin}/{kind}/{series_part(n)}" for n in estimators for kind in (BANDS, "error")
         ],
         name=name,
-        axis_x=rrb.TimeAxis(view_range=_seconds(start - _ROOM * (end - start), end)),
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(*times)),
         plot_legend=_LEGEND,
     )
 
@@ -187,7 +182,9 @@ def _velocity(axis: str) -> rrb.TimeSeriesView:
     return _plot(f"/velocity/{axis}", f"Velocity along {along} [m/s]: {colours}", _NO_LEGEND)
 
 
-def _feet(has_slip: bool) -> list[rrb.View]:
+def _feet(log: Log) -> list[rrb.View]:
+    if not log.has("contact"):
+        return []
     lanes = rrb.StateTimelineView(
         origin="/feet/contact",
         name="Feet on the ground (magenta: slipping)",
@@ -195,19 +192,10 @@ def _feet(has_slip: bool) -> list[rrb.View]:
     )
     colours = "left amber and teal, right rose and violet"
     slip = _plot("/feet/slip", f"Slip speed of loaded feet [m/s]: {colours}", _NO_LEGEND)
-    return [lanes, slip] if has_slip else [lanes]
+    return [lanes, slip] if log.has("truth") else [lanes]
 
 
 def _about_cursor() -> rrb.TimeAxis:
     """The times within a few strides of the time cursor."""
-    boundary = rrb.TimeRangeBoundary
-    start = boundary.cursor_relative(seconds=-_WINDOW)
-    return rrb.TimeAxis(
-        view_range=rr.TimeRange(start=start, end=boundary.cursor_relative(seconds=_WINDOW))
-    )
-
-
-def _seconds(start: float, end: float) -> rr.TimeRange:
-    """Fixed times on the recording's timeline, in seconds or calendar time."""
-    boundary = rrb.TimeRangeBoundary
-    return rr.TimeRange(start=boundary.absolute(seconds=start), end=boundary.absolute(seconds=end))
+    start, end = (_Time.cursor_relative(seconds=at) for at in (-_WINDOW, _WINDOW))
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))

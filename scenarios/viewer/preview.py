@@ -34,7 +34,7 @@ def write_preview(
     """
     if Path(source).suffix == ".parquet":
         log = Log.read(source)
-        write_recording(path, RecordedWalk(log, Robot.for_log(log, robot)), force)
+        write_recording(path, RecordedWalk(log, Robot.for_log(log, robot), {}), force)
         return
     if source not in bundled_scenarios() and Path(source).suffix != ".toml":
         raise SurefootError(f"{source}: view opens recordings (.rrd), logs and scenarios (.toml)")
@@ -43,7 +43,7 @@ def write_preview(
     if not name:
         raise SurefootError(f"scenario {source}: names no robot: say which")
     made = plan(scenario, Robot.load(name), seed)
-    walk = RecordedWalk(_course_log(made), made.robot, ground=made.ground)
+    walk = RecordedWalk(_course_log(made), made.robot, {}, ground=made.ground)
     write_recording(path, walk, force)
 
 

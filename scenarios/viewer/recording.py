@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,7 +68,7 @@ _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over millise
 
 @dataclass(frozen=True)
 class RecordedWalk:
-    """A walk and its estimates, to be shown.
+    """A walk and what a recording shows of it.
 
     Attributes:
         log: the walk; needs its joints and a reference. Contacts, truth and IMU are optional.
@@ -82,7 +82,7 @@ class RecordedWalk:
 
     log: Log
     robot: Robot
-    trajectories: Mapping[str, Trajectory] = field(default_factory=dict)
+    trajectories: Mapping[str, Trajectory]
     prediction: Prediction | None = None
     bounds: Bounds | None = None
     ground: Ground | None = None
@@ -100,13 +100,14 @@ def write_recording(
 
     Args:
         path: file to write, with the suffix .rrd.
-        walk: to show.
+        walk: what is shown.
         force: overwrite.
         tab: of the viewer that is open initially.
     """
     log, robot, bounds = walk.log, walk.robot, walk.bounds
     log.require("q", "reference")
-    _check_name(path)
+    if Path(path).suffix != ".rrd":
+        raise SurefootError(f"{path}: a recording's name ends in .rrd")
     truth = reference(log)
     errors = {n: error_series(truth, e, rate=_ERROR_RATE) for n, e in walk.trajectories.items()}
     stream = rr.RecordingStream("surefoot")
@@ -115,16 +116,14 @@ def write_recording(
     with whole_file(path, force) as temporary:
         # Kept in memory until complete, since rerun's own files wait forever if the disk is full.
         whole = stream.memory_recording()
-        blueprint = layout(log, robot, tuple(walk.trajectories), bool(records), tab)
+        blueprint = layout(log, robot, tuple(errors), bool(records), tab)
         stream.send_blueprint(blueprint, make_active=False)
         stream.send_recording_name(str(log.meta.scenario or Path(path).stem))
-        text = _about(log, robot, errors, walk.prediction is not None)
-        about = rr.TextDocument(text, media_type="text/markdown")
+        about = rr.TextDocument(_about(walk, errors), media_type="text/markdown")
         stream.log("/about", about, static=True)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        corners = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
         if ground := walk.ground or ground_of_log(log):
-            write_ground(stream, corners, ground)
+            write_ground(stream, log, ground)
             write_shadow(stream, log, robot, ground)
         write_robot(stream, log, robot)
         write_truth_path(stream, log)
@@ -140,21 +139,17 @@ def write_recording(
         temporary.write_bytes(whole.drain_as_bytes())
 
 
-def _check_name(path: str | Path) -> None:
-    if Path(path).suffix != ".rrd":
-        raise SurefootError(f"{path}: a recording's name ends in .rrd")
-
-
-def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries], has_observer: bool) -> str:
+def _about(walk: RecordedWalk, errors: Mapping[str, ErrorSeries]) -> str:
     """Explanation in Markdown of what the recording shows, with each estimator's error at the end
     of the walk.
     """
+    log = walk.log
     ends = [f"| {estimator_label(n)} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
     shown = [estimator_label(name) for name in shown_at_first(tuple(errors))]
     table = ["| estimator | distance from the truth at the end |", "|---|---|", *ends, ""]
     return "\n".join(
         [
-            f"# {log.meta.scenario or 'A walk'} by {robot.name}, {log.t[-1] - log.t[0]:.1f} s",
+            f"# {log.meta.scenario or 'A walk'} by {walk.robot.name}, {log.t[-1] - log.t[0]:.1f} s",
             "",
             "The robot and the grey line show the reference: the truth of a simulated walk, the "
             "measured motion of a real one, or the course before it is walked.",
@@ -164,7 +159,7 @@ def _about(log: Log, robot: Robot, errors: Mapping[str, ErrorSeries], has_observ
             "- **Ground**: the paler and bluer, the more slippery; labels give the friction "
             "coefficient.",
             *([_DOTS] if log.has("contact") else []),
-            _VELOCITY + (_PREDICTED if has_observer else ""),
+            _VELOCITY + (_PREDICTED if walk.prediction else ""),
             *([_ERRORS] if errors else []),
             *([_FEET] if log.has("contact") else []),
             "",
@@ -194,7 +189,7 @@ def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequenc
 
         observer, bounds = learnt.bounded()
         prediction = predict(observer, *declared_model(log, robot))
-    trajectories = {result.filter: result.trajectory for result in results}
+    estimates = {result.filter: result.trajectory for result in results}
     ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
-    walk = RecordedWalk(log, robot, trajectories, prediction, bounds, ground)
+    walk = RecordedWalk(log, robot, estimates, prediction, bounds, ground)
     write_recording(path, walk, force=True)

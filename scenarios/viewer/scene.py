@@ -25,7 +25,7 @@ from surefoot.scenarios.viewer.shapes import (
     link_shapes,
     rerun_quaternion,
 )
-from surefoot.sim.common.stamps import rows_every
+from surefoot.sim.common.series import rows_every
 from surefoot.sim.ground.ground_metadata import thinned
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground
@@ -62,17 +62,20 @@ def estimate_path(name: str) -> str:
     return f"world/estimates/{rr.escape_entity_path_part(name)}"
 
 
-def write_ground(
-    stream: rr.RecordingStream, corners: tuple[np.ndarray, np.ndarray], ground: Ground
-) -> None:
+def rows_at(log: Log, rate: float) -> np.ndarray:
+    """Rows of a log, every so many that they are at about `rate` [Hz]."""
+    return np.arange(0, len(log.t), max(1, round(log.rate / rate)))
+
+
+def write_ground(stream: rr.RecordingStream, log: Log, ground: Ground) -> None:
     """Write the ground at /world/ground/friction_<mu>/..., and a label on each patch.
 
     Args:
         stream: the recording.
-        corners: lower and upper (3,) corner of the walk, m; the floor extends a little beyond it.
+        log: the walk; the floor extends a little beyond it.
         ground: as walked on, with patches and bumps drawn by its seed.
     """
-    reach = float(np.abs(np.concatenate([c[:2] for c in corners])).max())
+    reach = float(np.abs(log.ref_p[:, :2]).max())
     layers = (*ground.strips, *ground.fields)
     edges = [abs(edge) for layer in layers for edge in layer.rectangle]
     half = min(ground.half_size, max(reach, *edges, 0.0) + _FLOOR_MARGIN)
@@ -94,13 +97,8 @@ def write_ground(
     stream.log("world/ground/grid", _grid(ground, half), static=True)
     for k, patch in enumerate(ground.patches):
         above = height(ground.height_map, patch.center_x, patch.center_y) + 0.02
-        label = rr.Points3D(
-            [[patch.center_x, patch.center_y, above]],
-            colors=[rgba(friction_color(patch.mu))],
-            radii=[0.02],
-            labels=[f"friction {patch.mu:.2f}"],
-            show_labels=True,
-        )
+        at, color = [patch.center_x, patch.center_y, above], [rgba(friction_color(patch.mu))]
+        label = _labelled(at, f"friction {patch.mu:.2f}", color, 0.02)
         stream.log(f"world/ground/patch_{k}", label, static=True)
 
 
@@ -119,9 +117,8 @@ def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
 
 def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
     """Write the trunk's shadow on the ground vertically below it."""
-    rows = np.arange(0, len(log.t), max(1, round(log.rate / POSE_RATE)))
-    R_GB = log.ref_R_GI[rows] @ robot.R_BI.T
-    p = log.ref_p[rows] - R_GB @ robot.p_BI
+    rows = rows_at(log, POSE_RATE)
+    p, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
     p[:, 2] = [height(ground.height_map, x, y) + _ABOVE for x, y, _ in p]
     yaw = np.arctan2(R_GB[:, 1, 0], R_GB[:, 0, 0])
     zero, one = np.zeros(len(rows)), np.ones(len(rows))
@@ -138,10 +135,9 @@ def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
     model = robot.spec().compile()
     base = model.body(robot.base_name).id
     joints = np.array([model.joint(name).id for name in robot.joint_names])
-    rows = np.arange(0, len(log.t), max(1, round(log.rate / POSE_RATE)))
+    rows = rows_at(log, POSE_RATE)
     times = [time_column(log.t[rows])]
-    R_GB = log.ref_R_GI[rows] @ robot.R_BI.T
-    p_GB = log.ref_p[rows] - R_GB @ robot.p_BI
+    p_GB, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
     _send_poses(stream, "world/robot", times, p_GB, R_GB)
     followed = rr.Transform3D.columns(translation=(p_GB * [1.0, 1.0, 0.0]).astype(np.float32))
     stream.send_columns("world/follow", indexes=times, columns=followed)
@@ -183,10 +179,8 @@ def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None
 
 def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
     """Write the reference's path as one line."""
-    rows = np.arange(0, len(log.t), max(1, round(log.rate / 20.0)))
-    path = rr.LineStrips3D([log.ref_p[rows]], colors=[rgba(TRUTH)], radii=[_pixels(2.0)])
-    stream.log("world/truth/path", path, static=True)
-    _send_trail(stream, "world/truth/trail", log.t[rows], log.ref_p[rows], TRUTH)
+    rows = rows_at(log, 20.0)
+    _write_path(stream, "world/truth", (log.t[rows], log.ref_p[rows]), TRUTH, width=2.0)
 
 
 def write_estimates(
@@ -205,27 +199,22 @@ def write_estimates(
     for k, name in enumerate([*first, *(n for n in errors if n not in first)]):
         error = errors[name]
         color, root = estimator_color(name), estimate_path(name)
-        path = rr.LineStrips3D([error.p_GI], colors=[rgba(color)], radii=[_pixels(1.2)])
-        stream.log(f"{root}/path", path, static=True)
-        _send_trail(stream, f"{root}/trail", error.t, error.p_GI, color)
-        R_GB = error.R_GI @ robot.R_BI.T
-        _send_poses(
-            stream, f"{root}/body", [time_column(error.t)], error.p_GI - R_GB @ robot.p_BI, R_GB
-        )
+        _write_path(stream, root, (error.t, error.p_GI), color, width=1.2)
+        poses = _trunk_poses(robot, error.p_GI, error.R_GI)
+        _send_poses(stream, f"{root}/body", [time_column(error.t)], *poses)
         _write_marker(stream, f"{root}/body", name, error, size, height=2.0 + 0.7 * k)
         if error.position_covariance is not None:
-            ellipsoid = f"{root}/ellipsoid"
-            _write_ellipsoid(stream, ellipsoid, error, error.position_covariance, color)
+            _write_ellipsoid(stream, root, error, error.position_covariance, color)
 
 
 def _write_ellipsoid(
-    stream: rr.RecordingStream, path: str, error: ErrorSeries, covariance: np.ndarray, color: str
+    stream: rr.RecordingStream, root: str, error: ErrorSeries, covariance: np.ndarray, color: str
 ) -> None:
     """Write the estimator's position covariance as ellipsoids with semi-axes of three sigma.
 
     Args:
         stream: rerun's recording.
-        path: of the entity.
+        root: of the estimator's entities.
         error: gives the positions of the ellipsoids.
         covariance: (N, 3, 3) [m^2] in G, of the position.
         color: of the estimator.
@@ -236,13 +225,14 @@ def _write_ellipsoid(
     style = rr.Ellipsoids3D.from_fields(
         colors=[rgba(color, 0.25)], line_radii=[_pixels(0.7)], fill_mode="majorwireframe"
     )
-    stream.log(path, style, static=True)
+    stream.log(f"{root}/ellipsoid", style, static=True)
     columns = rr.Ellipsoids3D.columns(
         centers=error.p_GI[rows].astype(np.float32),
         half_sizes=(3.0 * np.sqrt(variance.clip(0.0))).astype(np.float32),
         quaternions=rerun_quaternion(axes).astype(np.float32),
     )
-    stream.send_columns(path, indexes=[time_column(error.t[rows])], columns=columns)
+    times = [time_column(error.t[rows])]
+    stream.send_columns(f"{root}/ellipsoid", indexes=times, columns=columns)
 
 
 def _write_marker(
@@ -262,32 +252,23 @@ def _write_marker(
         size: (3,) [m], half sizes of the trunk.
         height: of the flag, in trunk widths.
     """
-    color = [rgba(estimator_color(name))]
-    thin = [_pixels(1.0)]
-    box = rr.Boxes3D(half_sizes=[1.08 * size], colors=color, radii=thin, fill_mode="majorwireframe")
-    stream.log(f"{path}/outline", box, static=True)
-    nose = rr.Arrows3D(
-        origins=[[size[0], 0.0, 0.0]],
-        vectors=[[0.5 * size[0], 0.0, 0.0]],
-        colors=color,
-        radii=[0.03 * size[0]],
-    )
-    stream.log(f"{path}/forward", nose, static=True)
+    color, thin = [rgba(estimator_color(name))], [_pixels(1.0)]
     top = [0.0, 0.0, height * 0.5 * size[0]]
-    pole = rr.LineStrips3D([[[0.0, 0.0, size[2]], top]], colors=color, radii=thin)
-    stream.log(f"{path}/pole", pole, static=True)
+    nose = {"origins": [[size[0], 0.0, 0.0]], "vectors": [[0.5 * size[0], 0.0, 0.0]]}
     # A changing label would not be drawn if the view shows a range of times.
-    flag = rr.Points3D(
-        [top],
-        colors=color,
-        radii=[_pixels(4.0)],
-        labels=[f"{estimator_label(name)}, {error.distance[-1]:.2f} m at the end"],
-        show_labels=True,
-    )
-    stream.log(f"{path}/flag", flag, static=True)
-    # Above the trunk, which would hide it from above.
-    dot = rr.Points3D([[0.0, 0.0, 3.0 * size[2]]], colors=color, radii=[_pixels(7.0)])
-    stream.log(f"{path}/dot", dot, static=True)
+    label = f"{estimator_label(name)}, {error.distance[-1]:.2f} m at the end"
+    parts = {
+        "outline": rr.Boxes3D(
+            half_sizes=[1.08 * size], colors=color, radii=thin, fill_mode="majorwireframe"
+        ),
+        "forward": rr.Arrows3D(**nose, colors=color, radii=[0.03 * size[0]]),
+        "pole": rr.LineStrips3D([[[0.0, 0.0, size[2]], top]], colors=color, radii=thin),
+        "flag": _labelled(top, label, color, _pixels(4.0)),
+        # Above the trunk, which would hide it from above.
+        "dot": rr.Points3D([[0.0, 0.0, 3.0 * size[2]]], colors=color, radii=[_pixels(7.0)]),
+    }
+    for part, shape in parts.items():
+        stream.log(f"{path}/{part}", shape, static=True)
 
 
 def trunk_size(robot: Robot) -> np.ndarray:
@@ -299,25 +280,39 @@ def trunk_size(robot: Robot) -> np.ndarray:
     return np.array([1.25 * half[0], max(1.25 * half[1], 0.3 * half[0]), 0.3 * half[0]])
 
 
-def _send_trail(
-    stream: rr.RecordingStream, path: str, t: np.ndarray, p: np.ndarray, color: str
+def _trunk_poses(robot: Robot, p_GI: np.ndarray, R_GI: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) [m] and rotations (N, 3, 3) of the trunk in G, from those of the IMU."""
+    R_GB = R_GI @ robot.R_BI.T
+    return p_GI - R_GB @ robot.p_BI, R_GB
+
+
+def _labelled(at: list[float], label: str, color: list, radius: Any) -> rr.Points3D:
+    """A dot at (3,) [m] with a label that is always shown."""
+    return rr.Points3D([at], colors=color, radii=[radius], labels=[label], show_labels=True)
+
+
+def _write_path(
+    stream, root: str, path: tuple[np.ndarray, np.ndarray], color: str, width: float
 ) -> None:
-    """Write the path again in short pieces, each at its own time, for a view of the last seconds.
+    """Write a path as one line and again, as a trail, in short pieces, each at its own time, for a
+    view of the last seconds.
 
     Args:
         stream: rerun's recording.
-        path: of the entity.
-        t: (N,) [s].
-        p: (N, 3) [m] in G.
-        color: of the line.
+        root: of the entities.
+        path: times (N,) [s] and positions (N, 3) [m] in G.
+        color: of the lines.
+        width: of the line [points].
     """
+    t, p = path
+    line = rr.LineStrips3D([p], colors=[rgba(color)], radii=[_pixels(width)])
+    stream.log(f"{root}/path", line, static=True)
     starts = np.arange(0, len(t) - 1, _PIECE)
     pieces = [p[k : k + _PIECE + 1].astype(np.float32) for k in starts]
     style = rr.LineStrips3D.from_fields(colors=[rgba(color)], radii=[_pixels(1.5)])
-    stream.log(path, style, static=True)
-    stream.send_columns(
-        path, indexes=[time_column(t[starts])], columns=rr.LineStrips3D.columns(strips=pieces)
-    )
+    stream.log(f"{root}/trail", style, static=True)
+    columns = rr.LineStrips3D.columns(strips=pieces)
+    stream.send_columns(f"{root}/trail", indexes=[time_column(t[starts])], columns=columns)
 
 
 def _pixels(size: float) -> Any:

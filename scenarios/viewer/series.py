@@ -21,7 +21,7 @@ from surefoot.scenarios.reporting.palette import (
     leg_color,
     rgba,
 )
-from surefoot.scenarios.viewer.scene import time_column
+from surefoot.scenarios.viewer.scene import rows_at, time_column
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, reference_velocity
 from surefoot.sim.physics.foot_truth import SLIPPING
@@ -43,10 +43,7 @@ def series_part(name: str) -> str:
 
 
 def write_velocity(
-    stream: rr.RecordingStream,
-    log: Log,
-    prediction: Prediction | None,
-    epsilon: np.ndarray | None,
+    stream: rr.RecordingStream, log: Log, prediction: Prediction | None, epsilon: np.ndarray | None
 ) -> None:
     """Write the body velocity v_I by axis: truth, observer, observer +- epsilon, and truth outside
     that.
@@ -57,25 +54,25 @@ def write_velocity(
         prediction: an observer's rows (M,) and v_I (M, 3), or None.
         epsilon: (3,) or (M, 3) m/s, or None.
     """
-    rows = (
-        np.arange(0, len(log.t), max(1, round(log.rate / SERIES_RATE)))
-        if prediction is None
-        else np.asarray(prediction.rows)
+    rows = np.asarray(prediction.rows) if prediction else rows_at(log, SERIES_RATE)
+    crosses = rr.SeriesPoints(
+        colors=[rgba(OUTSIDE)], markers=["cross"], names=["Truth outside"], marker_sizes=[4.0]
     )
     truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
     t, ok = log.t[rows], log.ref_ok[rows]
     for k, axis in enumerate(AXES):
         root = f"velocity/{axis}"
-        _line(stream, f"{root}/truth", t[ok], truth[ok, k], _style("Truth", TRUTH, 3.0))
+        _send(stream, f"{root}/truth", t[ok], truth[ok, k], _lines("Truth", TRUTH, 3.0))
         if prediction is None:
             continue
         v = np.asarray(prediction.v_I)[:, k]
         if epsilon is not None:
             half = np.broadcast_to(epsilon, prediction.v_I.shape)[:, k]
-            _band(stream, f"{root}/bounds", t, (v - half, v + half), "Bounds", rgba(BOUNDS, _BAND))
+            strokes = ("Bounds", BOUNDS, _BAND)
+            _send_band(stream, f"{root}/bounds", t, (v - half, v + half), strokes)
             outside = ok & (np.abs(truth[:, k] - v) > half)
-            _points(stream, f"{root}/outside", t[outside], truth[outside, k])
-        _line(stream, f"{root}/observer", t, v, _style("Observer", OBSERVER, 1.5))
+            _send(stream, f"{root}/outside", t[outside], truth[outside, k], crosses)
+        _send(stream, f"{root}/observer", t, v, _lines("Observer", OBSERVER, 1.5))
 
 
 def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) -> None:
@@ -84,20 +81,22 @@ def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) 
         part = series_part(name)
         label, color = estimator_label(name), estimator_color(name)
         far = f"{label}: {error.distance[-1]:.2f} m at the end"
-        _line(stream, f"distance/error/{part}", error.t, error.distance, _style(far, color, 2.0))
+        line = _lines(far, color, 2.0)
+        _send(stream, f"distance/error/{part}", error.t, error.distance, line)
         if error.distance_sigma is not None:
             root, sigma = f"distance/{BANDS}/{part}", error.distance_sigma
-            _line(stream, root, error.t, 3.0 * sigma, _style(f"{label} 3σ", color, 1.0, 0.5))
+            _send(stream, root, error.t, 3.0 * sigma, _lines(f"{label} 3σ", color, 1.0, 0.5))
         for kind, names, values, sigma, scale in (
             ("position_error", AXES, error.position, error.position_sigma, 1.0),
             ("attitude_error", ANGLES, error.attitude, error.attitude_sigma, 180.0 / np.pi),
         ):
             for k, axis in enumerate(names):
                 root, off = f"{kind}/{axis}", scale * values[:, k]
-                _line(stream, f"{root}/error/{part}", error.t, off, _style(label, color, 2.0))
+                _send(stream, f"{root}/error/{part}", error.t, off, _lines(label, color, 2.0))
                 if sigma is not None:
                     half, path = 3.0 * scale * sigma[:, k], f"{root}/{BANDS}/{part}"
-                    _band(stream, path, error.t, (-half, half), f"{label} ±3σ", rgba(color, _FAINT))
+                    strokes = (f"{label} ±3σ", color, _FAINT)
+                    _send_band(stream, path, error.t, (-half, half), strokes)
 
 
 def write_update(
@@ -108,48 +107,57 @@ def write_update(
     """
     label, color = estimator_label(name), estimator_color(name)
     root = f"update/{series_part(name)}"
-    _line(stream, f"{root}/mass", record.t, record.pi, _style(f"{label}: mass π", color, 1.5))
+    line = _lines(f"{label}: mass π", color, 1.5)
+    _send(stream, f"{root}/mass", record.t, record.pi, line)
     if gamma is not None:
-        level = np.full(2, gamma)
-        ends = record.t[[0, -1]]
-        _line(stream, f"{root}/gamma", ends, level, _style(f"{label}: γ = {gamma:g}", TRUTH, 1.5))
+        level, line = np.full(2, gamma), _lines(f"{label}: γ = {gamma:g}", TRUTH, 1.5)
+        _send(stream, f"{root}/gamma", record.t[[0, -1]], level, line)
 
 
 def write_feet(stream: rr.RecordingStream, log: Log) -> None:
     """Write contacts by foot and, if the log has the truth, slip speed by foot."""
     t, contact = log.t, log.contact
     slip = log.slip if log.has("truth") else None
+    words = np.array(["swing", "stance", "slipping"])
+    style = rr.StateConfiguration(
+        values=words.tolist(),
+        colors=[rgba(TRUTH), rgba(STANDING_FOOT), rgba(OUTSIDE)],
+        visible=[False, True, True],
+    )
     for k, leg in enumerate(log.legs):
         state = contact[:, k].astype(int)
         if slip is not None:
             state = np.where(contact[:, k] & (slip[:, k] > SLIPPING), 2, state)
         changes = np.flatnonzero(np.diff(state, prepend=-1))
         path = f"feet/contact/{leg}"
-        style = rr.StateConfiguration(
-            values=["swing", "stance", "slipping"],
-            colors=[rgba(TRUTH), rgba(STANDING_FOOT), rgba(OUTSIDE)],
-            visible=[False, True, True],
-        )
         stream.log(path, style, static=True)
-        words = np.array(["swing", "stance", "slipping"])[state[changes]]
-        stream.send_columns(
-            path,
-            indexes=[time_column(t[changes])],
-            columns=rr.StateChange.columns(state=words.tolist()),
-        )
+        columns = rr.StateChange.columns(state=words[state[changes]].tolist())
+        stream.send_columns(path, indexes=[time_column(t[changes])], columns=columns)
         if slip is not None:
-            step = max(1, round(log.rate / SERIES_RATE))
-            starts = np.arange(0, len(t), step)
+            starts = rows_at(log, SERIES_RATE)
             peak = np.maximum.reduceat(slip[:, k], starts)
-            _line(stream, f"feet/slip/{leg}", t[starts], peak, _style(leg, leg_color(leg), 1.5))
+            line = _lines(leg, leg_color(leg), 1.5)
+            _send(stream, f"feet/slip/{leg}", t[starts], peak, line)
 
 
-def _style(name: str, color: str, width: float, alpha: float = 1.0) -> rr.SeriesLines:
-    """Name in the legend, colour, width [points] and opacity (0 to 1) of a line."""
+def _lines(name: str, color: str, width: float, alpha: float = 1.0) -> rr.SeriesLines:
+    """Style of a line [points] of this name in the legend."""
     return rr.SeriesLines(colors=[rgba(color, alpha)], widths=[width], names=[name])
 
 
-def _band(stream, path, t, sides, name, color) -> None:
+def _send(stream, path: str, t: np.ndarray, values: np.ndarray, style: rr.AsComponents) -> None:
+    """Draw values (N,), in the unit of the plot, over times (N,) [s]."""
+    stream.log(path, style, static=True)
+    stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))
+
+
+def _send_band(
+    stream,
+    path: str,
+    t: np.ndarray,
+    sides: tuple[np.ndarray, np.ndarray],
+    strokes: tuple[str, str, float],
+) -> None:
     """Draw the band between two curves by strokes from side to side, dense enough to fill it.
 
     The viewer cannot fill areas between series.
@@ -159,34 +167,12 @@ def _band(stream, path, t, sides, name, color) -> None:
         path: of the entity.
         t: (N,) [s].
         sides: lower and upper (N,), in the unit of the plot.
-        name: in the legend.
-        color: of the band, RGBA.
+        strokes: name in the legend, color, and opacity of a stroke, 0 to 1.
     """
+    name, color, alpha = strokes
     between = np.append(0.5 * (t[1:] + t[:-1]), t[-1:] + 1e-9)
     times = np.stack([t, between], axis=1).ravel()
-    style = rr.SeriesLines(colors=[color], widths=[2.0], names=[name], aggregation_policy="MinMax")
-    stream.log(path, style, static=True)
-    columns = rr.Scalars.columns(scalars=np.stack(sides, axis=1).ravel())
-    stream.send_columns(path, indexes=[time_column(times)], columns=columns)
-
-
-def _line(stream, path, t, values, style) -> None:
-    """Draw one line over time.
-
-    Args:
-        stream: rerun's recording.
-        path: of the entity.
-        t: (N,) [s].
-        values: (N,), in the unit of the plot.
-        style: of the line.
-    """
-    stream.log(path, style, static=True)
-    stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))
-
-
-def _points(stream, path, t, values) -> None:
-    style = rr.SeriesPoints(
-        colors=[rgba(OUTSIDE)], markers=["cross"], names=["Truth outside"], marker_sizes=[4.0]
+    style = rr.SeriesLines(
+        colors=[rgba(color, alpha)], widths=[2.0], names=[name], aggregation_policy="MinMax"
     )
-    stream.log(path, style, static=True)
-    stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))
+    _send(stream, path, times, np.stack(sides, axis=1).ravel(), style)

@@ -1,9 +1,24 @@
-"""First-order Gauss-Markov noise."""
+"""Noise of sensors in pieces: normal numbers, and a first-order Gauss-Markov process."""
+
+from copy import deepcopy
 
 import numpy as np
 
-from surefoot.sim.common.deferred_normals import deferred_normals
-from surefoot.sim.common.low_pass import recursion
+from surefoot.sim.common.series import recursion
+
+_AT_ONCE = 1 << 16  # numbers: half a megabyte
+
+
+def deferred_normals(rng: np.random.Generator, count: int) -> np.random.Generator:
+    """A copy of `rng` for its next `count` normal numbers; `rng` itself is advanced past them.
+
+    The state of a generator after some normal numbers is not known in advance, so they are drawn
+    twice.
+    """
+    own = deepcopy(rng)
+    for first in range(0, count, _AT_ONCE):
+        rng.standard_normal(min(_AT_ONCE, count - first))
+    return own
 
 
 class GaussMarkov:

@@ -56,7 +56,6 @@ from surefoot.sim.effects.timing import (
     TorqueDelay,
 )
 from surefoot.sim.log import Log
-from surefoot.sim.robot.given_feet import GivenFeet
 
 M = TypeVar("M")
 
@@ -162,7 +161,7 @@ def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, 
     are known.
     """
     known: Any = robot
-    by_feet = isinstance(robot, GivenFeet)
+    by_feet = known.limbs.feet_alone
     for one in sorted(effects, key=lambda e: e.uses_loads):
         if one.is_compensated():
             if by_feet and not one.on_given_feet:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.white_noise import white_noise
+from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.sim.common.low_pass import low_pass
+from surefoot.sim.common.series import low_pass
 from surefoot.sim.effects.base import AXES, Effect, turn_about, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot

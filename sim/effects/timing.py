@@ -15,18 +15,18 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from surefoot.sim.common.convolution import convolve
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.common.median_slope import median_slope
 from surefoot.sim.common.quaternion import slerp
+from surefoot.sim.common.series import convolve
 from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.median_slope import median_slope
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.contact import swings
-from surefoot.sim.sensors.pad import begin_early, begin_late, end_late
+from surefoot.sim.sensors.pad import begin_early, late_contacts
 from surefoot.sim.sensors.streams import Reference, Streams
 
 NONLINEAR = 0.008
@@ -217,11 +217,11 @@ class ContactDelay(Effect):
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         threshold = streams.contact_threshold * robot.mass * GRAVITY
-        read = begin_late if self.target == "touchdown" else end_late
+        loads = streams.t, streams.force, threshold
         if self.value < 0.0:
-            read = begin_early
-        force = read(streams.t, streams.force, threshold, abs(self.value))
-        return replace(streams, force=force)
+            return replace(streams, force=begin_early(*loads, -self.value))
+        late = late_contacts(*loads, self.value, begins=self.target == "touchdown")
+        return replace(streams, force=late)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         undone = self.value

@@ -30,27 +30,14 @@ class Course:
     velocity: np.ndarray  # (N, 3) forward, lateral [m/s], yaw rate [rad/s], along the heading
 
 
-def course_ticks(
+Stretch = tuple[int, tuple[float, float, float]]
+"""Rows of constant command: their number, and forward, lateral [m/s] and yaw rate [rad/s]."""
+
+
+def stretches(
     segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
-) -> int:
-    """Number of rows of the course, as `course_pieces` integrates it.
-
-    Args:
-        segments, dt, stand, laps, lead: as for `course_pieces`.
-    """
-    return sum(rows for rows, _ in _stretches(segments, dt, stand, laps, lead))
-
-
-def course_pieces(
-    segments: Sequence[Segment],
-    dt: float,
-    stand: float,
-    laps: int,
-    lead: float,
-    rows: int,
-) -> Iterator[Course]:
-    """Integrate the segments from the origin, with ramps between their velocities, in pieces of
-    `rows` rows.
+) -> list[Stretch]:
+    """The commands of a walk along the segments.
 
     Args:
         segments: of one lap.
@@ -58,11 +45,30 @@ def course_pieces(
         stand: time of standing still at the beginning and at the end [s].
         laps: how often the segments are walked.
         lead: further time of standing at the beginning [s].
-        rows: of a piece; the last one may be shorter.
+    """
+    still = (0.0, 0.0, 0.0)
+    lap = [(round(s.duration / dt), (s.forward, s.lateral, s.turn)) for s in segments]
+    return [(round((lead + stand) / dt), still), *lap * laps, (round((stand + 1.0) / dt), still)]
+
+
+def integrate_course(commands: Sequence[Stretch], dt: float) -> Course:
+    """Integrate the commands from the origin, with ramps between their velocities.
+
+    Args:
+        commands: of the walk.
+        dt: of the course's rows [s].
+    """
+    (whole,) = course_pieces(commands, dt, sum(count for count, _ in commands))
+    return whole
+
+
+def course_pieces(commands: Sequence[Stretch], dt: float, rows: int) -> Iterator[Course]:
+    """The rows of `integrate_course` in pieces of `rows`, the last one maybe shorter, using the
+    memory of one piece.
     """
     step = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION]) * dt
     first, now, sums = 0, np.zeros(3), np.zeros(3)
-    for target in _targets(_stretches(segments, dt, stand, laps, lead), rows):
+    for target in _targets(commands, rows):
         velocity = _ramped(target, step, now)
         yaw = _summed(velocity[:, 2], sums, 2) * dt
         c, s = np.cos(yaw), np.sin(yaw)
@@ -73,28 +79,10 @@ def course_pieces(
         first += len(yaw)
 
 
-def _stretches(
-    segments: Sequence[Segment], dt: float, stand: float, laps: int, lead: float
-) -> Iterator[tuple[int, tuple[float, float, float]]]:
-    """Sections of constant command: number of rows, and forward, lateral [m/s] and yaw rate
-    [rad/s].
-
-    Args:
-        segments, dt, stand, laps, lead: as for `course_pieces`.
-    """
-    yield round((lead + stand) / dt), (0.0, 0.0, 0.0)
-    for _ in range(laps):
-        for s in segments:
-            yield round(s.duration / dt), (s.forward, s.lateral, s.turn)
-    yield round((stand + 1.0) / dt), (0.0, 0.0, 0.0)
-
-
-def _targets(
-    stretches: Iterable[tuple[int, tuple[float, float, float]]], rows: int
-) -> Iterator[np.ndarray]:
+def _targets(commands: Iterable[Stretch], rows: int) -> Iterator[np.ndarray]:
     """The commands (N, 3), one row per tick, at most `rows` at a time."""
     piece, used = np.empty((rows, 3)), 0
-    for count, command in stretches:
+    for count, command in commands:
         while count:
             part = min(count, rows - used)
             piece[used : used + part] = command

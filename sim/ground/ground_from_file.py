@@ -6,6 +6,7 @@ the log. MuJoCo collides a mesh as its convex hull, which is unsuitable as groun
 
 from array import array
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.common.limits import admitted, check_limit
-from surefoot.sim.ground.terrain import Extent, HeightField
+from surefoot.sim.common.toml import Name
+from surefoot.sim.ground.terrain import Extent, Friction, HeightField, Length
 
 MESH_SPACING = 0.05
 """Default spacing of the heights taken from a mesh [m]: the width of a foot."""
@@ -23,31 +25,30 @@ _HEAD = 8  # bytes, rows and columns, of MuJoCo's own height fields
 _SOLID, _FACET = 84, 50  # bytes, head and triangle of a binary STL
 
 
-def ground_from_file(
-    folder: Path,
-    name: str,
-    center: tuple[float, float],
-    size: tuple[float, float] | None,
-    heights: tuple[float, float] | None,
-    spacing: float | None,
-    mu: float | None,
-) -> HeightField:
-    """Read the ground from a file: a grid (.png, .npy, .csv, .hf) or a mesh (.obj, .stl).
+@dataclass(frozen=True)
+class GroundFile:
+    """Your own ground on floor and strips: a grid of heights, with rows along y and columns along
+    x, or a mesh, of which the upper surface counts.
+    """
 
-    Args:
-        folder: of the scenario's file, which must contain the file.
-        name: path relative to it.
-        center: position of a grid's centre, or of a mesh's origin, in G [m].
-        size: of a grid along x and y, from the first point to the last [m].
-        heights: of the lowest and the highest number of a grid [m], as MuJoCo scales height fields;
-            None if the numbers are metres.
-        spacing: of the points at which a mesh's height is taken [m].
-        mu: friction coefficient; None for the floor's.
+    file: Name  # in the scenario's folder: .png, .npy, .csv or .hf (MuJoCo's), .obj or .stl
+    center: tuple[float, float] = (0.0, 0.0)  # m, of a grid; where the origin of a mesh lies
+    size: tuple[Length, Length] | None = None  # m, of a grid, along x and y
+    heights: tuple[float, float] | None = None
+    """m, of a grid's lowest and highest number; by default the numbers are metres. Required for
+    a picture.
+    """
+    spacing: Length | None = None  # m, of the points at which a mesh's height is taken; 0.05
+    mu: Friction | None = None  # friction coefficient; the ground's where left out
+
+
+def ground_from_file(folder: Path, of: GroundFile) -> HeightField:
+    """Read the ground from a file in the scenario's folder.
 
     Raises SurefootError, in one line with the file, if it cannot be read or is outside the folder.
     """
     try:
-        path = (folder / name).resolve()
+        path = (folder / of.file).resolve()
         if not path.is_relative_to(folder.resolve()):
             raise SurefootError("lies outside of the scenario's folder")
         if path.suffix not in _GRIDS and path.suffix not in _MESHES:
@@ -55,18 +56,18 @@ def ground_from_file(
         admitted(path, "terrain")
         protect(path)
         if path.suffix in _MESHES:
-            if size or heights:
+            if of.size or of.heights:
                 raise SurefootError("size and heights are those of the mesh: leave them out")
             mesh = _MESHES[path.suffix](path)
-            return HeightField(*_from_above(*mesh, center, spacing or MESH_SPACING), mu)
-        if size is None or spacing:
+            return HeightField(*_from_above(*mesh, of.center, of.spacing or MESH_SPACING), of.mu)
+        if of.size is None or of.spacing:
             raise SurefootError("a grid needs size [m], and no spacing")
-        x, y, w, h = *center, 0.5 * size[0], 0.5 * size[1]
-        grid = _scaled(_GRIDS[path.suffix](path), heights, path.suffix == ".png")
-        return HeightField((x - w, x + w, y - h, y + h), grid.T, mu)
+        x, y, w, h = *of.center, 0.5 * of.size[0], 0.5 * of.size[1]
+        grid = _scaled(_GRIDS[path.suffix](path), of.heights, path.suffix == ".png")
+        return HeightField((x - w, x + w, y - h, y + h), grid.T, of.mu)
     except (SurefootError, OSError, ValueError, EOFError, SyntaxError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise SurefootError(f"file '{name}': {reason}") from None
+        raise SurefootError(f"file '{of.file}': {reason}") from None
 
 
 def _scaled(grid: np.ndarray, heights: tuple[float, float] | None, is_picture: bool) -> np.ndarray:

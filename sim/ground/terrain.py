@@ -10,8 +10,9 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
+import msgspec
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
@@ -25,7 +26,10 @@ FINEST_SPACING = 0.002
 """Least spacing of a height field's points [m]: a foot of 2 cm covers hundreds of its cells."""
 COARSEST = 100.0
 """Largest grain [m]: bumps of a hundred metres are slopes."""
+Friction = Annotated[float, msgspec.Meta(ge=0.01, le=3.0)]
+Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e5)]
 Extent = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
+Facet = tuple[Extent, float, float]  # and the heights [m] of its lower and upper end along the axis
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ class Strip:
         upper[1 - self.axis] += 0.5 * self.width
         return float(lower[0]), float(upper[0]), float(lower[1]), float(upper[1])
 
-    def facets(self) -> Iterator[tuple[Extent, float, float]]:
+    def facets(self) -> Iterator[Facet]:
         """Its rectangles, each with the heights of its lower and upper end along the axis."""
         x0, x1, y0, y1 = self.rectangle
         low, high = (x0, x1) if self.axis == 0 else (y0, y1)
@@ -199,7 +203,7 @@ class HeightField:
         (x0, x1, y0, y1), (nx, ny) = self.rectangle, self.heights.shape
         return (x1 - x0) / (nx - 1), (y1 - y0) / (ny - 1)
 
-    def facets(self) -> Iterator[tuple[Extent, float, float]]:
+    def facets(self) -> Iterator[Facet]:
         """Its only rectangle; the heights are those of `nodes`."""
         yield self.rectangle, 0.0, 0.0
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Extent, Ground, Layer
+from surefoot.sim.ground.terrain import Extent, Facet, Ground, Layer
 
 THICKNESS = 0.5  # m, of a tile below the walking surface
 # MuJoCo takes contact parameters from the geom of higher priority: here, from the ground.
@@ -38,9 +38,9 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
             )
         mu = ground.mu if layer.mu is None else layer.mu
         patches = [(patch.rectangle, patch.mu) for patch in ground.patches]
-        for rectangle, z_low, z_high in layer.facets():
+        for facet in layer.facets():
             snap = layer.on_lattice if layer.on_grid else None
-            for tile, tile_mu in _cut(rectangle, mu, hidden, patches, snap):
+            for tile, tile_mu in _cut(facet[0], mu, hidden, patches, snap):
                 # Set every attribute that the robot's default for geoms could change.
                 geom = {
                     "contype": ANYTHING,
@@ -57,18 +57,10 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
                 if layer.on_grid:
                     _add_field(spec, layer, tile, geom)
                 else:
-                    _add_box(spec, rectangle, tile, layer.axis, z_low, z_high, geom)
+                    _add_box(spec, facet, layer.axis, tile, geom)
 
 
-def _add_box(
-    spec: mujoco.MjSpec,
-    facet: Extent,
-    tile: Extent,
-    axis: int,
-    z_low: float,
-    z_high: float,
-    geom: dict,
-) -> None:
+def _add_box(spec: mujoco.MjSpec, facet: Facet, axis: int, tile: Extent, geom: dict) -> None:
     """Add a box whose upper face is one tile of a facet.
 
     The box of a slope is tilted, so its upper end must overlap a neighbour of the same
@@ -76,15 +68,14 @@ def _add_box(
 
     Args:
         spec: of the world, edited.
-        facet: rectangle (x0, x1, y0, y1) in G [m].
-        tile: part of it, likewise.
-        axis: along which the facet rises: 0 for x, 1 for y.
-        z_low: height of its low end [m].
-        z_high: height of its high end [m].
+        facet: of a layer.
+        axis: along which it rises: 0 for x, 1 for y.
+        tile: part of its rectangle.
         geom: further attributes of the geom.
     """
+    rectangle, z_low, z_high = facet
     x0, x1, y0, y1 = tile
-    low, high = (facet[0], facet[1]) if axis == 0 else (facet[2], facet[3])
+    low, high = rectangle[2 * axis : 2 * axis + 2]
     slope = (z_high - z_low) / (high - low)
     middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
     top = np.array([*middle, z_low + slope * (middle[axis] - low)])

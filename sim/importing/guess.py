@@ -19,7 +19,7 @@ from surefoot.sim.importing.guess_units import unit_of_angles
 from surefoot.sim.importing.names import read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
 from surefoot.sim.importing.recording import is_bag
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 _FEW = 8
 """Largest number of columns that are listed for an unused file."""

@@ -21,7 +21,7 @@ from surefoot.sim.importing.layout import is_number
 from surefoot.sim.importing.names import Named, read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile
 from surefoot.sim.log.schema import JOINTS, LEGS
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 _SMALL = 4096
 """Size [bytes] below which a text may be a list of joints."""

@@ -20,7 +20,7 @@ from surefoot.sim.importing.recording import is_bag, is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of
 from surefoot.sim.log.schema import JOINTS
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 _RATES = (8.0, 5000.0)
 """Range of plausible rates of a log [Hz]."""

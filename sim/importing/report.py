@@ -9,8 +9,7 @@ from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, missed_rotati
 from surefoot.sim.log import Log
 from surefoot.sim.log.dead_reckoning import compare_with_imu
 from surefoot.sim.log.reference import Poses, reference_poses
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.machine import machine_for_log
 
 
 def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
@@ -69,12 +68,12 @@ def _feet_lines(log: Log) -> tuple[str, ...]:
     if log.meta.robot is None or said or not log.has("q"):
         return ()
     try:
-        machine = machine_for_log(log)
+        robot = machine_for_log(log).legged
     except SurefootError as error:
         return (f"robot: {error}",)
-    if not isinstance(machine, Robot):
+    if robot is None:
         return ()
-    radius = 1e3 * machine.foot_radius
+    radius = 1e3 * robot.foot_radius
     sizes = " and ".join(f"{one:.3g}" for one in sorted(set(radius.round(3))))
     return (
         f"feet: a radius of {sizes} mm, of the robot's file; the map has no [robot] foot_radius",

@@ -4,7 +4,6 @@ import numpy as np
 
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.log.derived import derivative
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.physics.momentum_balance import (
     ACCELERATION_WINDOW,
     feet_jacobian_B,
@@ -13,7 +12,7 @@ from surefoot.sim.physics.momentum_balance import (
     rigid_body_wrench,
 )
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Modelled
 
 STICTION_RATE = 0.03
 """Rate below which dry friction is smoothed [rad/s]: a few times the noise of a measured rate."""
@@ -29,7 +28,7 @@ def load_columns(log: Log) -> tuple[str, ...]:
     return log.columns_of("q", "dq", "tau", "imu", "contact", "force")
 
 
-def joint_loads(log: Log, robot: Machine) -> np.ndarray:
+def joint_loads(log: Log, robot: Modelled) -> np.ndarray:
     """Torque (N, J) [N m] that each motor transmits to its link.
 
     The motor's torque, as logged or else from the momentum balance, less rotor inertia and declared
@@ -43,12 +42,12 @@ def joint_loads(log: Log, robot: Machine) -> np.ndarray:
     )
 
 
-def _joint_loads(log: Log, robot: Machine) -> np.ndarray:
-    if log.has("tau") or not isinstance(robot, Robot):
+def _joint_loads(log: Log, robot: Modelled) -> np.ndarray:
+    if log.has("tau") or robot.legged is None:
         torque = log.tau
     else:
-        torque = momentum_balance(log, robot).torque
-    dynamics, dq = dynamics_of(robot.file, robot.joint_names), joint_velocity(log)
+        torque = momentum_balance(log, robot.legged).torque
+    dynamics, dq = robot.dynamics, joint_velocity(log)
     rotor, viscous, dry = (
         getattr(dynamics.model, name)[dynamics.dof_adr]
         for name in ("dof_armature", "dof_damping", "dof_frictionloss")

@@ -18,9 +18,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.log.derived import derivative
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 ACCELERATION_WINDOW = 0.04
 """Window for the differentiation of rates [s]: passes 25 Hz, the rate of a foot's loading."""
@@ -66,9 +65,9 @@ def load_parameters(robot: Machine) -> tuple[Any, ...]:
     """The parts of a model that loads depend on, as objects that are identical until they
     change.
     """
-    if not isinstance(robot, Robot):
-        return (robot.extras.links,)
-    return robot.legs, robot.R_BI, robot.p_BI, robot.extras.links
+    legged = robot.legged
+    geometry = () if legged is None else (legged.legs, legged.R_BI, legged.p_BI)
+    return *geometry, robot.extras.links
 
 
 def feet_jacobian_B(log: Log, robot: Robot) -> np.ndarray:
@@ -130,9 +129,7 @@ def rigid_body_wrench(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     ddq, spin = (derivative(t, x, ACCELERATION_WINDOW, causal=False) for x in (dq, omega))
     p = robot.p_BI
     origin = accel - np.cross(spin, p) - np.cross(omega, np.cross(omega, p))
-    dynamics = dynamics_of(robot.file, robot.joint_names)
-    base = np.hstack([omega, spin, origin])
-    return dynamics.inverse(log.q, dq, ddq, base, body_changes(robot))
+    return robot.dynamics.inverse(log.q, dq, ddq, np.hstack([omega, spin, origin]))
 
 
 def _least_forces(

@@ -5,22 +5,18 @@ same bits alone or beside others. `mj_step` is called by its address in the libr
 package has loaded, on the memory of its own MjModel and MjData.
 """
 
-import ctypes
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from llvmlite import binding
-from numba import types
-from numba.core import config
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.mujoco_library import mujoco_function
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.course import Course
@@ -33,9 +29,9 @@ from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.sensors.streams import Motion, SpringDeflection
 
 STEPS_PER_TICK = 2  # the controller runs at 250 Hz
+TICK = TIMESTEP * STEPS_PER_TICK  # s
 UPRIGHT = 0.5  # cosine of the tilt from which a robot has fallen
 TICKS_AT_ONCE = 250  # between looks at the clock, the progress bar and Ctrl-C
-_C_TYPES = {types.intc: ctypes.c_int, types.uintp: ctypes.c_void_p}
 
 
 class Fallen(SurefootError):
@@ -52,29 +48,6 @@ class Fallen(SurefootError):
 
     def __reduce__(self):
         return type(self), (str(self), self.time, self.how, self.motion)
-
-
-def mujoco_library() -> ctypes.CDLL:
-    """The shared library that the mujoco package has loaded."""
-    folder = Path(mujoco.__file__).parent
-    return ctypes.CDLL(str(next(f for g in ("libmujoco*", "mujoco.dll") for f in folder.glob(g))))
-
-
-def mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
-    """A function of MuJoCo's library on a model and its data, callable from kernels.
-
-    Args:
-        name: of the function, which returns nothing.
-        arguments: types of those that follow the addresses of model and data.
-    """
-    function = getattr(mujoco_library(), name)
-    if config.DISABLE_JIT:
-        accepted = (ctypes.c_void_p, ctypes.c_void_p, *(_C_TYPES[one] for one in arguments))
-        function.argtypes, function.restype = accepted, None
-        return function
-    binding.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
-    # Compiled code refers to the function by its name, so that it can be cached.
-    return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))
 
 
 _mj_step = mujoco_function("mj_step")
@@ -148,6 +121,31 @@ def start(world: World) -> mujoco.MjData:
     return data
 
 
+class Walker(NamedTuple):
+    """A robot under the trot controller, in a world.
+
+    Attributes:
+        world: compiled model of robot and ground.
+        robot: its declared description.
+        gait: of the controller.
+        data: state of the simulation.
+        memory: of the controller between ticks.
+        load: normal forces on the feet (4,) at the last tick [N].
+    """
+
+    world: World
+    robot: Robot
+    gait: Gait
+    data: mujoco.MjData
+    memory: LegMemory
+    load: np.ndarray
+
+
+def at_rest(world: World, robot: Robot, gait: Gait, data: mujoco.MjData) -> Walker:
+    """A robot that stands in the state `data`."""
+    return Walker(world, robot, gait, data, standing(), np.full(4, gait.mass * GRAVITY / 4))
+
+
 def simulate(
     world: World,
     robot: Robot,
@@ -166,19 +164,13 @@ def simulate(
         course: commanded poses and velocities, one row per tick.
         progress: called with the share done.
     """
-    data, ticks = start(world), len(course.t)
-    trace = recording_of(world, ticks * STEPS_PER_TICK)
-    trot(world, data, robot, gait, course, trace, ticks, progress)
+    trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
+    trot(at_rest(world, robot, gait, start(world)), course, trace, progress=progress)
     return motion_of(world, trace)
 
 
 def simulate_in_pieces(
-    world: World,
-    robot: Robot,
-    gait: Gait,
-    pieces: Iterable[Course],
-    seconds: float,
-    progress: Callable[[float], None] | None = None,
+    world: World, robot: Robot, gait: Gait, pieces: Iterable[Course], seconds: float
 ) -> Iterator[Motion]:
     """`simulate` along a course that comes in pieces.
 
@@ -191,66 +183,41 @@ def simulate_in_pieces(
             are drawn for a whole walk.
         pieces: of the course.
         seconds: until its end.
-        progress: called with the share done.
     """
-    data, memory, first = start(world), at_rest(gait), 0
+    walker, first = at_rest(world, robot, gait, start(world)), 0
     for course in pieces:
-        ticks = len(course.t)
-        trace = recording_of(world, ticks * STEPS_PER_TICK)
-        fall = None
+        trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
         try:
-            trot(world, data, robot, gait, course, trace, ticks, memory=memory, seconds=seconds)
-        except Fallen as error:
-            fall, trace = error, first_steps(trace, len(error.motion.tau) if error.motion else 0)
+            trot(walker, course, trace, seconds)
+        except Fallen as fall:
+            walked = len(fall.motion.tau) if fall.motion else 0
+            yield motion_of(world, first_steps(trace, walked), first)
+            raise Fallen(str(fall), fall.time, fall.how) from None
         yield motion_of(world, trace, first)
-        if fall:
-            raise Fallen(str(fall), fall.time, fall.how)
-        first += ticks * STEPS_PER_TICK
-        if progress:
-            progress(min(first * TIMESTEP / seconds, 1.0))
-
-
-class Memory(NamedTuple):
-    """State of the controller between ticks."""
-
-    legs: LegMemory
-    load: np.ndarray  # (4,) N, normal foot forces
-
-
-def at_rest(gait: Gait) -> Memory:
-    """Memory of a standing robot."""
-    return Memory(standing(), np.full(4, gait.mass * GRAVITY / 4))
+        first += len(trace.tau)
 
 
 def trot(
-    world: World,
-    data: mujoco.MjData,
-    robot: Robot,
-    gait: Gait,
+    walker: Walker,
     course: Course,
     trace: Recording,
-    ticks: int,
-    progress: Callable[[float], None] | None = None,
-    memory: Memory | None = None,
     seconds: float | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Walk the first `ticks` control periods of the course.
+    """Walk along the course.
 
     Raises Fallen, saying when, if the robot falls.
 
     Args:
-        world, data: state of the simulation; `data` is changed.
-        robot, gait: of the walk.
+        walker: whose state and memory are changed.
         course: the reference motion of the base.
         trace: written, from its first row on.
-        ticks: number of periods.
-        progress: called with the share done.
-        memory: of the previous piece of the course, changed; None where this one begins at rest.
         seconds: until the end of the whole course, if this is a piece of it.
+        progress: called with the share done.
     """
-    target = np.column_stack([course.pose, course.velocity])
-    legs, load = memory or at_rest(gait)
-    controller = Controller(gait, world.height_map, legs)
+    world, robot, gait, data, memory, load = walker
+    ticks, target = len(course.t), np.column_stack([course.pose, course.velocity])
+    controller = Controller(gait, world.height_map, memory)
     body = mj_views(world, data)
     for first in range(0, ticks, TICKS_AT_ONCE):
         last = min(first + TICKS_AT_ONCE, ticks)

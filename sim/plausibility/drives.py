@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.joints import sign_change
 from surefoot.sim.plausibility.streams import LIMITED, stretches_without_change
@@ -80,14 +79,13 @@ class _Torque:
 def _torques(view: LogView) -> list[_Torque]:
     """Torques of drives with a known model that requires some torque."""
     log, machine = view.log, view.machine
-    if machine is None or not (view.on_fixed_base and view.comparable):
+    if machine is None or machine.dynamics is None or not (machine.fixed and view.comparable):
         return []
     if not (log.has("q") and log.has("tau")) or any(d.startswith("tau") for d in log.meta.derived):
         return []
     dq = view.changes(log.q)
     ddq = np.gradient(dq, view.at, axis=0)
-    dynamics = dynamics_of(machine.file, machine.joint_names)
-    rigid = dynamics.inverse(view.means(log.q), dq, ddq, changes=body_changes(machine))[1]
+    rigid = machine.dynamics.inverse(view.means(log.q), dq, ddq)[1]
     tau, sense = view.means(log.tau), np.tanh(dq / SLIDES)
     return [
         _Torque(name, tau[:, j], rigid[:, j], np.column_stack([sense[:, j], dq[:, j]]))

@@ -375,10 +375,11 @@ def _misread(
     mended = base.copy()
     for which in found.values():
         mended[which] = [best[i][0] for i in which]
-    return float(np.nansum(base) / max(np.nansum(mended), 1e-12)), [
-        _misread_finding(view.log.joints, chains, which, order, signs, base, best)
-        for (order, signs), which in found.items()
-    ]
+    findings = []
+    for (order, signs), which in found.items():
+        gain = float(np.median([base[i] / best[i][0] for i in which]))
+        findings.append(_misread_finding(view.log.joints, chains, which, order, signs, gain))
+    return float(np.nansum(base) / max(np.nansum(mended), 1e-12)), findings
 
 
 def _few(legs: Stance, moving: Moving) -> tuple[Stance, Moving]:
@@ -431,8 +432,7 @@ def _misread_finding(
     which: Sequence[int],
     order: tuple[int, ...],
     signs: tuple[float, ...],
-    base: np.ndarray,
-    best: list,
+    gain: float,
 ) -> Finding:
     """The finding for misread joints, in words.
 
@@ -442,15 +442,13 @@ def _misread_finding(
         which: legs concerned.
         order: of a leg's joints, as it should be.
         signs: of its joints, after that.
-        base: (L,) misfit as logged.
-        best: misfit as corrected, first of each.
+        gain: factor by which the misfit falls when corrected.
     """
     swapped = [k for k, other in enumerate(order) if k != other]
     flipped = [k for k, sign in enumerate(signs) if sign < 0]
     columns = tuple(
         f"q_{joints[chains[i][k]]}" for i in which for k in sorted({*swapped, *flipped})
     )
-    gain = float(np.median([base[i] / best[i][0] for i in which]))
     told = f"standing feet move {gain:.0f} times less (squared) when put right"
     one = chains[which[0]]
     causes = []

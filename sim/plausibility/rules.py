@@ -23,7 +23,7 @@ from surefoot.sim.plausibility import (
 )
 from surefoot.sim.plausibility.finding import Finding, Rule
 from surefoot.sim.plausibility.view import LogView
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 _UNITS = {"gyro": "rad/s", "accel": "m/s²", "q": "rad"}
 

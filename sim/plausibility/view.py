@@ -12,7 +12,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.plausibility.attitude import AttitudeFault, attitude_fault
 from surefoot.sim.plausibility.axes import AxesMatch, match_axes
 from surefoot.sim.plausibility.stance import Stance, stance_of
-from surefoot.sim.robot.fixed_base import FixedBase, Machine
+from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.robot import Robot
 
 STEP = 0.02
@@ -64,12 +64,12 @@ class LogView:
     @property
     def robot(self) -> Robot | None:
         """The machine, if it is a robot with a model of its legs."""
-        return self.machine if isinstance(self.machine, Robot) else None
+        return None if self.machine is None else self.machine.legged
 
     @property
     def on_fixed_base(self) -> bool:
         """Whether the machine is known and has no legs."""
-        return isinstance(self.machine, FixedBase)
+        return self.machine is not None and self.machine.fixed
 
     def means(self, x: np.ndarray) -> np.ndarray:
         """Means (M, D) of a stream x (N, D) about the times `at`."""

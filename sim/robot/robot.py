@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -13,8 +14,10 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.feet import LegFeet
 from surefoot.sim.robot.home_pose import standing_joints, stands
 from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
 from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
 from surefoot.sim.robot.limbs import Limbs
@@ -39,6 +42,7 @@ class DeclaredExtras:
     liftoff_late: float = 0.0  # s, the same where it ends
     links: tuple[LinkChange, ...] = ()  # masses and inertias of links
     command_late: float = 0.0  # s, of torques behind their commands
+    declared: tuple[tuple[tuple[str, str], float], ...] = ()  # as of `Limbs`
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,7 @@ class Robot:
     foot_bodies: tuple[str, ...]  # name of the body that carries each foot
     foot_places: np.ndarray  # (L, 3) m in that body: a sphere's centre, or the middle of a sole
     extras: DeclaredExtras = field(default_factory=DeclaredExtras)
+    fixed: ClassVar[bool] = False  # as of `Machine`
 
     @classmethod
     def load(cls, name_or_path: str | Path, feet: Mapping[str, str] | None = None) -> "Robot":
@@ -117,8 +122,14 @@ class Robot:
         if not chosen:
             feet = "; its foot positions suffice for estimate, compare, align and trace"
             raise SurefootError(f"{log.name}: {NO_ROBOT}{feet if log.has('foot') else ''}")
-        mapped = log.meta.model
-        robot = cls.load(chosen, mapped.get("feet")).in_order_of(log)
+        return cls.load(chosen, log.meta.model.get("feet")).in_log(log)
+
+    def in_log(self, log: Log) -> "Robot":
+        """The robot with the joints and legs of a log, and the values of its map.
+
+        Raises SurefootError as `in_order_of`.
+        """
+        mapped, robot = log.meta.model, self.in_order_of(log)
         if "p_BI" in mapped:
             robot = replace(robot, p_BI=np.array(mapped["p_BI"], dtype=float))
         if "q_BI" in mapped:
@@ -171,7 +182,7 @@ class Robot:
 
     def feet_I(self, q: np.ndarray) -> np.ndarray:
         """Foot centres, or middles of flat soles, (N, L, 3) in I [m] for angles q (N, J) [rad]."""
-        return self._feet(q)[0]
+        return self._places_and_jacobians(q)[0]
 
     def feet_jacobian_I(self, q: np.ndarray) -> np.ndarray:
         """Jacobian of each foot by its own leg's joints (N, L, 3, P) in I [m/rad], for q (N, J)
@@ -179,12 +190,26 @@ class Robot:
 
         P is the number of joints of the longest leg; columns beyond a leg's own are zero.
         """
-        return self._feet(q)[1]
+        return self._places_and_jacobians(q)[1]
 
     def foot_rates_I(self, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
         """Angular velocity (N, L, 3) of each foot's link relative to the base, in I [rad/s]."""
-        axes = self._feet(q)[2]
-        return np.einsum("nlij,nlj->nli", axes, np.asarray(dq, dtype=float)[:, self.legs.joints])
+        return self.feet.rates_I(q, dq)
+
+    @property
+    def feet(self) -> LegFeet:
+        """As of `Machine`: by the kinematics of its legs."""
+        return LegFeet(self.legs, self.foot_radius, self.R_BI, self.p_BI)
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """As of `Machine`: of its file, with the declared geometry and links."""
+        return dynamics_of(self.file, self.joint_names, _body_changes(self))
+
+    @property
+    def legged(self) -> "Robot":
+        """As of `Machine`: itself."""
+        return self
 
     def spec(self) -> mujoco.MjSpec:
         """A new MjSpec of the file, for composition with a scene."""
@@ -220,11 +245,26 @@ class Robot:
             digest.update(np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()
 
-    def _feet(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _places_and_jacobians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q = np.ascontiguousarray(q, dtype=float)
         if q.ndim != 2 or q.shape[1] != len(self.limbs.joints):
             raise ValueError(f"q must be (N, {len(self.limbs.joints)}), is {q.shape}")
-        return feet(self.legs, q, self.R_BI, self.p_BI)
+        return feet(self.legs, q, self.R_BI, self.p_BI)[:2]
+
+
+def _body_changes(robot: Robot) -> BodyChanges:
+    """Deviation of a robot's declared model from its file."""
+    here, there, links = robot.legs, robot.drawn, robot.extras.links
+    if np.array_equal(here.offset, there.offset) and np.array_equal(here.rotation, there.rotation):
+        return BodyChanges(links=links)
+    joints = len(robot.limbs.joints)
+    drawn, placed = np.zeros((2, joints, 3))
+    turn = np.tile(np.eye(3), (joints, 1, 1))
+    for leg, chain in enumerate(robot.limbs.chains):
+        for j, joint in enumerate(chain):
+            drawn[joint], placed[joint] = there.offset[leg, j], here.offset[leg, j]
+            turn[joint] = here.rotation[leg, j] @ there.rotation[leg, j].T
+    return BodyChanges(drawn, placed, turn, links)
 
 
 def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:

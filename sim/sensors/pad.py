@@ -6,8 +6,6 @@ threshold. It begins early if a long, soft pad touches the ground before the foo
 delay thus varies from step to step.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
@@ -19,70 +17,33 @@ RECOVERY = 0.03
 """Time constant of a compressed pad's recovery in the air [s], shorter than any swing."""
 
 
-def begin_late(t: np.ndarray, force: np.ndarray, threshold: float, late: float) -> np.ndarray:
-    """Readings (N, L) [N] of feet whose contacts begin late.
+def late_contacts(
+    t: np.ndarray, force: np.ndarray, threshold: float, late: float, begins: bool
+) -> np.ndarray:
+    """Readings (N, L) [N] of feet whose contacts begin late, or end late, on pads whose size is
+    found by bisection.
 
     Args:
         t: (N,) [s].
         force: loads on the feet (N, L) [N].
         threshold: of contact [N].
         late: mean delay over all steps [s].
-    """
-    dt = float(np.median(np.diff(t)))
-    keep = float(np.exp(-dt / RECOVERY))
-
-    def read(impulse: float) -> np.ndarray:
-        return _squeezed(force, dt, threshold, impulse, keep)
-
-    most = dt * float(force.max(initial=0.0)) * len(t)
-    return _read_late(read, most, t, force > threshold, threshold, late, True)
-
-
-def begin_early(t: np.ndarray, force: np.ndarray, threshold: float, early: float) -> np.ndarray:
-    """Readings (N, L) [N] of feet whose contacts begin early; arguments as of `begin_late`."""
-    read, rows = force.copy(), round(early / float(np.median(np.diff(t))))
-    for leg, stands in enumerate((force > threshold).T):
-        for land in swings(t, stands)[1]:
-            before = slice(max(land - rows, 0), land)
-            read[before, leg] = np.maximum(read[before, leg], TOUCHING * threshold)
-    return read
-
-
-def end_late(t: np.ndarray, force: np.ndarray, threshold: float, late: float) -> np.ndarray:
-    """Readings (N, L) [N] of feet whose contacts end late; arguments as of `begin_late`."""
-    dt = float(np.median(np.diff(t)))
-
-    def read(lag: float) -> np.ndarray:
-        return _springs_back(force, float(np.exp(-dt / lag)))
-
-    return _read_late(read, dt * len(t), t, force > threshold, threshold, late, False)
-
-
-def _read_late(
-    read: Callable[[float], np.ndarray],
-    most: float,
-    t: np.ndarray,
-    loaded: np.ndarray,
-    threshold: float,
-    late: float,
-    begins: bool,
-) -> np.ndarray:
-    """Readings (N, L) of the pad whose contacts have a mean delay of `late`, found by bisection.
-
-    Args:
-        read: readings of a pad of some size.
-        most: a size that is certainly too large.
-        t: (N,) [s].
-        loaded: (N, L) bool.
-        threshold: of contact [N].
-        late: mean delay [s].
         begins: whether contacts begin late, or end late.
     """
-    edges = [swings(t, stands)[begins] for stands in loaded.T]
+    dt = float(np.median(np.diff(t)))
+    keep, most = float(np.exp(-dt / RECOVERY)), dt * len(t)
+    if begins:
+        most = dt * float(force.max(initial=0.0)) * len(t)
+
+    def read(size: float) -> np.ndarray:
+        if begins:
+            return _squeezed(force, dt, threshold, size, keep)
+        return _springs_back(force, float(np.exp(-dt / size)))
+
+    edges = [swings(t, stands)[begins] for stands in (force > threshold).T]
     low, high = 1e-9 * most, most
     if not late or not sum(map(len, edges)):
         return read(low)
-    dt = float(np.median(np.diff(t)))
     while high / low > 1.001:
         size = np.sqrt(low * high)
         stands = read(size) > threshold
@@ -90,6 +51,16 @@ def _read_late(
         mean = dt * float(np.mean(np.concatenate(behind)))
         low, high = (size, high) if mean < late else (low, size)
     return read(low)
+
+
+def begin_early(t: np.ndarray, force: np.ndarray, threshold: float, early: float) -> np.ndarray:
+    """Readings (N, L) [N] of feet whose contacts begin early; arguments as of `late_contacts`."""
+    read, rows = force.copy(), round(early / float(np.median(np.diff(t))))
+    for leg, stands in enumerate((force > threshold).T):
+        for land in swings(t, stands)[1]:
+            before = slice(max(land - rows, 0), land)
+            read[before, leg] = np.maximum(read[before, leg], TOUCHING * threshold)
+    return read
 
 
 def _first(stands: np.ndarray, rows: np.ndarray, what: bool) -> np.ndarray:

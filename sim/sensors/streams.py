@@ -5,12 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.sim.common.deferred_normals import deferred_normals
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.gauss_markov import GaussMarkov
+from surefoot.sim.common.gauss_markov import GaussMarkov, deferred_normals
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.common.low_pass import low_pass_from
+from surefoot.sim.common.series import low_pass_from
 from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
@@ -296,8 +295,9 @@ class _ImuErrors:
 
 
 class ContactSwitch:
-    """Sensed contact of each foot of a walk whose readings come in pieces: the measured force
-    compared with a threshold, delayed, and wrong in samples drawn at random.
+    """Sensed contact of each foot over a walk, whose readings may come in pieces.
+
+    The measured force compared with a threshold, delayed, and wrong in samples drawn at random.
     """
 
     def __init__(self, sensors: Sensors, rng: np.random.Generator, weight: float, rate: float):

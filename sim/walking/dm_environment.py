@@ -21,10 +21,12 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.effects import Effect
+from surefoot.sim.gait.course import Course
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import (
     STEPS_PER_TICK,
+    at_rest,
     first_steps,
     has_fallen,
     mj_views,
@@ -58,11 +60,12 @@ class WalkingEnvironment(dm_env.Environment):
     """A robot on a scenario's course, one step a control period of 4 ms.
 
     actions: "torque", joint torques (12,) [N m]; or "position", joint targets (12,) [rad] that a
-    motor law kp (target - q) - kd dq follows at every timestep of 2 ms, kp [N m/rad] and kd
-    [N m s/rad] a number or (12,) (by default, scaled to the robot's size). Both are clipped to
-    their limits. Observations are true values in SI units, the inputs of `sim.gait.controller.tick`
-    (see `observation_spec`). The reward, from 0 to 1, measures how near the base's velocity is to
-    the command's; the episode ends with the course, or with discount 0 in a fall.
+    motor law kp (target - q) - kd dq follows at every timestep of 2 ms. gains: kp [N m/rad] and kd
+    [N m s/rad] of this law, a number or (12,) each; by default, scaled to the robot's size. Both
+    actions are clipped to their limits. Observations are true values in SI units, the inputs of
+    `sim.gait.controller.tick` (see `observation_spec`). The reward, from 0 to 1, measures how near
+    the base's velocity is to the command's; the episode ends with the course, or with discount 0 in
+    a fall.
 
     An episode begins with the robot standing still, as the log of `sim.walk.walk` does. The same
     scenario, robot, seed, effects and actions give the same Log, bit for bit.
@@ -74,8 +77,7 @@ class WalkingEnvironment(dm_env.Environment):
         robot: Robot,
         seed: int = 0,
         actions: Literal["torque", "position"] = "torque",
-        kp: float | np.ndarray | None = None,
-        kd: float | np.ndarray | None = None,
+        gains: tuple[float | np.ndarray, float | np.ndarray] | None = None,
         effects: Sequence[Effect] = (),
     ):
         if actions not in ("torque", "position"):
@@ -84,10 +86,11 @@ class WalkingEnvironment(dm_env.Environment):
             raise SurefootError("position targets are logged a row a timestep: [sensors] rate")
         self._scenario, self._robot, self._effects = scenario, robot, tuple(effects)
         self._by_position = actions == "position"
-        stiff = 0.75 * robot.mass * GRAVITY * robot.leg_length if kp is None else kp
-        damping = 0.03 * np.asarray(stiff) if kd is None else kd
-        self._kp = np.array(np.broadcast_to(stiff, 12), dtype=float) * self._by_position
-        self._kd = np.array(np.broadcast_to(damping, 12), dtype=float) * self._by_position
+        stiff = 0.75 * robot.mass * GRAVITY * robot.leg_length
+        self._kp, self._kd = (
+            np.array(np.broadcast_to(gain, 12), dtype=float) * self._by_position
+            for gain in gains or (stiff, 0.03 * stiff)
+        )
         self._plan_for(seed)
 
     def _plan_for(self, seed: int) -> None:
@@ -113,7 +116,9 @@ class WalkingEnvironment(dm_env.Environment):
         made, data = self._plan, self._physics.data.ptr
         mujoco.mj_resetData(made.world.model, data)
         data.qpos[:] = made.world.start
-        trot(made.world, data, self._robot, made.gait, made.course, self._trace, SETTLING_PERIODS)
+        course = made.course
+        settling = Course(*(x[:SETTLING_PERIODS] for x in (course.t, course.pose, course.velocity)))
+        trot(at_rest(made.world, self._robot, made.gait, data), settling, self._trace, course.t[-1])
         self._k = SETTLING_PERIODS * STEPS_PER_TICK
         self._over = False
         return dm_env.restart(self._observation())

@@ -12,9 +12,10 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect
+from surefoot.sim.gait.course import course_pieces
 from surefoot.sim.physics.scene import TIMESTEP
-from surefoot.sim.physics.stepper import simulate_in_pieces
-from surefoot.sim.walk import PIECE_TICKS, SETTLING_TIME, STEPS_PER_TICK, Plan, Sensing
+from surefoot.sim.physics.stepper import STEPS_PER_TICK, TICK, simulate_in_pieces
+from surefoot.sim.walk import PIECE_TICKS, SETTLING_TIME, Plan, Sensing
 
 _AT_ONCE = 1 << 20
 LONG_WALK = 1800.0
@@ -59,10 +60,10 @@ def walk_in_pieces(
     )
     rows = made.ticks * STEPS_PER_TICK - settled
     sensing = Sensing(made, rows, _rate(settled, rows))
-    pieces = made.course_pieces(ticks)
-    for motion in simulate_in_pieces(
-        made.world, made.robot, made.gait, pieces, made.seconds, progress
-    ):
+    pieces = course_pieces(made.commands, TICK, ticks)
+    for motion in simulate_in_pieces(made.world, made.robot, made.gait, pieces, made.seconds):
+        if progress:
+            progress(min(motion.t[-1] / made.seconds, 1.0))
         begins = motion.t[0] <= SETTLING_TIME
         motion = (
             motion.after(SETTLING_TIME) if begins else replace(motion, t=motion.t - SETTLING_TIME)

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.stamps import rows_every
+from surefoot.sim.common.series import rows_every
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
 from surefoot.sim.log import Log

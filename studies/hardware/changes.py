@@ -6,7 +6,7 @@ error of the calibration, and the variation between runs.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,8 @@ from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
-from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.machine import Modelled
 
 NAMED = 4.0
 """Standard deviations from which a change is reported. The variation between runs is estimated from
@@ -104,7 +103,7 @@ def named_changes(found: Sequence[Change]) -> tuple[Change, ...]:
     return tuple(best.values())
 
 
-def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
+def with_change(log: Log, machine: Modelled, key: SizeKey, size: float) -> Log:
     """Inject a change into a log of the machine, keeping its noise and jolts.
 
     A zero is added to the angle. For any other change, the torque that it requires along the motion
@@ -133,10 +132,10 @@ def with_change(log: Log, machine: FixedBase, key: SizeKey, size: float) -> Log:
         if name == "link_com":
             axis = "xyz".index(target[-1])
             change = LinkChange(j, com=tuple(size * np.eye(3)[axis]))
-        dynamics, known = dynamics_of(machine.file, machine.joint_names), body_changes(machine)
-        changed = known._replace(links=(*known.links, change))
-        torques = [dynamics.inverse(q, dq, ddq, changes=one)[1] for one in (changed, known)]
-        added = torques[0] - torques[1]
+        links = (*machine.extras.links, change)
+        changed = replace(machine, extras=replace(machine.extras, links=links))
+        added, before = (one.dynamics.inverse(q, dq, ddq)[1] for one in (changed, machine))
+        added -= before
     read = enumerate(log.joints)
     return log.with_columns({f"tau_{name}": log.tau[:, k] + added[:, k] for k, name in read})
 
@@ -177,7 +176,7 @@ def least_changes(one: HeldOutRun) -> dict[SizeKey, float]:
 
 def tried_changes(
     logs: Mapping[str, Sequence[Log]],
-    machine: FixedBase,
+    machine: Modelled,
     done: Sequence[HeldOutRun],
     length: float,
     folder: Path,

@@ -15,11 +15,10 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from surefoot.models.bootstrap import block_bootstrap_counts
-from surefoot.sim.common.white_noise import white_noise
+from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Modelled
 
 GRID = 0.005
 """Largest spacing of the rows of the balance [s]."""
@@ -98,7 +97,7 @@ class Sizes:
     interval: np.ndarray
 
 
-def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Balance:
+def balance(log: Log, machine: Modelled, width: float, stops: float = 0.0) -> Balance:
     """The balance of a log of a machine on a fixed base, level and at rest.
 
     width [s]: standard deviation of the Gaussian kernel. Rows of a joint within `stops` [rad] of
@@ -120,11 +119,10 @@ def balance(log: Log, machine: Machine, width: float, stops: float = 0.0) -> Bal
     q = first(q_read)
     dq = np.gradient(q, step, axis=0)
     ddq = np.gradient(dq, step, axis=0)
-    dynamics = dynamics_of(machine.file, machine.joint_names)
-    none, changes = np.zeros_like(q), body_changes(machine)
+    none, dynamics = np.zeros_like(q), machine.dynamics
 
     def torque(dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
-        return dynamics.inverse(q, dq, ddq, changes=changes)[1]
+        return dynamics.inverse(q, dq, ddq)[1]
 
     gravity, rigid = torque(none, none), torque(dq, ddq)
     inertia = torque(none, ddq) - gravity

@@ -19,7 +19,6 @@ from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
@@ -53,7 +52,7 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
     frame = log_under_model(log, robot).motion
     robot = replace(robot, foot_radius=np.maximum(robot.foot_radius, 0.0))
     standing = log.contact & log.ref_ok[:, None]
-    v = leg_velocity(robot, log.q, joint_velocity(log), log.gyro, frame.up_I, standing)
+    v = robot.feet.imu_velocity(log.q, joint_velocity(log), log.gyro, frame.up_I, standing)
     square = np.sum((v - frame.v_I[:, None]) ** 2, axis=2)
     walks = np.linalg.norm(frame.v_I, axis=1) > WALKING
     out = np.full((TENTHS, log.contact.shape[1]), np.nan)
@@ -114,7 +113,7 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
 
     def error(radius: float) -> np.ndarray:
         rolling = replace(robot, foot_radius=np.full(len(robot.foot_radius), radius))
-        v = leg_velocity(rolling, log.q, dq, log.gyro, up, log.contact & walks[:, None])
+        v = rolling.feet.imu_velocity(log.q, dq, log.gyro, up, log.contact & walks[:, None])
         return v - frame.v_I[:, None]
 
     point, slope = error(0.0), error(1.0) - error(0.0)

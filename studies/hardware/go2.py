@@ -24,7 +24,7 @@ from studies.hardware.row_times import RowTimes, row_times
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Modelled
 
 HANGING_WIDTH = 0.03
 """Width of the kernel [s]."""
@@ -68,7 +68,7 @@ class Drives:
     unseen: Balance
 
 
-def drives(log: Log, machine: Machine, period: float) -> Drives:
+def drives(log: Log, machine: Modelled, period: float) -> Drives:
     """The balance of the log if a row takes `period` [s]."""
     retimed = replace(log, frame=log.frame.assign(t=period * np.arange(len(log.t))))
     one = balance(retimed, machine, HANGING_WIDTH, STOPS)

@@ -20,9 +20,8 @@ from surefoot.sim.effects import compensate_all, effect, known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.effects.targets import AXES
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
-from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.machine import Modelled
 
 SizeKey = tuple[str, str]
 """Name of a size, and the joint, or the joint that moves the link, that it belongs to."""
@@ -93,7 +92,7 @@ def windows(t: np.ndarray, length: float) -> Windows:
     return Windows(middles, mean / whole, rate / whole)
 
 
-def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
+def window_rows(log: Log, machine: Modelled, length: float) -> WindowRows:
     """Torque balance of one log in windows of a length [s].
 
     A joint whose torque is always zero has no drive. Raises LogError if the log lacks q, dq or tau.
@@ -116,7 +115,6 @@ def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
         for target in known_effects()[name].single_targets(machine.limbs):
             size = known_effects()[name].step_of(target)
             known, changed = compensate_all([effect(name, target, size)], log, machine)
-            assert isinstance(changed, FixedBase)
             # The position of a mass along a hinge's axis is not observable.
             term = (rigid_torque(known, changed, through) - rigid) / size
             if np.abs(term).max() > _SHOWS:
@@ -126,13 +124,12 @@ def window_rows(log: Log, machine: FixedBase, length: float) -> WindowRows:
     return WindowRows(log.joints, through.t, through.mean @ log.tau - rigid, terms, changes)
 
 
-def rigid_torque(log: Log, machine: FixedBase, through: Windows) -> np.ndarray:
+def rigid_torque(log: Log, machine: Modelled, through: Windows) -> np.ndarray:
     """Mean torque (N, J) [N m] in each window that the machine's masses require."""
-    dynamics, changes = dynamics_of(machine.file, machine.joint_names), body_changes(machine)
-    q, dq, still = log.q, log.dq, np.zeros_like(log.q)
+    dynamics, q, dq, still = machine.dynamics, log.q, log.dq, np.zeros_like(log.q)
 
     def torque(q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
-        return dynamics.inverse(q, dq, ddq, changes=changes)[1]
+        return dynamics.inverse(q, dq, ddq)[1]
 
     def momentum(q: np.ndarray) -> np.ndarray:
         return torque(q, still, dq) - torque(q, still, still)
@@ -142,11 +139,11 @@ def rigid_torque(log: Log, machine: FixedBase, through: Windows) -> np.ndarray:
     return through.mean @ slow + through.rate @ momentum(q)
 
 
-def _link_steps(machine: FixedBase, j: int) -> list[tuple[str, LinkChange, float]]:
+def _link_steps(machine: Modelled, j: int) -> list[tuple[str, LinkChange, float]]:
     """Observable parameters of the link that joint j moves: name, a change of it alone, and its
     size.
     """
-    model = dynamics_of(machine.file, machine.joint_names).model
+    model = machine.dynamics.model
     joint = model.joint(machine.joint_names[j]).id
     body = model.jnt_bodyid[joint]
     mass, place = model.body_mass[body], model.body_ipos[body] - model.jnt_pos[joint]
@@ -161,9 +158,9 @@ def _link_steps(machine: FixedBase, j: int) -> list[tuple[str, LinkChange, float
     return steps
 
 
-def as_published(machine: FixedBase, joint: str) -> dict[str, float]:
+def as_published(machine: Modelled, joint: str) -> dict[str, float]:
     """Observable parameters of a link in its file: name -> value."""
-    model = dynamics_of(machine.file, machine.joint_names).model
+    model = machine.dynamics.model
     hinge = model.joint(joint).id
     body = model.jnt_bodyid[hinge]
     across = np.abs(model.jnt_axis[hinge]) < 0.5
@@ -181,7 +178,7 @@ def as_published(machine: FixedBase, joint: str) -> dict[str, float]:
     return {"inertia about the hinge": float(inertia), **shows}
 
 
-def _with_link(machine: FixedBase, change: LinkChange) -> FixedBase:
+def _with_link(machine: Modelled, change: LinkChange) -> Modelled:
     links = (*machine.extras.links, change)
     return replace(machine, extras=replace(machine.extras, links=links))
 

@@ -26,7 +26,7 @@ from studies.hardware.drives import (
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.robot.machine import Machine
 
 PENDULUM_WIDTH = 0.04
 """Width of the kernel [s]: short compared with a quarter of a swing, long compared with a row."""

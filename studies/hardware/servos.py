@@ -18,7 +18,7 @@ from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
-from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.machine import Modelled
 from surefoot.sim.robot.model_file import compiled_model
 
 DELAYS = np.arange(0.0, 0.121, 0.01)
@@ -75,7 +75,7 @@ def fit_servo(logs: Sequence[Log], joint: int) -> Servo:
     return min(tried, key=lambda s: sum(float(np.sum(_left(log, joint, s) ** 2)) for log in logs))
 
 
-def simulated_angles(log: Log, machine: FixedBase) -> np.ndarray:
+def simulated_angles(log: Log, machine: Modelled) -> np.ndarray:
     """Angles (N, J) [rad] of the machine's own file, whose position servos follow the log's
     commands from its initial state.
     """
@@ -96,7 +96,7 @@ def simulated_angles(log: Log, machine: FixedBase) -> np.ndarray:
 
 
 def servos_table(
-    fitted: Sequence[Log], unseen: Sequence[Log], machine: FixedBase
+    fitted: Sequence[Log], unseen: Sequence[Log], machine: Modelled
 ) -> tuple[pd.DataFrame, tuple[Servo, ...]]:
     """One row for each joint: its servo from the fitted logs, and the error [mrad, root mean square
     without each log's mean] of its angle in the unseen ones. Also returns the servos.
@@ -131,7 +131,7 @@ def servos_table(
     return pd.DataFrame(rows), tuple(servos)
 
 
-def servos_figure(log: Log, servos: Sequence[Servo], machine: FixedBase) -> Figure:
+def servos_figure(log: Log, servos: Sequence[Servo], machine: Modelled) -> Figure:
     """Figure: part of a run that no fit has seen, with each joint as measured, as simulated by the
     published model, and by its servo, without means.
     """

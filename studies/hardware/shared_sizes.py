@@ -29,7 +29,7 @@ from studies.hardware.impulses import (
 )
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.machine import Modelled
 
 ZERO = 0.03
 """Standard deviation of a zero that was set by hand, with the machine hanging or by marks [rad]."""
@@ -169,7 +169,7 @@ def left_out_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
     )
 
 
-def shared_sizes_table(whole: Calibration, machine: FixedBase) -> pd.DataFrame:
+def shared_sizes_table(whole: Calibration, machine: Modelled) -> pd.DataFrame:
     """One row for each size: published value, correction, and variation between runs."""
     rows = []
     for k, (name, joint) in enumerate(whole.keys):

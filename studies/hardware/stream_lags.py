@@ -11,7 +11,6 @@ from studies.hardware.drives import BLOCK
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.binning import ReferenceMotion
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
 from surefoot.sim.robot import Robot
@@ -106,7 +105,7 @@ def _leg_costs(
     costs = []
     for d in LAGS:
         then = np.clip(log.t + d, log.t[0], log.t[-1])
-        v = leg_velocity(robot, q(then), dq(then), log.gyro, frame.up_I, standing)
+        v = robot.feet.imu_velocity(q(then), dq(then), log.gyro, frame.up_I, standing)
         # Wrong lengths and radii give each foot a mean error, which does not depend on the lag.
         off = v - frame.v_I[:, None]
         off = off - np.nanmedian(off, axis=0)

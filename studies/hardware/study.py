@@ -36,7 +36,7 @@ from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
+from surefoot.sim.robot.machine import load_machine
 
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
@@ -155,8 +155,7 @@ def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
 def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
     """Legs against motion capture: alignment, trace, and the leg filter."""
     log = import_log(folder, "go1_square")
-    robot = machine_for_log(log, _known("go1").name)
-    assert isinstance(robot, Robot)
+    robot = Robot.for_log(log, _known("go1").name)
     late = lags(log, robot)
     with percent_bar("trace") as progress:
         found = trace(
@@ -267,8 +266,7 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
     for file in files:
         log = replace(import_log(file, "ricmonk_swing"), name=file.stem)
         logs.setdefault(file.stem.split("_")[0], []).append(log)
-    machine = machine_for_log(next(iter(logs.values()))[0], folder / "ricmonk_published.xml")
-    assert isinstance(machine, FixedBase)
+    machine = load_machine(folder / "ricmonk_published.xml").in_log(next(iter(logs.values()))[0])
     by_length = {
         length: shared_sizes.runs_left_out(
             {run: [window_rows(log, machine, length) for log in own] for run, own in logs.items()}
@@ -339,8 +337,7 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
     file = folder.parent.parent / "models" / "so101" / "so101.xml"
     if not file.is_file():
         raise SurefootError(f"so101: its model is not at {file}")
-    machine = machine_for_log(logs[SO101_FITTED[0]], file)
-    assert isinstance(machine, FixedBase)
+    machine = load_machine(file).in_log(logs[SO101_FITTED[0]])
     fitted, unseen = ([logs[n] for n in names] for names in (SO101_FITTED, SO101_UNSEEN))
     table, found = servos.servos_table(fitted, unseen, machine)
     with percent_bar("trace") as progress:

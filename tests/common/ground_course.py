@@ -4,18 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surefoot.sim.gait.course import Course, course_pieces, course_ticks
+from surefoot.sim.gait.course import Course, Segment, integrate_course, stretches
 from surefoot.sim.ground.height_map import height, normal
-from surefoot.sim.scenario import Segment
 
 
 def whole_course(
     segments: Sequence[Segment], dt: float, stand: float, laps: int = 1, lead: float = 0.0
 ) -> Course:
     """The course in one piece."""
-    rows = course_ticks(segments, dt, stand, laps, lead)
-    (whole,) = course_pieces(segments, dt, stand, laps, lead, rows)
-    return whole
+    return integrate_course(stretches(segments, dt, stand, laps, lead), dt)
 
 
 def surfaces(height_map, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 DT = 0.002  # s
 

@@ -8,6 +8,7 @@ import pytest
 
 from surefoot.sim import scenario
 from surefoot.sim.gait.options import GaitOptions
+from surefoot.sim.ground.ground_from_file import GroundFile
 from surefoot.sim.importing import columns, map, sections
 from surefoot.sim.sensors.streams import Sensors
 
@@ -30,7 +31,7 @@ KINDS = [
     scenario._GroundTable,
     scenario._PatchEntry,
     scenario._StripEntry,
-    scenario._HeightFieldEntry,
+    GroundFile,
     scenario.Ranges,
     GaitOptions,
     Sensors,

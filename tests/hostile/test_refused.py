@@ -233,7 +233,7 @@ def test_the_good_files_are_read(reader, good, tmp_path):
     from surefoot.scenarios.experiments.file import Experiment
     from surefoot.sim.effects.file import load_effects
     from surefoot.sim.importing.recording import import_log
-    from surefoot.sim.robot.fixed_base import load_machine
+    from surefoot.sim.robot.machine import load_machine
 
     read = {
         "SCENARIO": scenario.Scenario.load,

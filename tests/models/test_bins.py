@@ -17,6 +17,8 @@ from surefoot.models.residuals.feet import level_ground
 from surefoot.models.residuals.registry import CHANNELS
 from surefoot.models.residuals.torques import dynamics_inputs
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.robot.given_feet import GivenFeet
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.stances import changes as changes_of
 from surefoot.sim.sensors.streams import Sensors
 
@@ -126,7 +128,7 @@ def test_bins_beside_a_gap_are_not_whole(off, whole):
     q, none = np.zeros((9, 2)), np.zeros((9, 0), dtype=bool)
     more = dict.fromkeys(("q", "q_step", "dq_step", "ddq", "tau"), q)
     bins: Any = SimpleNamespace(t=t, standing=none, lifted=none, base=np.zeros((9, 9)), **more)
-    found = dynamics_inputs(bins, bins).swings[:, 0]
+    found = dynamics_inputs(bins, GivenFeet(Limbs((), (), ()))).swings[:, 0]
     assert np.flatnonzero(~found).tolist() == ([0, 8] if whole else [0, 3, 4, 8])
 
 

@@ -85,7 +85,7 @@ def timing_of_two_steps(before: float) -> np.ndarray:
     still |= {f"{what}_{axis}": 0.0 for what in ("gyro", "ref_p", "ref_v") for axis in "xyz"}
     columns |= {name: np.full(len(log.t), value) for name, value in still.items()}
     log = with_columns(log, columns)
-    return contact_timing(log, robot, reference_motion(log, robot.limbs))
+    return contact_timing(log, robot.feet, reference_motion(log, robot.limbs), robot.extras)
 
 
 def test_a_step_shows_in_the_bins_in_which_its_foot_starts_and_stops():
@@ -107,14 +107,14 @@ def test_robots_whose_feet_move_soon_and_late_lift_as_usual_within_two_spreads(n
     """From the end of a contact until the foot moves, go1 takes 7 ms and the V60 class 24 ms."""
     robot = Robot.load(name)
     log = walk(Scenario("timing", COURSE, Ground(0.8)), robot, 4)
-    lifts = contact_timing(log, robot, reference_motion(log, robot.limbs))[:, 4:]
+    lifts = contact_timing(log, robot.feet, reference_motion(log, robot.limbs), robot.extras)[:, 4:]
     assert np.isfinite(lifts).sum() > 60
     assert abs(np.nanmean(lifts)) < 2.0 * CHANNELS["contact_timing"].level_spread["liftoff"]
 
 
 def test_each_change_is_in_the_bin_in_which_the_foot_stopped_or_started(plain):
     log, first = plain.log, plain.motion.first
-    late = contact_timing(log, ROBOT, plain.motion)
+    late = contact_timing(log, ROBOT.feet, plain.motion, ROBOT.extras)
     for leg in range(4):
         change = changes(log.contact[:, leg])
         told = 0.5 * (log.t[change] + log.t[change - 1])

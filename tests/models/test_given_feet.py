@@ -11,7 +11,6 @@ from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import all_keys, channels_of
 from surefoot.models.residuals.binning import binned
 from surefoot.models.residuals.feet import foot_heights, leg_velocities, travel_regressors
-from surefoot.models.residuals.leg_velocity import leg_velocity_of, velocity_by_feet
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.errors import SurefootError
@@ -20,8 +19,9 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.feet import PointFeet
 from surefoot.sim.robot.given_feet import GivenFeet
+from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
@@ -46,7 +46,7 @@ def test_feet_fixed_to_the_ground_give_the_velocity_of_the_body():
     v_I, omega = rng.normal(size=(2, 7, 3))
     feet_I, standing = rng.normal(size=(7, 4, 3)), rng.uniform(size=(7, 4)) < 0.5
     rates_I = -v_I[:, None] - np.cross(omega[:, None], feet_I)
-    found = velocity_by_feet(feet_I, rates_I, omega, standing)
+    found = PointFeet().imu_velocity(feet_I, rates_I, omega, omega, standing)
     assert np.isnan(found[~standing]).all()
     expected = np.broadcast_to(v_I[:, None], feet_I.shape)
     np.testing.assert_allclose(found[standing], expected[standing], atol=1e-12)
@@ -62,7 +62,8 @@ def test_a_log_of_feet_that_pass_by_gives_the_velocity_of_the_body():
     }
     log = Log(pd.DataFrame({"t": t, **columns}), Meta(rate=200.0), "feet")
     standing, still = np.ones((200, 2), dtype=bool), np.zeros((200, 3))
-    found = leg_velocity_of(log, GivenFeet.of_log(log), still, still, standing)
+    feet = GivenFeet.of_log(log).feet
+    found = feet.imu_velocity(*feet.readings(log), still, still, standing)
     np.testing.assert_allclose(found, np.broadcast_to(v_I, found.shape), atol=1e-9)
 
 
@@ -71,13 +72,14 @@ def test_feet_say_what_joint_angles_do_of_a_robot_with_point_feet(log, feet):
     kept = [name for name in log.frame if not str(name).startswith("dq_")]
     log, machine = Log(log.frame.filter(items=kept), log.meta, log.name), GivenFeet.of_log(feet)
     motion = motion_under_model(log, POINT_FEET, fixed=False)
-    given = leg_velocity_of(feet, machine, log.gyro, motion.up_I, motion.standing)
-    by_joints = leg_velocity_of(log, POINT_FEET, log.gyro, motion.up_I, motion.standing)
+    turning = log.gyro, motion.up_I, motion.standing
+    given = machine.feet.imu_velocity(*machine.feet.readings(feet), *turning)
+    by_joints = POINT_FEET.feet.imu_velocity(*POINT_FEET.feet.readings(log), *turning)
     off = (given - by_joints)[motion.standing]
     assert np.sqrt(np.mean(off**2)) < 5e-4
     bins = [binned(one, m, motion) for one, m in ((log, POINT_FEET), (feet, machine))]
     np.testing.assert_allclose(
-        foot_heights(bins[1], machine), foot_heights(bins[0], POINT_FEET), atol=1e-4
+        foot_heights(bins[1], machine.feet), foot_heights(bins[0], POINT_FEET.feet), atol=1e-4
     )
 
 
@@ -86,14 +88,16 @@ def test_feet_that_roll_move_by_a_share_of_their_way(feet):
     machine = GivenFeet.of_log(feet)
     motion = motion_under_model(feet, machine, fixed=False)
     bins = binned(feet, machine, motion)
-    assert bins.feet is not None
     shares = np.linspace(0.02, 0.09, 8)
-    rolled = bins.feet.rates_I.copy()
-    v_I = velocity_by_feet(*bins.feet, bins.omega, bins.standing)
+    place, rate = bins.feet
+    rolled = rate.copy()
+    v_I = machine.feet.imu_velocity(place, rate, bins.omega, bins.R_GI[:, 2], bins.standing)
     rolled[..., :2] -= np.nan_to_num(v_I[..., :2]) * shares.reshape(4, 2)
-    moved = replace(bins, feet=bins.feet._replace(rates_I=rolled))
-    change = leg_velocities(moved, machine) - leg_velocities(bins, machine)
-    A = np.stack([np.nan_to_num(one).ravel() for one in travel_regressors(bins)], axis=1)
+    moved = replace(bins, feet=(place, rolled))
+    change = leg_velocities(moved, machine.feet) - leg_velocities(bins, machine.feet)
+    A = np.stack(
+        [np.nan_to_num(one).ravel() for one in travel_regressors(bins, machine.feet)], axis=1
+    )
     found = np.linalg.lstsq(A, np.nan_to_num(change).ravel())[0]
     np.testing.assert_allclose(found, shares, atol=1e-9)
 

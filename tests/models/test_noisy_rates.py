@@ -10,7 +10,7 @@ from surefoot.models.attribution.sensor_noise import reading_noise
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 PENDULUM = load_machine("ak80_pendulum")
 

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.residuals.binning import STANCE_MARGIN, reference_motion
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.residual import ResidualTable, residual
 from surefoot.models.residuals.torques import torque_residual
 from surefoot.sim.effects import effect
@@ -85,7 +84,7 @@ def test_leg_velocity_is_the_rigid_body_formula():
     up = rng.normal(size=(5, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     turned = replace(ROBOT, R_BI=np.linalg.qr(rng.normal(size=(3, 3)))[0])
-    got = leg_velocity(turned, q, dq, omega, up, np.ones((5, 4), bool))
+    got = turned.feet.imu_velocity(q, dq, omega, up, np.ones((5, 4), bool))
     arm = turned.foot_radius[:, None] * up[:, None]
     jdq = np.einsum("nlij,nlj->nli", turned.feet_jacobian_I(q), dq.reshape(5, 4, 3))
     rolling = np.cross(omega[:, None] + turned.foot_rates_I(q, dq), arm)

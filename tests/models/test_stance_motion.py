@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import correlated_entries
 from surefoot.models.residuals.binning import BIN, at_rows, reference_motion
-from surefoot.models.residuals.leg_velocity import leg_velocity
 from surefoot.models.residuals.stance_motion import (
     FEWEST_STANCE_BINS,
     stance_displacement,
@@ -50,9 +49,9 @@ def test_feet_that_roll_move_over_the_ground_of_a_model_that_lacks_it(log):
     frame = reference_motion(log, ROBOT.limbs)
     points = replace(ROBOT, foot_radius=np.zeros(4))
     omega = at_rows(log.gyro)
-    v = leg_velocity(points, log.q, log.dq, omega, frame.up_I, log.contact) - frame.v_I[:, None]
-    found = stance_displacement(log, points, frame)
-    rolling = stance_displacement(log, ROBOT, frame)
+    v = points.feet.imu_velocity(log.q, log.dq, omega, frame.up_I, log.contact) - frame.v_I[:, None]
+    found = stance_displacement(log, points.feet, frame)
+    rolling = stance_displacement(log, ROBOT.feet, frame)
     for leg in range(4):
         wanted = []
         for first, end in zip(*stances(log.contact[:, leg]), strict=True):
@@ -74,7 +73,7 @@ def test_feet_that_roll_move_over_the_ground_of_a_model_that_lacks_it(log):
 
 def test_a_displacement_stands_in_the_middle_of_its_contact(log):
     frame = reference_motion(log, ROBOT.limbs)
-    found = stance_displacement(log, ROBOT, frame)
+    found = stance_displacement(log, ROBOT.feet, frame)
     for leg in range(4):
         first, end = stances(log.contact[:, leg])
         steps = (end - first >= 60) & (first > 0) & (end < len(log.t))
@@ -86,12 +85,11 @@ def test_a_displacement_stands_in_the_middle_of_its_contact(log):
 def test_contacts_known_to_end_late_are_that_much_shorter(log):
     """A foot that is taken for standing 2 ms too long moves that much less."""
     frame = reference_motion(log, ROBOT.limbs)
-    late = replace(ROBOT.extras, liftoff_late=0.002)
     points = replace(ROBOT, foot_radius=np.zeros(4))
-    before = stance_displacement(log, points, frame)
-    after = stance_displacement(log, replace(points, extras=late), frame)
+    before = stance_displacement(log, points.feet, frame)
+    after = stance_displacement(log, points.feet, frame, liftoff_late=0.002)
     omega = at_rows(log.gyro)
-    v = leg_velocity(points, log.q, log.dq, omega, frame.up_I, log.contact) - frame.v_I[:, None]
+    v = points.feet.imu_velocity(log.q, log.dq, omega, frame.up_I, log.contact) - frame.v_I[:, None]
     first, end = stances(log.contact[:, 0])
     steps = end[(end - first >= 60) & (first > 0) & (end < len(log.t))]
     use = np.isfinite(before[:, 0])

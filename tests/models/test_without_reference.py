@@ -67,7 +67,7 @@ def test_feet_against_each_other_know_nothing_of_the_body_and_count_once():
 def test_legs_and_imu_reckon_the_course_of_a_walk(log):
     # Feet creep and roll: a floor's course needs no more.
     found, known = (
-        body_twists(one) for one in (with_dead_reckoning(without_reference(log), SPOT), log)
+        body_twists(one) for one in (with_dead_reckoning(without_reference(log), SPOT.feet), log)
     )
     np.testing.assert_allclose(found, known, atol=0.05)
 

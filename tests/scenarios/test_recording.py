@@ -45,11 +45,8 @@ class Contents:
         return np.array(self.moving[entity][component])
 
 
-def written(path: Path, walk: Walk, ground: Ground | None = None) -> Contents:
-    shown = RecordedWalk(
-        walk.log, walk.robot, walk.trajectories, walk.prediction, walk.bounds, ground
-    )
-    write_recording(path, shown)
+def written(path: Path, walk: Walk, ground: Ground | None = None, **options) -> Contents:
+    write_recording(path, RecordedWalk(*walk[:5], ground), **options)
     return Contents(path)
 
 
@@ -221,7 +218,7 @@ def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):
 def test_without_estimates_contacts_and_truth_there_is_still_a_robot(walk, tmp_path):
     kept = [c for c in walk.log.frame if not c.startswith(("contact", "slip", "mu", "ref_v"))]
     log = Log(walk.log.frame[kept], walk.log.meta)
-    write_recording(tmp_path / "bare.rrd", RecordedWalk(log, walk.robot))
+    write_recording(tmp_path / "bare.rrd", RecordedWalk(log, walk.robot, {}))
     contents = Contents(tmp_path / "bare.rrd")
     assert {"/world/robot", "/velocity/x/truth"} <= set(contents.moving)
     assert not any(entity.startswith("/feet") for entity in contents.moving)
@@ -250,9 +247,8 @@ def test_an_estimator_may_have_any_name_and_a_log_may_have_calendar_time(walk, t
     shifted = type(leg)(
         leg.t + offset, *[getattr(leg, n) for n in ("R_GI", "v_GI", "p_GI", "b_a", "b_g")]
     )
-    write_recording(
-        tmp_path / "a.rrd", RecordedWalk(log, walk.robot, {"my filter/v2 (new)": shifted})
-    )
+    estimates = {"my filter/v2 (new)": shifted}
+    write_recording(tmp_path / "a.rrd", RecordedWalk(log, walk.robot, estimates))
     contents = Contents(tmp_path / "a.rrd")
     entity = next(e for e in contents.moving if e.startswith("/distance"))
     assert contents.moving[entity]["time"][0].year == 2023
@@ -268,7 +264,7 @@ def test_errors_are_one_clear_line(walk, tmp_path):
         written(tmp_path / "walk.mp4", walk)
     blind = Log(walk.log.frame.drop(columns=["ref_p_x"]), walk.log.meta)
     with pytest.raises(SurefootError, match="lacks reference"):
-        write_recording(tmp_path / "b.rrd", RecordedWalk(blind, walk.robot))
+        write_recording(tmp_path / "b.rrd", RecordedWalk(blind, walk.robot, {}))
 
 
 def test_a_capsule_is_centred_where_mujoco_centres_it():

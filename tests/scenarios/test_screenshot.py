@@ -118,14 +118,7 @@ def near(image: np.ndarray, color: str, tolerance: int = 30) -> int:
 
 def test_the_picture_shows_robot_ground_estimates_and_series(viewer, walk: Walk, tmp_path):
     recording = tmp_path / "walk.rrd"
-    shown = RecordedWalk(
-        walk.log,
-        walk.robot,
-        walk.trajectories,
-        walk.prediction,
-        walk.bounds,
-        Ground(0.8, walk.patches),
-    )
+    shown = RecordedWalk(*walk[:5], ground=Ground(0.8, walk.patches))
     write_recording(recording, shown, tab="Overview")
     image = picture(viewer, recording, 2.0, tmp_path / "walk.png")
     rows, columns, _ = image.shape
@@ -153,8 +146,7 @@ def test_stairs_slopes_and_bumps_are_in_the_picture(viewer, walk: Walk, tmp_path
     images = []
     for name, ground in (("level", Ground(0.8)), ("course", Ground(0.8, walk.patches, 20, strips))):
         recording = tmp_path / f"{name}.rrd"
-        shown = RecordedWalk(walk.log, walk.robot, walk.trajectories, ground=ground)
-        write_recording(recording, shown)
+        write_recording(recording, RecordedWalk(*walk[:3], ground=ground))
         images.append(picture(viewer, recording, 2.0, tmp_path / f"{name}.png"))
     level, course = images
     scene = np.s_[:, : level.shape[1] // 2]

@@ -20,7 +20,7 @@ from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 

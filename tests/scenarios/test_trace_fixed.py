@@ -15,9 +15,9 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.physics.inverse_dynamics import dynamics_of
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine, machine_for_log
+from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.machine import load_machine, machine_for_log
 
 PENDULUM = load_machine("ak80_pendulum")
 RATE = 500.0
@@ -150,7 +150,7 @@ def test_logs_of_one_drive_that_are_short_each_add_up():
 
 def test_inverse_dynamics_is_the_pendulum_s_equation():
     """I q'' + m g l sin q, with the published mass and the inertia of rod and point mass."""
-    dynamics = dynamics_of(PENDULUM.file, PENDULUM.joint_names)
+    dynamics = PENDULUM.dynamics
     q, ddq = np.array([[0.3], [-1.1]]), np.array([[2.0], [-0.5]])
     _, torque = dynamics.inverse(q, np.zeros((2, 1)), ddq)
     inertia = 0.546 * 0.25 + 0.13 * (0.24**2 + 0.48**2 / 12)

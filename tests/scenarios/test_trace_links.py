@@ -8,7 +8,8 @@ import pytest
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine
+from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.machine import load_machine
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1">
 <joint name="shoulder" axis="0 1 0"/>

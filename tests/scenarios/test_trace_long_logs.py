@@ -18,7 +18,7 @@ from surefoot.scenarios.trace.long_logs import (
 )
 from surefoot.scenarios.trace.run import trace
 from surefoot.sim.log import LogError
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 PENDULUM = load_machine("ak80_pendulum")
 

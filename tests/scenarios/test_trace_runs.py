@@ -17,7 +17,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.file import load_effects, save_effects
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 PENDULUM = load_machine("ak80_pendulum")
 ROTOR = effect("armature", "shoulder", 0.03)

@@ -171,6 +171,6 @@ def test_what_comes_with_every_stride_is_no_outside_force(log):
 
 def test_dead_reckoning_by_the_legs_is_among_the_filters(log):
     truth = reference(log)
-    right = drift(truth, dead_reckoned(log, ROBOT))
+    right = drift(truth, dead_reckoned(log, ROBOT.feet))
     long_ago = effect("link_length", "thigh", 0.02).compensate(log, ROBOT)[1]
-    assert right < 0.02 < drift(truth, dead_reckoned(log, long_ago))
+    assert right < 0.02 < drift(truth, dead_reckoned(log, long_ago.feet))

@@ -11,7 +11,7 @@ from pendulum import swung
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.plausibility import check_log
-from surefoot.sim.robot.fixed_base import load_machine, machine_for_log
+from surefoot.sim.robot.machine import load_machine, machine_for_log
 
 PENDULUM = load_machine("ak80_pendulum")
 MEASURED = measured_folder()

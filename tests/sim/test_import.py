@@ -23,7 +23,7 @@ from surefoot.sim.importing.sections import EVENNESS, Source
 from surefoot.sim.importing.table import column_readings
 from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import JOINTS, Log
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.sensors.contact import contact_from_force
 
 MEASURED = measured_folder()

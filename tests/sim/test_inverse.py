@@ -1,14 +1,16 @@
 """Inverse dynamics against MuJoCo's own, also of legs that are not where their file has them."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.effects import effect
-from surefoot.sim.physics.inverse_dynamics import BodyChanges, body_changes, dynamics_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.inverse_dynamics import BodyChanges, dynamics_of
 
 
 @pytest.mark.parametrize(("joint", "name", "target"), [
@@ -25,16 +27,15 @@ def test_a_leg_takes_its_masses_along(joint, name, target):
     moved = np.abs(known.legs.offset - robot.legs.offset).sum(axis=2)
     moved += np.abs(known.legs.rotation - robot.legs.rotation).sum(axis=(2, 3))
     assert np.flatnonzero(moved).tolist() == [joint]
-    changes = body_changes(known)
 
     rng = np.random.default_rng(3)
     q = robot.q_home + 0.3 * rng.standard_normal((4, 12))
     dq, ddq = rng.standard_normal((2, 4, 12))
     base = rng.standard_normal((4, 9))
     base[:, 8] += 9.8
-    dynamics = dynamics_of(robot.file, robot.joint_names)
+    dynamics = robot.dynamics
     before = dynamics.inverse(q, dq, ddq, base)
-    wrench, torque = dynamics.inverse(q, dq, ddq, base, changes)
+    wrench, torque = known.dynamics.inverse(q, dq, ddq, base)
 
     data = mujoco.MjData(edited)
     edited.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -55,16 +56,16 @@ def test_a_leg_takes_its_masses_along(joint, name, target):
 def test_slopes_skip_work_and_nothing_else():
     """What is not recomputed changes no bit of a difference."""
     robot, rng, step = Robot.load("spot_class"), np.random.default_rng(5), 1e-5
-    dynamics = dynamics_of(robot.file, robot.joint_names)
     motion = list(rng.standard_normal((3, 6, 12)))
     base, turn = rng.standard_normal((6, 9)), np.tile(np.eye(3), (12, 1, 1))
     shift = BodyChanges(np.zeros((12, 3)), 0.01 * rng.standard_normal((12, 3)), turn)
-    before = dynamics.inverse(motion[0], motion[1], motion[2], base, shift)
-    slopes = dynamics.derivatives(motion[0], motion[1], motion[2], base, shift, step)
+    dynamics = replace(robot.dynamics, changes=shift)
+    before = dynamics.inverse(motion[0], motion[1], motion[2], base)
+    slopes = dynamics.derivatives(motion[0], motion[1], motion[2], base, step)
     for kind in range(3):
         for joint in range(12):
             q, dq, ddq = (x + step * (k == kind) * np.eye(12)[joint] for k, x in enumerate(motion))
-            after = dynamics.inverse(q, dq, ddq, base, shift)
+            after = dynamics.inverse(q, dq, ddq, base)
             for slope, there, here in zip(slopes, after, before, strict=True):
                 assert_array_equal(slope[kind, joint], (there - here) / step)
 
@@ -72,14 +73,15 @@ def test_slopes_skip_work_and_nothing_else():
 @pytest.mark.parametrize("joint", [0, 2, 7])
 def test_derivatives_by_a_links_inertia(joint):
     robot, rng, step = Robot.load("spot_class"), np.random.default_rng(5), 1e-6
-    dynamics = dynamics_of(robot.file, robot.joint_names)
+    dynamics = robot.dynamics
     (q, dq, ddq), base = rng.standard_normal((3, 6, 12)), rng.standard_normal((6, 9))
     known = LinkChange(2, mass=0.1, com=(0.01, 0.0, 0.02), inertia=1e-3)
-    found = dynamics.link_derivatives(q, dq, ddq, base, BodyChanges(links=(known,)))
+    changed = replace(dynamics, changes=BodyChanges(links=(known,)))
+    found = changed.link_derivatives(q, dq, ddq, base)
     for kind, size in enumerate(step * np.eye(5)):
         change = LinkChange(joint, size[0], tuple(size[1:4]), size[4])
         there, here = (
-            dynamics.inverse(q, dq, ddq, base, BodyChanges(links=links))
+            replace(dynamics, changes=BodyChanges(links=links)).inverse(q, dq, ddq, base)
             for links in ((known, change), (known,))
         )
         slopes = dynamics.parted(found[kind, joint].T)

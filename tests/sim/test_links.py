@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.log import Log
-from surefoot.sim.physics.inverse_dynamics import body_changes, dynamics_of
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
@@ -62,10 +61,10 @@ def test_what_a_link_weighs_more_is_in_the_inverse_dynamics(name, target, value)
     one = effect(name, target, value)
     one.edit_spec(spec, SPOT)
     edited = torques(spec.compile(), motion)
-    dynamics = dynamics_of(SPOT.file, SPOT.joint_names)
+    dynamics = SPOT.dynamics
     plain = dynamics.inverse(*motion)
     _, known = one.compensate(LOG, SPOT)
-    changed = dynamics.inverse(*motion, changes=body_changes(known))
+    changed = known.dynamics.inverse(*motion)
     assert np.abs(edited - bare).max() > 0.05
     assert_allclose(changed[1] - plain[1], (edited - bare)[:, 6:], atol=1e-9)
     assert_allclose(changed[0] - plain[0], (edited - bare)[:, :6], atol=1e-9)

@@ -10,7 +10,7 @@ from ground_course import whole_course
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
-from surefoot.sim.gait.course import course_pieces
+from surefoot.sim.gait.course import course_pieces, stretches
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import LogError, LogWriter
@@ -70,7 +70,7 @@ def test_a_writer_refuses_a_piece_that_does_not_follow(whole, made, tmp_path):
 
 def test_a_course_in_pieces_is_the_course():
     way = [Segment(3.0, 1.0), Segment(2.0, 0.2, 0.1, -1.0)], 0.004, 0.5, 3, 0.2
-    course, parts = whole_course(*way), list(course_pieces(*way, 123))
+    course, parts = whole_course(*way), list(course_pieces(stretches(*way), 0.004, 123))
     for name in ("t", "pose", "velocity"):
         joined = np.concatenate([getattr(part, name) for part in parts])
         np.testing.assert_array_equal(joined, getattr(course, name))

@@ -10,7 +10,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import robot_file
-from surefoot.sim.robot.fixed_base import machine_for_log
+from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.robot.model_of_log import of_robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.low_pass import low_pass
+from surefoot.sim.common.series import low_pass
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.low_pass import low_pass, without_low_pass
+from surefoot.sim.common.series import low_pass, without_low_pass
 from surefoot.sim.sensors.streams import ContactSwitch, SensorErrors, Sensors, Streams
 
 WEIGHT = 300.0  # N

@@ -6,10 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import fftconvolve, lfilter
 from scipy.stats import theilslopes
 
-from surefoot.sim.common.convolution import convolve
-from surefoot.sim.common.low_pass import recursion
-from surefoot.sim.common.median_slope import median_slope
-from surefoot.sim.common.white_noise import white_noise
+from surefoot.sim.common.series import convolve, recursion, white_noise
+from surefoot.sim.effects.median_slope import median_slope
 
 
 def test_a_convolution_is_that_of_scipy():

@@ -10,7 +10,7 @@ from studies.hardware.changes import every_change, named_changes, with_change
 from studies.hardware.impulses import as_published, window_rows
 from studies.hardware.shared_sizes import runs_left_out, shared_calibration
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 CHAIN = """<mujoco model="chain"><compiler angle="radian"/><worldbody><body name="upper">
 <joint name="top" type="hinge" axis="1 0 0"/>

@@ -16,7 +16,7 @@ from studies.hardware.drives import (
     rms,
     select,
 )
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.fixed_base import load_machine
+from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 

@@ -33,7 +33,8 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase, load_machine
+from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 

@@ -1,4 +1,4 @@
-"""gtsam's legged estimators by the contract of `surefoot.scenarios.estimate.contract`.
+"""gtsam's legged estimators by the contract of `surefoot.extend`.
 
     pip install "surefoot[gtsam]"
     surefoot compare LOG --plugin gtsam_legged.py -o compared
@@ -13,9 +13,7 @@ beginning says of them, with the covariance that the beginning states.
 import gtsam
 import numpy as np
 
-from surefoot.estimator.core.state import NavState
-from surefoot.scenarios.estimate.contract import Needs, Parameter, check_sample, measured
-from surefoot.sim.common.gravity import GRAVITY
+from surefoot.extend import GRAVITY, NavState, Needs, Parameter, check_sample, measured
 
 UNKNOWN = 1.0
 """m, deviation of a foothold that no measurement has reached."""

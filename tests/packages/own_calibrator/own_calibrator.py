@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from surefoot.models.calibration.conformal import conformal_quantile
-from surefoot.models.calibration.regions import Calibrator, Region
+from surefoot.extend import Calibrator, Region, conformal_quantile
 
 
 class Horizontal(Calibrator):

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN, bin_mean
-from surefoot.models.residuals.channel import Channel, Column
+from surefoot.extend import BIN, Channel, Column, bin_mean
 
 
 class SupportForce(Channel):

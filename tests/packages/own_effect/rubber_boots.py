@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 
-from surefoot.sim.effects.base import Effect
-from surefoot.sim.effects.body import FootRolling
-from surefoot.sim.robot.legs import JOINTS
+from surefoot.extend import JOINTS, Effect, FootRolling
 
 SHANK = 0.3  # m
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from surefoot.estimator.core.state import FilterNoise
-from surefoot.estimator.filter import InvariantFilter
-from surefoot.scenarios.estimate.contract import Needs, Parameter, Update
+from surefoot.extend import FilterNoise, InvariantFilter, Needs, Parameter, Update
 
 
 class StandingFeet:

@@ -8,7 +8,7 @@ held at the origin with its axes along the world's, so that force and moment are
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -19,9 +19,7 @@ from numba import types
 
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.physics.stepper import mujoco_function
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import Machine
+from surefoot.sim.common.mujoco_library import mujoco_function
 from surefoot.sim.robot.inertia import LinkChange, change_links
 from surefoot.sim.robot.model_file import compiled_model
 
@@ -61,30 +59,12 @@ class BodyChanges(NamedTuple):
 UNCHANGED_BODY = BodyChanges()
 
 
-def body_changes(robot: Machine) -> BodyChanges:
-    """Deviation of a machine's declared model from its file."""
-    links = robot.extras.links
-    if not isinstance(robot, Robot) or (
-        np.array_equal(robot.legs.offset, robot.drawn.offset)
-        and np.array_equal(robot.legs.rotation, robot.drawn.rotation)
-    ):
-        return BodyChanges(links=links)
-    joints = len(robot.limbs.joints)
-    drawn, placed = np.zeros((2, joints, 3))
-    turn = np.tile(np.eye(3), (joints, 1, 1))
-    for leg, chain in enumerate(robot.limbs.chains):
-        there, here = robot.drawn, robot.legs
-        for j, joint in enumerate(chain):
-            drawn[joint], placed[joint] = there.offset[leg, j], here.offset[leg, j]
-            turn[joint] = here.rotation[leg, j] @ there.rotation[leg, j].T
-    return BodyChanges(drawn, placed, turn, links)
-
-
 @dataclass(frozen=True)
 class Dynamics:
     """A compiled model, scratch memory for it, and indices of its joints in canonical order.
 
     hung (J,): the child of the previous joint's body, or of the base, that carries the joint.
+    changes: of the model's file.
     """
 
     model: mujoco.MjModel
@@ -93,6 +73,7 @@ class Dynamics:
     dof_adr: np.ndarray  # (J,)
     hung: np.ndarray  # (J,)
     floating: bool
+    changes: BodyChanges = UNCHANGED_BODY
 
     def inverse(
         self,
@@ -100,17 +81,16 @@ class Dynamics:
         dq: np.ndarray,
         ddq: np.ndarray,
         base: np.ndarray | None = None,
-        changes: BodyChanges = UNCHANGED_BODY,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
 
         q, dq, ddq (N, J) in rad, rad/s, rad/s^2; base (N, 9), in B: angular velocity [rad/s],
         angular acceleration [rad/s^2] and specific force at the base's origin [m/s^2]; None for a
-        base at rest and level, or for a fixed base (then the wrench is zero). changes: of the file.
+        base at rest and level, or for a fixed base (then the wrench is zero).
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((len(q), self.model.nv))
-        with self._changed(changes):
+        with self._changed():
             _sweep(self._memory, *motion, out)
         return self.parted(out)
 
@@ -120,7 +100,6 @@ class Dynamics:
         dq: np.ndarray,
         ddq: np.ndarray,
         base: np.ndarray | None = None,
-        changes: BodyChanges = UNCHANGED_BODY,
         step: float = 1e-5,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forward differences of `inverse` with respect to each joint's angle, rate and
@@ -133,12 +112,11 @@ class Dynamics:
             dq: (N, J) [rad/s].
             ddq: (N, J) [rad/s^2].
             base: (N, 9) in B, as for `inverse`.
-            changes: as for `inverse`.
             step: of the differences [rad, rad/s, rad/s^2].
         """
         motion = self._motion(q, dq, ddq, base)
         out = np.empty((3, len(self.dof_adr), len(q), self.model.nv))
-        with self._changed(changes):
+        with self._changed():
             _sweep_about(self._memory, *motion, self.qpos_adr, self.dof_adr, step, out)
         return self.parted(out)
 
@@ -148,7 +126,6 @@ class Dynamics:
         dq: np.ndarray,
         ddq: np.ndarray,
         base: np.ndarray | None = None,
-        changes: BodyChanges = UNCHANGED_BODY,
     ) -> np.ndarray:
         """Derivatives (5, J, nv, N) of the generalised forces by each link's mass, centre of mass
         (x, y, z) and inertia, as in a LinkChange; `parted` splits them.
@@ -160,13 +137,12 @@ class Dynamics:
             dq: (N, J).
             ddq: (N, J).
             base: (N, 9) or None.
-            changes: of joints and links.
         """
         motion, model = self._motion(q, dq, ddq, base), self.model
         # Rows last, so that the joints that carry nothing of a link take no memory.
         out = np.zeros((5, len(self.dof_adr), model.nv, len(q)))
         bodies = model.jnt_bodyid[model.dof_jntid[self.dof_adr]]
-        with self._changed(changes):
+        with self._changed():
             _sweep_links(self._memory, self._tree, *motion, bodies, out)
         return out
 
@@ -191,9 +167,9 @@ class Dynamics:
         return Q, V, A
 
     @contextmanager
-    def _changed(self, changes: BodyChanges) -> Iterator[None]:
+    def _changed(self) -> Iterator[None]:
         """Context with the joints' frames and the links changed in the model."""
-        model = self.model
+        model, changes = self.model, self.changes
         as_drawn = {name: getattr(model, name).copy() for name in _CHANGED_FIELDS}
         if changes.turn is not None:
             assert changes.drawn is not None  # the three go together
@@ -293,9 +269,15 @@ def _dry_friction(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.nda
     return model.dof_frictionloss, 1.0 / R, b / np.clip(d_most, least, most)
 
 
+def dynamics_of(
+    file: Path, joint_names: tuple[str, ...], changes: BodyChanges = UNCHANGED_BODY
+) -> Dynamics:
+    """Dynamics of a model's file with these changes, for these joints."""
+    return replace(_as_drawn(file, joint_names), changes=changes)
+
+
 @lru_cache(maxsize=16)
-def dynamics_of(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
-    """Dynamics of an unchanged MJCF file, for these joints."""
+def _as_drawn(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
     model = compiled_model(file)
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT

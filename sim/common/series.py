@@ -1,6 +1,7 @@
-"""First-order low-pass filter of sensors."""
+"""Operations on sampled series: low-pass filter, convolution, noise level, evenly spaced rows."""
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from surefoot.sim.common.kernels import kernel
 
@@ -58,3 +59,31 @@ def without_low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
         return x
     keep = np.exp(-1.0 / (time * rate))
     return np.concatenate([x[:1], (x[1:] - keep * x[:-1]) / (1.0 - keep)])
+
+
+def convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Convolution (A + B - 1,) of a (A,) with b (B,), by FFT.
+
+    As `scipy.signal.fftconvolve`, whose package takes half a second to import.
+    """
+    size = len(a) + len(b) - 1
+    fast = next_fast_len(size, real=True)
+    product = np.asarray(rfft(a, fast)) * np.asarray(rfft(b, fast))
+    return np.asarray(irfft(product, fast))[:size]
+
+
+def white_noise(x: np.ndarray) -> np.ndarray:
+    """Standard deviation (...,) of the white noise of readings x (N, ...), N >= 3.
+
+    The second difference has six times the variance of the noise, and little of the motion.
+    """
+    return np.std(np.diff(x, n=2, axis=0), axis=0) / np.sqrt(6.0)
+
+
+def rows_every(t: np.ndarray, period: float) -> np.ndarray:
+    """Increasing rows of t (N,) [s]: for each multiple of `period` [s] after t[0], the first row at
+    or after it.
+    """
+    rows = np.searchsorted(t, np.arange(t[0], t[-1], period))
+    # Rounding may put the last time after the last row.
+    return np.unique(np.minimum(rows, len(t) - 1))
