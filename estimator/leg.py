@@ -15,7 +15,6 @@ from surefoot.estimator.core.checks import (
     check_velocity,
     numbers,
     spd,
-    spd_3,
 )
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
@@ -26,21 +25,23 @@ from surefoot.estimator.run import (
     Velocities,
     empty_estimates,
     every_row,
-    gaussian_velocities,
-    imu_samples,
     trajectory,
 )
 from surefoot.estimator.updates.contact import (
+    PREDICT_CONTACTS,
+    UPDATE_CONTACTS,
     ContactModel,
     contact_memory,
+    predict_contacts,
     propagate_contacts,
     update_contacts,
+    update_contacts_checked,
 )
 from surefoot.estimator.updates.velocity import update_velocity
 from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.kernels import compiled, kernel
 
 
 class LegSamples(NamedTuple):
@@ -123,12 +124,20 @@ class LegFilter:
         foot_rates_I (K, 3) [rad/s]: angular velocity of each foot relative to the body now, in I,
         averaged with the last call's over the step. Not needed for feet of radius 0.
         """
-        gyro, accel, dt = check_step(gyro, accel, dt)
-        rates = self._rates(foot_rates_I)
-        if not all_within(rates.reshape(-1), MOST_RATE):
-            raise SampleError(f"foot_rates_I: beyond {MOST_RATE:g} rad/s")
-        check_sound(self._memory.mean, self._memory.covariance)
-        propagate_contacts(self._memory, self._model, gyro, accel, dt, rates)
+        memory, rates = self._memory, foot_rates_I
+        if rates is None:
+            rates = self._rates(None)
+        try:
+            given = np.array(gyro, dtype=float), np.array(accel, dtype=float), float(dt)
+            rates = np.array(rates, dtype=float, order="C")
+            done = compiled(predict_contacts, PREDICT_CONTACTS)(memory, self._model, *given, rates)
+        except (TypeError, ValueError):  # not numbers of these shapes
+            done = False
+        if not done:
+            check_step(gyro, accel, dt)
+            if not all_within(self._rates(foot_rates_I).reshape(-1), MOST_RATE):
+                raise SampleError(f"foot_rates_I: beyond {MOST_RATE:g} rad/s")
+            check_sound(memory.mean, memory.covariance)
 
     def _rates(self, foot_rates_I, rows: tuple[int, ...] = ()) -> np.ndarray:
         """Checked rates (*rows, K, 3) of the feet, zero if not needed."""
@@ -147,23 +156,34 @@ class LegFilter:
         foot_positions_I (K, 3) [m]: foot centres in I; in_contact (K,): feet in stance; covariance
         (K, 3, 3) [m^2] of the positions. Returns (K,) bool: feet found slipping.
         """
+        memory, standing = self._memory, np.array(in_contact, dtype=np.bool_)
+        try:
+            given = np.array(foot_positions_I, dtype=float, order="C"), standing
+            noise = np.array(covariance, dtype=float, order="C")
+            update = compiled(update_contacts_checked, UPDATE_CONTACTS)
+            done = update(memory, self._model.gate, *given, noise)
+        except (TypeError, ValueError):  # not numbers of these shapes
+            done = False
+        if not done:
+            self._check_contacts(foot_positions_I, in_contact, covariance)
+        return memory.held > 0
+
+    def _check_contacts(self, foot_positions_I, in_contact, covariance) -> None:
+        """Say why an update was refused."""
         feet = len(self._model.radius)
         positions = numbers("foot_positions_I", foot_positions_I, (feet, 3))
         cov = numbers("covariance", covariance, (feet, 3, 3))
         if not all_within(positions.reshape(-1), MOST_REACH):
             raise SampleError(f"foot_positions_I: beyond {MOST_REACH:g} m")
-        in_contact = _flags(in_contact, (feet,))
+        for k in np.flatnonzero(_flags(in_contact, (feet,))):
+            spd(f"covariance of foot {k}", cov[k], 3)
         check_sound(self._memory.mean, self._memory.covariance)
-        for k in np.flatnonzero(in_contact):
-            spd_3(f"covariance of foot {k}", cov[k])
-        update_contacts(self._memory, self._model.gate, positions, in_contact, cov)
-        return self._memory.held > 0
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with a velocity (3,) [m/s] in I, as in
         `InvariantFilter.update_velocity`.
         """
-        v_I, cov = check_velocity(v_I), spd_3("cov", cov)
+        v_I, cov = check_velocity(v_I), spd("cov", cov, 3)
         check_sound(self._memory.mean, self._memory.covariance)
         memory, feet = self._memory, len(self._model.radius)
         return update_velocity(memory.mean, memory.covariance, feet, v_I, cov)
@@ -226,53 +246,6 @@ class LegFilter:
         _run(imu, legs, velocities, self._memory, self._model, self.t, found, window, sums.sums)
         self.t = float(imu.t[-1])
         return trajectory(imu.t, found, innovations=sums)
-
-
-def run_leg(
-    t,
-    gyro,
-    accel,
-    feet_I,
-    contact,
-    cov,
-    state,
-    covariance,
-    noise=None,
-    foot_radius: float | np.ndarray = 0.0,
-    foot_rates_I=None,
-    slip_gate=None,
-    stride=None,
-    rows=None,
-    v_I=None,
-    v_cov=None,
-) -> Trajectory:
-    """The leg filter over a whole log, in one compiled loop equivalent to `LegFilter`.
-
-    Args:
-        t: stamps (N,) [s].
-        gyro: (N, 3) [rad/s] in I, as for `run_coverage`.
-        accel: (N, 3) [m/s^2] in I, likewise.
-        feet_I: foot centres (N, K, 3) [m] in I, every row an update.
-        contact: feet in stance (N, K).
-        cov: covariances of the centres (N, K, 3, 3) [m^2].
-        state: NavState at t[0].
-        covariance: (15, 15) of its error.
-        noise: LegNoise.
-        foot_radius: [m], one or one for each foot (K,).
-        foot_rates_I: angular velocities of the feet (N, K, 3) [rad/s]; not needed for point feet.
-        slip_gate: as for `LegFilter`.
-        stride: rows between returned estimates; 100 Hz by default.
-        rows: increasing row indices (M,) of additional velocity measurements.
-        v_I: those velocities (M, 3) [m/s] in I.
-        v_cov: their covariances (M, 3, 3) [m^2/s^2].
-    """
-    imu = imu_samples(t, gyro, accel)
-    feet = np.shape(feet_I)[1] if np.ndim(feet_I) == 3 else 0
-    one = LegFilter(state, covariance, noise, foot_radius, feet, slip_gate)
-    legs = one.legs(feet_I, contact, cov, foot_rates_I)
-    none = rows is None
-    velocities = NO_VELOCITIES if none else gaussian_velocities(rows, v_I, v_cov, len(imu.t))
-    return one.run(imu, legs, velocities, every_row(imu.t, stride))
 
 
 @kernel

@@ -23,10 +23,8 @@ CALIBRATORS = Registry(
     "surefoot.calibrators",
     {
         "conformal": "surefoot.models.calibration.regions:Conformal",
-        "bonferroni": "surefoot.models.calibration.regions:Bonferroni",
         "outer": "surefoot.models.calibration.regions:Outer",
         "maxnorm": "surefoot.models.calibration.regions:MaxNorm",
-        "ellipsoid": "surefoot.models.calibration.regions:Ellipsoid",
         "scenario": "surefoot.models.calibration.scenario_box:ScenarioBox",
     },
     needs=("label", "fit_share", "level", "samples_needed", "fit", "conformalize", "bounds"),

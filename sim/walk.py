@@ -20,6 +20,7 @@ from surefoot.sim.gait.state import Gait
 from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.schema import group_columns
 from surefoot.sim.physics.foot_truth import foot_truth
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
 from surefoot.sim.physics.springs import share_moved_at_once
@@ -274,31 +275,19 @@ def _frame(
         mu: friction under each foot (N, L).
     """
     groups = {
-        "t": streams.t[:, None],
-        "gyro": streams.gyro,
-        "accel": streams.accel,
-        "q": streams.q,
-        "dq": streams.dq,
-        "tau": streams.tau,
-        "tau_ff": streams.tau_ff,
-        "contact": contact.astype(float),
-        "force": streams.force,
-        "ref_p": reference.p_GI,
-        "ref_q": quaternion_from_matrix(reference.R_GI),
-        "ref_v": reference.v_GI,
-        "slip": slip,
-        "mu": mu,
+        "imu": (streams.gyro, streams.accel),
+        "q": (streams.q,),
+        "dq": (streams.dq,),
+        "tau": (streams.tau,),
+        "tau_ff": (streams.tau_ff,),
+        "contact": (contact.astype(float),),
+        "force": (streams.force,),
+        "reference": (reference.p_GI, quaternion_from_matrix(reference.R_GI)),
+        "ref_v": (reference.v_GI,),
+        "truth": (slip, mu),
     }
-    joints, legs = (tuple(f"_{one}" for one in names) for names in (JOINTS, LEGS))
-    axes = ("_x", "_y", "_z")
-    suffixes = {"t": ("",), "ref_q": ("_w", *axes)}
-    suffixes |= dict.fromkeys(("gyro", "accel", "ref_p", "ref_v"), axes)
-    suffixes |= dict.fromkeys(("q", "dq", "tau", "tau_ff"), joints)
-    suffixes |= dict.fromkeys(("contact", "force", "slip", "mu"), legs)
-    return pd.DataFrame(
-        {
-            name + suffix: values[:, i]
-            for name, values in groups.items()
-            for i, suffix in enumerate(suffixes[name])
-        }
-    )
+    columns = {"t": streams.t}
+    for group, parts in groups.items():
+        names = group_columns(group, JOINTS, LEGS)
+        columns |= zip(names, np.hstack(parts).T, strict=True)
+    return pd.DataFrame(columns)

@@ -14,10 +14,9 @@ import numpy as np
 import pandas as pd
 
 from studies.command import OutputFolder, run_study
+from surefoot import Log, Robot, TrainSettings, train
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
-from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.datasets.simulate import simulate
@@ -31,8 +30,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.sources import code_digest
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 
 COURSES = bundled("surefoot.scenarios", "courses")
 _MODULE = "studies.observers"
@@ -65,7 +62,7 @@ class ObserverStudy:
 
     out: OutputFolder
     seeds: int = 3
-    steps: int = TRAIN_DEFAULT.steps
+    steps: int = TrainSettings.steps
     """Training steps, the same for all networks."""
     loss: str = "mse"
     inputs: tuple[str, ...] = ("q,dq,tau", "tau,feet")

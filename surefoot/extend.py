@@ -12,7 +12,7 @@ from surefoot.lazy import lazy_names
 if TYPE_CHECKING:
     from surefoot.estimator.core.state import FilterNoise, NavState
     from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-    from surefoot.estimator.filter import InvariantFilter
+    from surefoot.estimator.filter import InvariantFilter, PersistentFilter
     from surefoot.estimator.leg import LegFilter
     from surefoot.models.calibration.conformal import (
         BoundsError,
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "estimator.core.state": ("FilterNoise", "NavState"),
     "estimator.evaluation.trajectory": ("Trajectory", "reference"),
-    "estimator.filter": ("InvariantFilter",),
+    "estimator.filter": ("InvariantFilter", "PersistentFilter"),
     "estimator.leg": ("LegFilter",),
     "models.calibration.conformal": (
         "BoundsError",

@@ -291,8 +291,12 @@ def link_libraries(folder: Path) -> None:
 def _key(commit: str | None) -> str:
     """Name of the results: the commit, and a digest of what is not committed."""
     found = _git("rev-parse", "--short=12", f"{commit or 'HEAD'}^{{commit}}").strip()
-    changes = "" if commit else _git("diff", "HEAD")
-    return found + (f"-{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else "")
+    if commit:
+        return found
+    changes = _git("diff", "HEAD").encode()
+    for name in _git("ls-files", "--others", "--exclude-standard").splitlines():
+        changes += name.encode() + (CHECKOUT / name).read_bytes()
+    return found + (f"-{hashlib.sha256(changes).hexdigest()[:8]}" if changes else "")
 
 
 def _git(*arguments: str, cwd: Path = CHECKOUT) -> str:

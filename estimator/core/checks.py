@@ -9,8 +9,6 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
-_FLOAT = np.dtype(float)
-
 MOST_GYRO = 200.0
 """Largest accepted rate [rad/s]; the fastest gyros of IMUs reach 4000 deg/s, 70 rad/s."""
 MOST_ACCEL = 1e4
@@ -29,6 +27,10 @@ an unloaded motor, and a torque beyond any machine.
 """
 MOST_REACH = 1e2
 """Largest accepted distance from the IMU to a foot [m]."""
+MOST_ITERATIONS = 1000
+"""Largest number of projections in a coverage update."""
+MOST_ASYMMETRY = 1e-9
+"""Largest `asymmetry` of a covariance."""
 MOST_DEVIATION = np.repeat([1e3, 1e7, 1e11, 1e3, 1e3], 3)
 """Standard deviations (15,) of rotation [rad], velocity [m/s], position [m] and biases [m/s^2,
 rad/s] beyond which a filter has diverged. Integration of an IMU alone stays below them for a day,
@@ -62,50 +64,10 @@ def numbers(name: str, value, shape: tuple) -> np.ndarray:
     return out
 
 
-def vector(name: str, value) -> np.ndarray:
-    """`numbers(name, value, (3,))`, fast where `value` is a float array already."""
-    if _plain(value, (3,)):
-        x, y, z = value.tolist()
-        # NaN if one of them is infinite or NaN itself.
-        if (x - x) + (y - y) + (z - z) == 0.0:
-            return value
-    return numbers(name, value, (3,))
-
-
-def spd_3(name: str, value) -> np.ndarray:
-    """`spd(name, value, 3)`, fast where `value` is a float array already."""
-    if _plain(value, (3, 3)) and definite_3(value):
-        return value
-    return spd(name, value, 3)
-
-
-def _plain(value, shape: tuple) -> bool:
-    return (
-        type(value) is np.ndarray
-        and value.dtype is _FLOAT
-        and value.shape == shape
-        and value.flags.carray
-    )
-
-
-@kernel
-def definite_3(S) -> bool:
-    """Whether S (3, 3) is finite, symmetric and positive definite, by its leading minors."""
-    if S[0, 1] != S[1, 0] or S[0, 2] != S[2, 0] or S[1, 2] != S[2, 1]:
-        return False
-    two = S[0, 0] * S[1, 1] - S[0, 1] ** 2
-    three = (
-        S[2, 2] * two
-        - S[0, 2] * (S[0, 2] * S[1, 1] - S[0, 1] * S[1, 2])
-        + S[1, 2] * (S[0, 2] * S[0, 1] - S[0, 0] * S[1, 2])
-    )
-    return 0.0 < S[0, 0] < np.inf and 0.0 < two < np.inf and 0.0 < three < np.inf
-
-
 def spd(name: str, value, size: int) -> np.ndarray:
     """`value` as a symmetric positive definite (size, size) array; SurefootError otherwise."""
     out = numbers(name, value, (size, size))
-    if np.abs(out - out.T).max() > 1e-9 * np.abs(out).max():
+    if np.abs(out - out.T).max() > MOST_ASYMMETRY * np.abs(out).max():
         raise SurefootError(f"{name}: is not symmetric")
     try:
         np.linalg.cholesky(out)
@@ -115,12 +77,69 @@ def spd(name: str, value, size: int) -> np.ndarray:
 
 
 @kernel
+def is_definite(S) -> bool:
+    """Whether S (3, 3), of which the lower triangle is read, is positive definite: the pivots of
+    its decomposition L D L^T are positive.
+    """
+    if not S[0, 0] > 0.0:
+        return False
+    b, c = S[1, 0] / S[0, 0], S[2, 0] / S[0, 0]
+    second = S[1, 1] - b * S[1, 0]
+    if not second > 0.0:
+        return False
+    d = S[2, 1] - b * S[2, 0]
+    return S[2, 2] - c * S[2, 0] - d * d / second > 0.0
+
+
+@kernel
+def asymmetry(S) -> float:
+    """Largest difference of two opposite elements of S (3, 3), as a share of its largest."""
+    largest, skew = 0.0, 0.0
+    for i in range(3):
+        for j in range(3):
+            largest = max(largest, abs(S[i, j]))
+            skew = max(skew, abs(S[i, j] - S[j, i]))
+    return skew / largest if skew > 0.0 else 0.0
+
+
+@kernel
+def symmetric_definite(S, out) -> bool:
+    """Whether S (3, 3) is finite, symmetric and positive definite, as by `spd`.
+
+    out (3, 3) receives its symmetric part.
+    """
+    finite = True
+    for i in range(3):
+        for j in range(3):
+            finite &= np.isfinite(S[i, j])
+            out[i, j] = 0.5 * (S[i, j] + S[j, i])
+    return finite and asymmetry(S) <= MOST_ASYMMETRY and is_definite(out)
+
+
+@kernel
 def all_within(x, most: float) -> bool:
     """Whether all of x (N,) are finite and at most `most` in magnitude."""
     inside = True
     for i in range(x.shape[0]):
         inside &= abs(x[i]) <= most
     return inside
+
+
+@kernel
+def is_step(gyro, accel, dt: float) -> bool:
+    """Whether gyro, accel (3,) and dt are what an IMU gives, as by `check_step`."""
+    if gyro.shape[0] != 3 or accel.shape[0] != 3 or not 0.0 < dt <= MOST_STEP:
+        return False
+    return all_within(gyro, MOST_GYRO) and all_within(accel, MOST_ACCEL)
+
+
+@kernel
+def is_bounded(v_I, epsilon, gamma: float, iterations: int) -> bool:
+    """Whether v_I and epsilon (3,) are a velocity with bounds, of a joint level in (0, 1)."""
+    bounded = v_I.shape[0] == 3 and epsilon.shape[0] == 3 and all_within(v_I, MOST_SPEED)
+    for i in range(epsilon.shape[0]):
+        bounded &= 0.0 < epsilon[i] < np.inf
+    return bounded and 0.0 < gamma < 1.0 and 1 <= iterations <= MOST_ITERATIONS
 
 
 @kernel
@@ -141,10 +160,10 @@ def check_sound(mean: np.ndarray, covariance: np.ndarray) -> None:
         raise DivergedError("the filter has diverged: begin a new one")
 
 
-def check_step(gyro, accel, dt: float) -> tuple[np.ndarray, np.ndarray, float]:
+def check_step(gyro, accel, dt: float) -> None:
     """Check an IMU's means over a step. Raises SampleError for values that no IMU gives."""
     try:
-        gyro, accel, dt = vector("gyro", gyro), vector("accel", accel), float(dt)
+        gyro, accel, dt = numbers("gyro", gyro, (3,)), numbers("accel", accel, (3,)), float(dt)
     except (SurefootError, TypeError, ValueError) as error:
         raise SampleError(f"{error}") from None
     if not 0.0 < dt <= MOST_STEP:
@@ -155,15 +174,26 @@ def check_step(gyro, accel, dt: float) -> tuple[np.ndarray, np.ndarray, float]:
     ):
         if not all_within(value, most):
             raise SampleError(f"{name}: beyond {most:g} {unit}, which no sensor reads")
-    return gyro, accel, dt
 
 
 def check_velocity(v_I) -> np.ndarray:
     """Check a measured velocity (3,) [m/s]. Raises SampleError for an implausible one."""
-    v_I = vector("v_I", v_I)
+    v_I = numbers("v_I", v_I, (3,))
     if not all_within(v_I, MOST_SPEED):
         raise SampleError(f"v_I: beyond {MOST_SPEED:g} m/s")
     return v_I
+
+
+def check_bounds(epsilon, gamma: float, iterations: int = 1) -> None:
+    """Check bounds (3,) or (M, 3) [m/s], their joint level, and the projections of an update."""
+    if not np.all(np.asarray(epsilon) > 0):
+        raise SurefootError("epsilon: every bound must be > 0 m/s")
+    if not 0.0 < gamma < 1.0:
+        raise SurefootError(f"gamma: {gamma} where a number inside (0, 1) is expected")
+    if not 1 <= iterations <= MOST_ITERATIONS:
+        raise SurefootError(
+            f"iterations: {iterations} where a whole number in 1..{MOST_ITERATIONS} is expected"
+        )
 
 
 def row_indices(rows, count: int, n: int) -> np.ndarray:

@@ -83,10 +83,15 @@ def _polynomial(phi, identity: float, linear: float, square: float, out):
 @kernel
 def gammas(phi, gamma_0, gamma_1, gamma_2):
     """Gamma_0, Gamma_1 and Gamma_2 (3, 3) of phi (3,), written into the three arrays."""
-    _, e1, e2, e3, e4, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
-    _polynomial(phi, 1.0, e1, e2, gamma_0)
-    _polynomial(phi, 1.0, e2, e3, gamma_1)
-    _polynomial(phi, 0.5, e3, e4, gamma_2)
+    gammas_of(phi, entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2), gamma_0, gamma_1, gamma_2)
+
+
+@kernel(inline="always")
+def gammas_of(phi, e, gamma_0, gamma_1, gamma_2):
+    """`gammas` with e, the values of `entire` at the squared angle."""
+    _polynomial(phi, 1.0, e[1], e[2], gamma_0)
+    _polynomial(phi, 1.0, e[2], e[3], gamma_1)
+    _polynomial(phi, 0.5, e[3], e[4], gamma_2)
 
 
 @kernel

@@ -17,21 +17,16 @@ sample, so Q_d = B (Q/dt) B^T + walks.
 """
 
 import numpy as np
+from numba import types
 
-from surefoot.estimator.core.checks import (
-    MOST_ACCEL,
-    MOST_GYRO,
-    MOST_STEP,
-    all_within,
-    is_sound,
-)
-from surefoot.estimator.core.lie import entire, gammas
-from surefoot.estimator.core.state import B_A, B_G, P, V
+from surefoot.estimator.core.checks import is_sound, is_step
+from surefoot.estimator.core.lie import entire, gammas_of
+from surefoot.estimator.core.state import B_A, B_G, EXTRA, P, V
 from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.kernels import GIVEN_1, OWN_2, kernel
 
 
-@kernel
+@kernel(inline="always")
 def propagate(mean, covariance, gyro, accel, dt: float, noise, columns, rotation_columns):
     """One IMU step of mean (7+E, 3) and covariance (15+3E, 15+3E), in place.
 
@@ -43,7 +38,7 @@ def propagate(mean, covariance, gyro, accel, dt: float, noise, columns, rotation
     propagate_covariance(covariance, columns, rotation_columns, dt, noise)
 
 
-@kernel
+@kernel(inline="always")
 def propagate_mean(mean, gyro, accel, dt: float, columns):
     """Propagate the mean in place; fill the rows 0 to 8 of B: rotation, velocity, position.
 
@@ -63,8 +58,9 @@ def propagate_mean(mean, gyro, accel, dt: float, columns):
         a[i] = accel[i] - mean[B_A, i]
         for j in range(3):
             R[i, j] = mean[i, j]
-    gammas(phi, G0, G1, G2)
-    gamma_derivatives(phi, a, D1, D2)
+    e = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    gammas_of(phi, e, G0, G1, G2)
+    gamma_derivatives(phi, a, e, D1, D2)
 
     for i in range(3):
         dv = 0.0
@@ -103,14 +99,16 @@ def add_cross_columns(x, columns, at: int):
         columns[at + 2, j] += x[0] * columns[1, j] - x[1] * columns[0, j]
 
 
-@kernel
-def gamma_derivatives(phi, a, d_gamma_1, d_gamma_2):
+@kernel(inline="always")
+def gamma_derivatives(phi, a, e, d_gamma_1, d_gamma_2):
     """d(Gamma_1(phi) a)/dphi and d(Gamma_2(phi) a)/dphi, (3, 3) each, into the last two arrays.
+
+    e are the values of `entire` at the squared angle.
 
     From Gamma_m a = a/m! + e_{m+1} u + e_{m+2} w with u = phi x a, w = phi x u, and
     d e_k / dphi = (k e_{k+2} - e_{k+1}) phi^T.
     """
-    _, _, e2, e3, e4, e5, e6 = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    _, _, e2, e3, e4, e5, e6 = e
     x, y, z = phi[0], phi[1], phi[2]
     u0, u1, u2 = y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]
     w0, w1, w2 = y * u2 - z * u1, z * u0 - x * u2, x * u1 - y * u0
@@ -126,16 +124,16 @@ def gamma_derivatives(phi, a, d_gamma_1, d_gamma_2):
         d_gamma_1[i, i] += e3 * dot
         d_gamma_2[i, i] += e4 * dot
     # du/dphi = -[a]x for u = phi x a.
-    for d, e in ((d_gamma_1, e2), (d_gamma_2, e3)):
-        d[0, 1] += e * a[2]
-        d[1, 0] -= e * a[2]
-        d[1, 2] += e * a[0]
-        d[2, 1] -= e * a[0]
-        d[2, 0] += e * a[1]
-        d[0, 2] -= e * a[1]
+    for d, s in ((d_gamma_1, e2), (d_gamma_2, e3)):
+        d[0, 1] += s * a[2]
+        d[1, 0] -= s * a[2]
+        d[1, 2] += s * a[0]
+        d[2, 1] -= s * a[0]
+        d[2, 0] += s * a[1]
+        d[0, 2] -= s * a[1]
 
 
-@kernel
+@kernel(inline="always")
 def propagate_covariance(covariance, columns, rotation_columns, dt: float, noise):
     """Sigma' = Phi Sigma Phi^T + Q_d (eq. covariance_propagation), in place.
 
@@ -192,7 +190,7 @@ def propagate_covariance(covariance, columns, rotation_columns, dt: float, noise
         covariance[12 + m, 12 + m] += noise[3, m] * dt
 
 
-@kernel
+@kernel(inline="always")
 def _add_rows(M, columns, rotation_columns, dt: float):
     """M <- Phi M in place. Position uses the old velocity and rotation, and velocity the old
     rotation, which determines the order.
@@ -225,32 +223,35 @@ def _add_rows(M, columns, rotation_columns, dt: float):
             M[i, j] += b3 * M[12, j] + b4 * M[13, j] + b5 * M[14, j]
 
 
-# A call from Python costs more than the arithmetic of a step, and checks in Python more than the
-# call. Compiled for one signature, it accepts C-contiguous float arrays only (TypeError otherwise).
-PROPAGATE_CHECKED = (
-    "b1(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])"
-)
+PREDICT = types.boolean(OWN_2, OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64)
+"""Signature of `predict`."""
 
 
 @kernel
-def propagate_checked(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns) -> bool:
-    """`propagate` with checks of sample and state; returns False, with nothing changed, if they
-    fail.
+def predict(vectors, covariance, columns, gyro, accel, dt) -> bool:
+    """`propagate` for a robot's own loop, of a state without contacts.
+
+    A call from Python costs as much as the arithmetic of a step, and checks in Python would cost
+    more: this one checks sample and state, and returns False, with nothing changed, if they fail.
 
     Args:
-        mean: (7+E, 3), the packed mean, in place.
+        vectors: (13+4E, 3), in place: mean, noise, space for the sample, coupling of the extras.
         covariance: (15+3E, 15+3E), in place.
+        columns: (15+3E, 6), work space for B; its rows of extras are zero.
         gyro: (3,) [rad/s] in I.
         accel: (3,) [m/s^2] in I, specific force.
         dt: the step [s].
-        noise: (4, 3), `FilterNoise.packed`.
-        columns: (15+3E, 6), work space for B; the caller fills its rows of extras.
-        rotation_columns: (3E, 3), coupling of the extras to the rotation error.
     """
-    plausible = gyro.shape[0] == 3 and accel.shape[0] == 3 and 0.0 < dt <= MOST_STEP
-    if not (plausible and all_within(gyro, MOST_GYRO) and all_within(accel, MOST_ACCEL)):
+    if not is_step(gyro, accel, dt) or not is_sound(vectors, covariance):
         return False
-    if not is_sound(mean, covariance):
-        return False
-    propagate(mean, covariance, gyro, accel, dt, noise, columns, rotation_columns)
+    n = EXTRA + (covariance.shape[0] - 15) // 3
+    mean, noise, sample, coupling = (
+        vectors[:n],
+        vectors[n : n + 4],
+        vectors[n + 4 : n + 6],
+        vectors[n + 6 :],
+    )
+    for i in range(3):
+        sample[0, i], sample[1, i] = gyro[i], accel[i]
+    propagate(mean, covariance, sample[0], sample[1], dt, noise, columns, coupling)
     return True

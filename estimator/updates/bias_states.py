@@ -38,15 +38,25 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
-from surefoot.estimator.core.checks import numbers, spd
+from surefoot.estimator.core.checks import (
+    MOST_SPEED,
+    all_within,
+    is_bounded,
+    is_sound,
+    numbers,
+    spd,
+    symmetric_definite,
+)
 from surefoot.estimator.core.state import EXTRA
 from surefoot.estimator.updates.coverage import projected
 from surefoot.estimator.updates.outliers import GATHERED, is_outlier
 from surefoot.estimator.updates.velocity import gaussian_update
 from surefoot.estimator.updates.velocity_output import lift, no_contacts, velocity_output
+from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_1, OWN_2, kernel
 
 EXTRAS = 3
 """Extra vectors in the packed state: b_p, then the window's error s, then the course's bias c."""
@@ -204,6 +214,63 @@ def update_coverage_persistent(
     covariance[WINDOW_AT : WINDOW_AT + 3, :] = 0.0
     covariance[:, WINDOW_AT : WINDOW_AT + 3] = 0.0
     return pi
+
+
+_MODEL = types.NamedTuple((OWN_2, types.float64, types.int64, OWN_1), PersistentModel)
+UPDATE_VELOCITY_PERSISTENT = types.float64(OWN_2, OWN_2, GIVEN_1, GIVEN_2, _MODEL, types.int64[::1])
+UPDATE_COVERAGE_PERSISTENT = types.float64(
+    OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, _MODEL, types.int64[::1]
+)
+"""Signatures of the two functions that follow."""
+
+
+@kernel
+def update_velocity_persistent_checked(mean, covariance, v_I, R, model, counts) -> float:
+    """`update_velocity_persistent` for a robot's own loop: -1, with nothing changed, where
+    measurement or state fail the checks.
+
+    Args:
+        mean: packed state (7+EXTRAS, 3), changed in place.
+        covariance: of its error (24, 24), changed in place.
+        v_I: measured velocity (3,) [m/s].
+        R: covariance (3, 3) of its mixing error [m^2/s^2].
+        model: PersistentModel.
+        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
+    """
+    if v_I.shape[0] != 3 or R.shape != (3, 3) or not all_within(v_I, MOST_SPEED):
+        return -1.0
+    given = np.empty((4, 3))
+    noise, v = given[:3], given[3]
+    if not symmetric_definite(R, noise) or not is_sound(mean, covariance):
+        return -1.0
+    copy_row(v_I, v)
+    return update_velocity_persistent(mean, covariance, v, noise, model, counts)
+
+
+@kernel
+def update_coverage_persistent_checked(
+    mean, covariance, v_I, epsilon, gamma: float, iterations: int, model, counts
+) -> float:
+    """`update_coverage_persistent` for a robot's own loop: -1, with nothing changed, where
+    measurement or state fail the checks.
+
+    Args:
+        mean: packed state (7+EXTRAS, 3), changed in place.
+        covariance: of its error (24, 24), changed in place.
+        v_I: measured velocity (3,) [m/s].
+        epsilon: bounds (3,) [m/s] of the mean mixing error of a window.
+        gamma: their joint level.
+        iterations: of the projection.
+        model: PersistentModel.
+        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
+    """
+    if not is_bounded(v_I, epsilon, gamma, iterations) or not is_sound(mean, covariance):
+        return -1.0
+    given = np.empty((2, 3))
+    v, bounds = given[0], given[1]
+    copy_row(v_I, v)
+    copy_row(epsilon, bounds)
+    return update_coverage_persistent(mean, covariance, v, bounds, gamma, iterations, model, counts)
 
 
 @kernel

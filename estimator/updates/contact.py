@@ -16,7 +16,16 @@ With W = omega dt the error of the contact point follows
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
+from surefoot.estimator.core.checks import (
+    MOST_RATE,
+    MOST_REACH,
+    all_within,
+    is_sound,
+    is_step,
+    symmetric_definite,
+)
 from surefoot.estimator.core.propagation import (
     add_cross_columns,
     propagate_covariance,
@@ -31,7 +40,7 @@ from surefoot.estimator.evaluation.innovation_sums import (
 )
 from surefoot.estimator.updates.velocity import gaussian_update
 from surefoot.sim.common.copies import copy_corner
-from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.kernels import OWN_1, OWN_2, kernel
 
 AVERAGED = 0.02
 """Time constant of the running mean of innovations [s]: in it, a slip of 0.5 m/s moves a foot by 1
@@ -184,6 +193,74 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
                 covariance[at, at] += (model.contact_noise[i] + roll) * dt
     copy_corner(rates, memory.rates)
     memory.clock[SINCE] += dt
+
+
+_MEMORY = types.NamedTuple(
+    (
+        *4 * (OWN_2,),
+        types.boolean[::1],
+        OWN_2,
+        *3 * (OWN_1,),
+        *3 * (OWN_2,),
+    ),
+    ContactMemory,
+)
+_MODEL = types.NamedTuple((OWN_2, OWN_1, types.float64, OWN_1, types.float64), ContactModel)
+PREDICT_CONTACTS = types.boolean(_MEMORY, _MODEL, OWN_1, OWN_1, types.float64, OWN_2)
+UPDATE_CONTACTS = types.boolean(
+    _MEMORY, types.float64, OWN_2, types.boolean[::1], types.float64[:, :, ::1]
+)
+"""Signatures of the two functions that follow."""
+
+
+@kernel
+def predict_contacts(memory, model, gyro, accel, dt: float, rates) -> bool:
+    """`propagate_contacts` for a robot's own loop: False, with nothing changed, where sample or
+    state fail the checks.
+
+    Args:
+        memory: ContactMemory.
+        model: ContactModel.
+        gyro: mean over the step (3,) [rad/s], in I.
+        accel: mean over the step (3,) [m/s^2], in I.
+        dt: the step [s].
+        rates: the feet's angular velocities relative to the body (K, 3) [rad/s] now, in I.
+    """
+    if not is_step(gyro, accel, dt) or not all_within(rates.reshape(-1), MOST_RATE):
+        return False
+    if rates.shape != memory.rates.shape or not is_sound(memory.mean, memory.covariance):
+        return False
+    propagate_contacts(memory, model, gyro, accel, dt, rates)
+    return True
+
+
+@kernel
+def update_contacts_checked(memory, gate: float, feet_I, in_contact, measurement_cov) -> bool:
+    """`update_contacts` for a robot's own loop: False, with nothing changed, where measurements or
+    state fail the checks.
+
+    Args:
+        memory: ContactMemory.
+        gate: of `ContactModel`.
+        feet_I: centres of the feet (K, 3) [m] in I.
+        in_contact: (K,) bool.
+        measurement_cov: of feet_I (K, 3, 3) [m^2].
+    """
+    feet = memory.standing.shape[0]
+    if feet_I.shape != (feet, 3) or measurement_cov.shape != (feet, 3, 3):
+        return False
+    if in_contact.shape[0] != feet or not all_within(feet_I.reshape(-1), MOST_REACH):
+        return False
+    symmetric = np.empty((3, 3))
+    for k in range(feet):
+        if not np.isfinite(measurement_cov[k]).all():
+            return False
+        if in_contact[k] and not symmetric_definite(measurement_cov[k], symmetric):
+            return False
+    if not is_sound(memory.mean, memory.covariance):
+        return False
+    update_contacts(memory, gate, feet_I, in_contact, measurement_cov)
+    return True
 
 
 @kernel

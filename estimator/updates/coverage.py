@@ -28,12 +28,14 @@ towards gamma: `iterations`.
 """
 
 import numpy as np
+from numba import types
 
-from surefoot.estimator.box import box_moments_kernel
+from surefoot.estimator.core.checks import is_bounded, is_sound
+from surefoot.estimator.moments.box import box_moments_kernel
 from surefoot.estimator.updates.outliers import MOST_REJECTED, is_outlier
-from surefoot.estimator.updates.velocity_output import lift, velocity_output
+from surefoot.estimator.updates.velocity_output import lift, no_contacts, velocity_output
 from surefoot.sim.common.copies import copy_corner
-from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.kernels import GIVEN_1, OWN_2, kernel
 
 FLOOR = 1e-6
 """Standard deviation [m/s] added to S. The set update adds no noise of its own; without a floor,
@@ -109,6 +111,44 @@ def update_coverage_within(
     if is_outlier(S, residual, max_error, MOST_REJECTED, counts):
         return np.nan
     return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
+
+
+UPDATE_COVERAGE = types.float64(
+    OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, GIVEN_1, types.int64[::1]
+)
+"""Signature of `update_coverage_checked`."""
+
+
+@kernel
+def update_coverage_checked(
+    mean, covariance, v_I, epsilon, gamma: float, iterations: int, max_error, counts
+) -> float:
+    """`update_coverage_within` for a robot's own loop, of a state without contacts, in one call.
+
+    Checks measurement and state; returns -1, with nothing changed, if they fail.
+
+    Args:
+        mean: packed state (7+E, 3), changed in place.
+        covariance: of its error (15+3E, 15+3E), changed in place.
+        v_I: measured velocity (3,) [m/s].
+        epsilon: bounds (3,) [m/s].
+        gamma: their joint level.
+        iterations: of the projection.
+        max_error: beyond which an error is an outlier (3,) [m/s].
+        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
+    """
+    if not is_bounded(v_I, epsilon, gamma, iterations) or not is_sound(mean, covariance):
+        return -1.0
+    if max_error.shape[0] != 3 or not (max_error[0] > 0 and max_error[1] > 0 and max_error[2] > 0):
+        return -1.0
+    given = np.empty((3, 3))
+    for i in range(3):
+        given[0, i], given[1, i], given[2, i] = v_I[i], epsilon[i], max_error[i]
+    v, bounds, limit = given[0], given[1], given[2]
+    contacts = no_contacts()
+    return update_coverage_within(
+        mean, covariance, contacts, v, bounds, gamma, iterations, limit, counts
+    )
 
 
 @kernel(inline="always")

@@ -1,10 +1,22 @@
 """The Gaussian velocity update: the invariant EKF correction with a body velocity."""
 
 import numpy as np
+from numba import types
 
-from surefoot.estimator.core.checks import MOST_SPEED, all_within, definite_3, is_sound
-from surefoot.estimator.updates.velocity_output import inverse_3, lift, velocity_output
-from surefoot.sim.common.kernels import kernel
+from surefoot.estimator.core.checks import (
+    MOST_SPEED,
+    all_within,
+    is_sound,
+    symmetric_definite,
+)
+from surefoot.estimator.updates.velocity_output import (
+    inverse_3,
+    lift_with,
+    no_contacts,
+    velocity_output,
+)
+from surefoot.sim.common.copies import copy_row
+from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_2, kernel
 
 LEAST_RELATIVE_NOISE = 1e-8
 """Least noise relative to the prior's variances; with less, the remaining variances would result
@@ -16,7 +28,7 @@ result stays definite, and at most a ten-thousandth of its value.
 """
 
 
-@kernel
+@kernel(inline="always")
 def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> float:
     """Right-invariant EKF update of the packed state, in place (Hartley 2020, eq. 20).
 
@@ -37,7 +49,7 @@ def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> fl
     return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
 
 
-@kernel
+@kernel(inline="always")
 def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measurement_cov) -> float:
     """Kalman update for z = H delta X, in place.
 
@@ -54,7 +66,7 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
         residual: (3,), the innovation.
         measurement_cov: (3, 3), covariance R of the measurement, in the unit of S.
     """
-    work = np.zeros((3, 3, 3))
+    work = np.empty((3, 3, 3))
     W, information, nothing = work[0], work[1], work[2]
     much = LEAST_RELATIVE_NOISE * (S[0, 0] + S[1, 1] + S[2, 2])
     exact = False
@@ -62,9 +74,10 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
         exact |= measurement_cov[i, i] < much
         for j in range(3):
             W[i, j] = S[i, j] + measurement_cov[i, j]
+            nothing[i, j] = 0.0
     before = np.diag(covariance).copy() if exact else residual
     inverse_3(W, information)
-    lift(mean, covariance, contacts, PHt, W, residual, nothing)
+    lift_with(information, mean, covariance, contacts, PHt, W, residual, nothing)
     if exact:
         for i in range(before.shape[0]):
             covariance[i, i] += ROUNDING * before[i]
@@ -75,24 +88,27 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
     return distance
 
 
-# Checks and update in one call, like `propagate_checked`, for a robot's own loop.
-UPDATE_VELOCITY_CHECKED = "f8(f8[:,::1], f8[:,::1], i8, f8[::1], f8[:,::1])"
+UPDATE_VELOCITY = types.float64(OWN_2, OWN_2, GIVEN_1, GIVEN_2)
+"""Signature of `update_velocity_checked`."""
 
 
 @kernel
-def update_velocity_checked(mean, covariance, contacts, v_I, cov) -> float:
-    """`update_velocity` with checks of measurement and state; returns -1, with nothing changed, if
-    they fail.
+def update_velocity_checked(mean, covariance, v_I, cov) -> float:
+    """`update_velocity` for a robot's own loop, of a state without contacts, in one call.
+
+    Checks measurement and state; returns -1, with nothing changed, if they fail.
 
     Args:
         mean: (7+E, 3), the packed mean.
         covariance: (15+3E, 15+3E).
-        contacts: number of contact points in the state.
         v_I: (3,) [m/s] in I, within MOST_SPEED.
         cov: (3, 3) [m^2/s^2], positive definite.
     """
-    if v_I.shape[0] != 3 or not all_within(v_I, MOST_SPEED):
+    if v_I.shape[0] != 3 or cov.shape != (3, 3) or not all_within(v_I, MOST_SPEED):
         return -1.0
-    if cov.shape != (3, 3) or not definite_3(cov) or not is_sound(mean, covariance):
+    given = np.empty((4, 3))
+    R, v = given[:3], given[3]
+    if not symmetric_definite(cov, R) or not is_sound(mean, covariance):
         return -1.0
-    return update_velocity(mean, covariance, contacts, v_I, cov)
+    copy_row(v_I, v)
+    return update_velocity(mean, covariance, no_contacts(), v, R)

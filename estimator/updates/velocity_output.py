@@ -147,7 +147,26 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
 
     Args:
         mean: (7+E, 3), the packed mean.
-        covariance: (n, n), n = 15+3E.
+        covariance: (n, n), n = 15+3E, symmetric.
+        contacts: number of contact points in the state.
+        PHt: (n, 3), Sigma H^T.
+        S: (3, 3), covariance of the prior N(0, S) of z.
+        z_mean: (3,), posterior mean of z.
+        z_cov: (3, 3), its posterior covariance.
+    """
+    information = np.empty((3, 3))
+    inverse_3(S, information)
+    lift_with(information, mean, covariance, contacts, PHt, S, z_mean, z_cov)
+
+
+@kernel
+def lift_with(information, mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
+    """`lift` with S^-1 given.
+
+    Args:
+        information: (3, 3), S^-1.
+        mean: (7+E, 3), the packed mean.
+        covariance: (n, n), n = 15+3E, symmetric.
         contacts: number of contact points in the state.
         PHt: (n, 3), Sigma H^T.
         S: (3, 3), covariance of the prior N(0, S) of z.
@@ -156,37 +175,30 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
     """
     n = covariance.shape[0]
     # One allocation for all arrays: several are slower than the arithmetic.
-    work = np.empty(7 * n + 9)
-    K, D = work[: 3 * n].reshape(3, n), work[3 * n : 6 * n].reshape(3, n)
-    delta, information = work[6 * n : 7 * n], work[7 * n :].reshape(3, 3)
-    inverse_3(S, information)
-    for i in range(n):
-        delta[i] = 0.0
+    work = np.empty((n + 3, 7))
+    delta, H = work[:n, 6], work[n:]
+    for i in range(3):
         for j in range(3):
-            K[j, i] = (
-                PHt[i, 0] * information[0, j]
-                + PHt[i, 1] * information[1, j]
-                + PHt[i, 2] * information[2, j]
-            )
-            delta[i] += K[j, i] * z_mean[j]
-    # Sigma + K (z_cov - S) K^T in Joseph's form: with D it is stationary in K, so that an error of
-    # K, from inverting a nearly singular S, enters quadratically.
-    for j in range(3):
-        h0, h1, h2 = (
-            0.5 * (S[0, j] + z_cov[0, j]),
-            0.5 * (S[1, j] + z_cov[1, j]),
-            0.5 * (S[2, j] + z_cov[2, j]),
-        )
-        for i in range(n):
-            D[j, i] = PHt[i, j] - K[0, i] * h0 - K[1, i] * h1 - K[2, i] * h2
+            H[i, j] = 0.5 * (S[i, j] + z_cov[i, j])
+    # Sigma + K (z_cov - S) K^T in Joseph's form, with rows k of K and d = PHt - k (S + z_cov)/2: so
+    # it is stationary in K, and an error of K, from inverting a nearly singular S, enters
+    # quadratically.
     for i in range(n):
-        k0, k1, k2, d0, d1, d2 = K[0, i], K[1, i], K[2, i], D[0, i], D[1, i], D[2, i]
-        for j in range(n):
-            # In pairs, whose sums do not change if i and j are exchanged: symmetric to the last
-            # bit.
-            covariance[i, j] -= (
-                (k0 * D[0, j] + d0 * K[0, j])
-                + (k1 * D[1, j] + d1 * K[1, j])
-                + (k2 * D[2, j] + d2 * K[2, j])
+        p0, p1, p2 = PHt[i, 0], PHt[i, 1], PHt[i, 2]
+        k0 = p0 * information[0, 0] + p1 * information[1, 0] + p2 * information[2, 0]
+        k1 = p0 * information[0, 1] + p1 * information[1, 1] + p2 * information[2, 1]
+        k2 = p0 * information[0, 2] + p1 * information[1, 2] + p2 * information[2, 2]
+        d0 = p0 - k0 * H[0, 0] - k1 * H[1, 0] - k2 * H[2, 0]
+        d1 = p1 - k0 * H[0, 1] - k1 * H[1, 1] - k2 * H[2, 1]
+        d2 = p2 - k0 * H[0, 2] - k1 * H[1, 2] - k2 * H[2, 2]
+        own = work[i]
+        own[0], own[1], own[2], own[3], own[4], own[5] = k0, k1, k2, d0, d1, d2
+        delta[i] = k0 * z_mean[0] + k1 * z_mean[1] + k2 * z_mean[2]
+        for j in range(i + 1):
+            g = work[j]
+            value = covariance[i, j] - (
+                (k0 * g[3] + d0 * g[0]) + (k1 * g[4] + d1 * g[1]) + (k2 * g[5] + d2 * g[2])
             )
+            covariance[i, j] = value
+            covariance[j, i] = value
     retract(mean, delta, contacts)

@@ -1,6 +1,6 @@
 """Joint least-squares fit of a tracked body's clock offset, position and rotation.
 
-The poses are compared with the integrals of the IMU (`sim.log.dead_reckoning`). At each sample of
+The poses are compared with the integrals of the IMU (`sim.log.reference_vs_imu`). At each sample of
 the reference, a quadratic is fitted to the neighbouring samples of two differences: that of the
 poses' attitude and the integrated gyro, whose slope is an angular rate, and that of the poses'
 position and the twice integrated specific force, whose second derivative is an acceleration. IMU
@@ -18,9 +18,9 @@ from scipy.special import stdtrit
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.log.dead_reckoning import compare_with_imu
 from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.log.reference import Poses
+from surefoot.sim.log.reference_vs_imu import compare_with_imu
 
 _TURN_WINDOW = 0.08
 """Window of the fits to attitudes [s]."""

@@ -35,7 +35,7 @@ from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import split_of
 from surefoot.models.attribution.sticking import sticks
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
-from surefoot.models.attribution.verdict import verdict_of
+from surefoot.models.attribution.verdict import Findings, verdict_of
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
@@ -210,15 +210,17 @@ def diagnose(
     progress(0.95)
     curves = angle_errors(cases, result, split, rng)
     verdict, reasons = verdict_of(
-        found,
-        channels,
-        bool(curves),
-        result.rivals,
-        held_out,
-        pushes,
-        gone,
-        result.harmful,
-        cases[0].robot.limbs,
+        Findings(
+            found=found,
+            channels=channels,
+            curves=bool(curves),
+            rivals=result.rivals,
+            held_out=held_out,
+            pushes=pushes,
+            pushed_away=gone,
+            harmful=result.harmful,
+            limbs=robot.limbs,
+        )
     )
     if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
         shown = _shown_between_feet(found)

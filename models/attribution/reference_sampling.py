@@ -45,8 +45,8 @@ def reference_sampling(log: Log, settings: TraceSettings = DEFAULT) -> Reference
     """
     if not log.has("reference"):
         return None
-    columns = ("ref_ok", *log.columns_of("imu", "reference", "ref_v"))
-    return log.cached("sampling of the reference", columns, lambda: _sampling(log, settings))
+    uses = ("ref_ok", "imu", "reference", "ref_v")
+    return log.once("sampling of the reference", uses, lambda: _sampling(log, settings))
 
 
 def _sampling(log: Log, settings: TraceSettings) -> ReferenceSampling | None:

@@ -42,6 +42,7 @@ from surefoot.models.attribution.robust_weights import (
 from surefoot.models.attribution.run_offsets import is_sampling_lag
 from surefoot.models.attribution.selection import (
     Candidate,
+    SearchState,
     cross_validated_error,
     distinct,
     evaluate_candidates,
@@ -116,7 +117,8 @@ def attribute(
         known, data = _refined_until_settled(cases, chosen, keys, known, floor, split)
         declared, found = declared or known.evidence, [_key(e) for e in known.explained]
         explained, limbs = approximate_gains(known), known.evidence.layout.limbs
-        candidates = evaluate_candidates(data, floor, found, explained, limbs, rng, certain)
+        state = SearchState(found, explained, certain)
+        candidates = evaluate_candidates(data, floor, state, limbs, rng)
         rounds.append(candidates)
         if _causes(known.explained, cases) >= settings.most_effects:
             break
@@ -264,9 +266,8 @@ def _masked_candidate(
         return best
     for key in keys:
         data, effects = refine_jointly(known, key)
-        one = evaluate_candidates(
-            data, known.floor, chosen, explained, limbs, rng, {key}, len(every)
-        )[0]
+        state = SearchState(chosen, explained, {key}, len(every))
+        one = evaluate_candidates(data, known.floor, state, limbs, rng)[0]
         if one.earned and (best[0] is None or one.score > best[0].score):
             best = one, effects
     return best

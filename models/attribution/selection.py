@@ -1,7 +1,7 @@
 """Gain of each candidate over the effects chosen so far, and whether it earns a place."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -53,28 +53,40 @@ class Candidate:
         return self.gain - self.prior_penalty
 
 
+@dataclass(frozen=True)
+class SearchState:
+    """What is known when candidates are evaluated.
+
+    Attributes:
+        chosen: keys of the effects found so far.
+        explained: channel -> reduction of its squared error by them, in units of noise.
+        certain: keys of effects that every machine has and the model lacks.
+        among: number of candidates, where the data have only some of them; else 0.
+    """
+
+    chosen: Sequence[Key] = ()
+    explained: Mapping[str, float] = field(default_factory=dict)
+    certain: Collection[Key] = ()
+    among: int = 0
+
+
 def evaluate_candidates(
     data: NormalEquations,
     floor: NoiseFloor,
-    chosen: Sequence[Key],
-    explained: Mapping[str, float],
+    state: SearchState,
     limbs: Limbs,
     rng: np.random.Generator,
-    certain: Collection[Key] = (),
-    among: int = 0,
 ) -> tuple[Candidate, ...]:
     """Evaluate every candidate that is not chosen yet; those that earn a place first, by score.
 
     Args:
         data: normal equations of the blocks.
         floor: noise floor.
-        chosen: keys of the effects found so far.
-        explained: channel -> reduction of its squared error by them, in units of noise.
+        state: of the search.
         limbs: of the machine.
         rng: of the block bootstrap.
-        certain: keys of effects that every machine has and the model lacks.
-        among: number of candidates, where the data have only some of them.
     """
+    chosen, certain = state.chosen, state.certain
     s, parts = data.settings, (data.rows(data.part == FIT), data.rows(data.part == SELECT))
     # The two halves are validated on each other and are not independent, so the effective number of
     # blocks is that of one.
@@ -83,7 +95,7 @@ def evaluate_candidates(
     plain = [fit(seen, chosen, errors=False).vector for seen in parts]
     # Extended BIC (Chen and Chen 2008): choosing among many candidates adds to the price of a
     # parameter, and a candidate with a size for each log pays for all of them.
-    per_size, chance = np.log(max(2, len(parts[0].G))), 2.0 * np.log(among or len(data.keys))
+    per_size, chance = np.log(max(2, len(parts[0].G))), 2.0 * np.log(state.among or len(data.keys))
     judged = []
     for key in data.keys:
         if key in chosen:
@@ -119,7 +131,7 @@ def evaluate_candidates(
         at_bound = fitted_beyond or not low_end < sizes.min() <= sizes.max() < high_end
         share = gain / max(0.5 * float(before.sum()), 1e-300)
         shows_in = known_effects()[key[0]].channels_of(key[1])
-        worth = s.least_added_share * sum(explained.get(name, 0.0) for name in shows_in)
+        worth = s.least_added_share * sum(state.explained.get(name, 0.0) for name in shows_in)
         clear = most / max(float(np.hypot(spread, error)), 1e-300)
         plain_to_see = clear > s.clear_ratio and share > s.large_share
         price = len(sizes) * per_size + chance

@@ -1,6 +1,7 @@
 """Verdict of a trace, with its reasons."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,20 +14,11 @@ from surefoot.sim.effects import Effect
 from surefoot.sim.robot.limbs import Limbs
 
 
-def verdict_of(
-    found: Sequence[Found],
-    channels: dict[str, ChannelLevel],
-    curves: bool,
-    rivals: Sequence[object],
-    held_out: HeldOutRuns | None,
-    pushes: Sequence[Push] = (),
-    pushed_away: Sequence[Found] = (),
-    harmful: Sequence[tuple[Effect, str]] = (),
-    limbs: Limbs | None = None,
-) -> tuple[str, tuple[str, ...]]:
-    """The verdict and its reasons; `no_residual`, `attributed` and `confounded` have none.
+@dataclass(frozen=True)
+class Findings:
+    """What a verdict rests on.
 
-    Args:
+    Attributes:
         found: effects, strongest first.
         channels: residuals on data that no fit has seen.
         curves: whether a joint's encoder error is a curve of its angle.
@@ -37,22 +29,39 @@ def verdict_of(
         harmful: effects that were dropped, and the channel that each made worse.
         limbs: of the machine, on which bounds depend.
     """
+
+    found: Sequence[Found]
+    channels: dict[str, ChannelLevel]
+    curves: bool = False
+    rivals: Sequence[object] = ()
+    held_out: HeldOutRuns | None = None
+    pushes: Sequence[Push] = ()
+    pushed_away: Sequence[Found] = ()
+    harmful: Sequence[tuple[Effect, str]] = ()
+    limbs: Limbs | None = None
+
+
+def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
+    """The verdict and its reasons; `no_residual`, `attributed` and `confounded` have none."""
+    found, channels, pushes = findings.found, findings.channels, findings.pushes
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
-    if curves:
+    if findings.curves:
         reasons.append("a joint's encoder error varies with its angle")
     reasons += [
         f"{one.effect.name} {one.effect.target}: its size is at its bound"
         for one in found
-        if _at_bound(one.effect, limbs)
+        if _at_bound(one.effect, findings.limbs)
     ]
     reasons += [why for one in found if (why := _implausible(one))]
-    reasons += [f"{one.name} {one.target}: dropped, it makes {name} worse" for one, name in harmful]
-    reasons += held_out.worsened if held_out else ()
+    reasons += [
+        f"{one.name} {one.target}: dropped, it makes {name} worse" for one, name in findings.harmful
+    ]
+    reasons += findings.held_out.worsened if findings.held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)
-    if pushes and (pushed_away or not found):
-        names = [f"{one.effect.name} {one.effect.target}" for one in pushed_away]
+    if pushes and (findings.pushed_away or not found):
+        names = [f"{one.effect.name} {one.effect.target}" for one in findings.pushed_away]
         explained = [f"{name}: explains nothing but outside forces" for name in names]
         return "not_identifiable", (*explained, *(one.in_words() for one in pushes))
     if not found:
@@ -63,7 +72,7 @@ def verdict_of(
     if not _gains(found, channels):
         why = "the effects found do not reduce the residual on unseen data"
         return "not_identifiable", (why,)
-    return ("confounded" if rivals else "attributed"), ()
+    return ("confounded" if findings.rivals else "attributed"), ()
 
 
 def _above(c: ChannelLevel) -> str:

@@ -1,9 +1,9 @@
 """Beta-mixing coefficient of errors: the spacing at which they are nearly independent.
 
 Histogram estimator of McDonald, Shalizi and Schervish (Estimating beta-mixing coefficients via
-histograms, Electronic Journal of Statistics 9, 2015), for blocks of d samples, a apart:
+histograms, Electronic Journal of Statistics 9, 2015), for single samples, a apart:
 
-    beta^d(a) = 1/2 sum |p_2d(block, block a later) - p_d(block) p_d(block)|
+    beta^1(a) = 1/2 sum |p_2(sample, sample a later) - p_1(sample) p_1(sample)|
 
 On a finite record it is above zero even for independent samples, so the curve is compared with its
 own floor: the same estimate at lags so long that no dependence is left. On Gaussian
@@ -76,29 +76,20 @@ def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG, threshold: float = T
     return Mixing(lags, beta, floor, int(lags[best]), mixed, threshold)
 
 
-def discretise(x: np.ndarray, blocks: int = 1) -> np.ndarray:
-    """Bin numbers (n,) of x (n,), in n^(1/(2 blocks + 2)) bins of equal counts.
+def discretise(x: np.ndarray) -> np.ndarray:
+    """Bin numbers (n,) of x (n,), in n^(1/4) bins of equal counts.
 
     beta is invariant under monotone maps of x, so bins of equal counts lose nothing and leave no
     cell empty for heavy tails. Ties share a bin.
     """
-    bins = max(2, round(len(x) ** (1 / (2 * blocks + 2))))
+    bins = max(2, round(len(x) ** 0.25))
     edges = np.unique(np.quantile(x, np.arange(1, bins) / bins))
     return np.searchsorted(edges, x, side="right")
 
 
-def beta_coefficient(states: np.ndarray, lag: int, blocks: int = 1) -> float:
-    """beta^d(lag) of a sequence of bin numbers (n,), d = `blocks`; exact bins make it McDonald's.
-
-    The second block starts `lag` samples after the end of the first.
-    """
-    base = int(states.max()) + 1
-    length = len(states) - blocks + 1
-    code = np.zeros(length, dtype=np.int64)
-    for i in range(blocks):
-        code = code * base + states[i : i + length]
-    step = lag + blocks - 1
-    return _distance(code[:-step], code[step:], base**blocks)
+def beta_coefficient(states: np.ndarray, lag: int) -> float:
+    """beta^1(lag) of a sequence of bin numbers (n,); exact bins make it McDonald's."""
+    return _distance(states[:-lag], states[lag:], int(states.max()) + 1)
 
 
 def independence_floor(states: np.ndarray, shifts: int = 64) -> float:

@@ -1,8 +1,8 @@
 """Regions of errors, and the methods that determine one from errors K apart.
 
-Split conformal prediction in three forms for three axes: one bound per axis (`conformal`,
-`bonferroni`, `outer`), or one score for all (`maxnorm`, `ellipsoid`), whose finite-sample statement
-is joint by itself. The sixth method, `scenario`, is in `surefoot.models.calibration.scenario_box`.
+Split conformal prediction for three axes: one bound per axis (`conformal`, `outer`), or one score
+for all (`maxnorm`), whose finite-sample statement is joint by itself. The fourth method,
+`scenario`, is in `surefoot.models.calibration.scenario_box`.
 """
 
 from __future__ import annotations
@@ -121,16 +121,6 @@ class Conformal(Calibrator):
         return Region(self.epsilon)
 
 
-class Bonferroni(Conformal):
-    """Each axis at 1 - (1 - gamma)/3."""
-
-    label = "each axis at level 1 - (1 - gamma)/3: joint level gamma or more for any dependence"
-
-    @property
-    def level(self) -> float:
-        return 1 - (1 - self.gamma) / 3
-
-
 class Outer(Conformal):
     """Each axis at OUTER_LEVEL, or at gamma^(1/3) where that is more.
 
@@ -163,25 +153,6 @@ class MaxNorm(Calibrator):
 
     def bounds(self) -> Region:
         return Region(self.radius * self.scale)
-
-
-class Ellipsoid(Calibrator):
-    """The Mahalanobis norm about zero."""
-
-    label = (
-        "one score for all axes, the Mahalanobis norm: an ellipsoid; filters use the box around it"
-    )
-    fit_share = 0.25
-
-    def fit(self, errors: np.ndarray) -> None:
-        self.shape = second_moment(errors)
-
-    def conformalize(self, errors: np.ndarray) -> None:
-        score = mahalanobis(errors, self.shape)
-        self.square = conformal_quantile(score[:, None], self.level)[0]
-
-    def bounds(self) -> Region:
-        return Region(np.sqrt(self.square * np.diag(self.shape)), self.square * self.shape)
 
 
 def second_moment(errors: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ def move_velocity(v_I: np.ndarray, gyro: np.ndarray, old: Mounted, new: Mounted)
     return v_B @ new.R_BI
 
 
-def move_covariance(covariance: np.ndarray, old: Mounted, new: Mounted) -> np.ndarray:
-    """Covariances (M, 3, 3) turned from the old IMU's frame into the new one's."""
+def move_covariance(covariance: np.ndarray | None, old: Mounted, new: Mounted) -> np.ndarray | None:
+    """Covariances (M, 3, 3) turned from the old IMU's frame into the new one's; None stays None."""
     R = new.R_BI.T @ old.R_BI
-    return R @ covariance @ R.T
+    return None if covariance is None else R @ covariance @ R.T

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.network import LOSS_OUTPUTS, Network
 from surefoot.models.observer.odometry import (
     Kinematics,
@@ -189,6 +190,21 @@ class Observer:
         if observer.hash != values.get("hash"):
             raise ObserverError(f"{path}: damaged, its contents do not match their digest")
         return observer
+
+
+def check_robot(
+    observer: Observer, robot: Mounted, joints: tuple[str, ...], prefix: str = ""
+) -> None:
+    """Raise ObserverError, with a prefix, where a log's robot or joints are not the observer's."""
+    if robot.name != observer.robot:
+        raise ObserverError(
+            f"{prefix}the observer was trained on {observer.robot}, the log is of {robot.name}"
+        )
+    if joints != observer.joints:
+        raise ObserverError(
+            f"{prefix}the observer reads the joints {', '.join(observer.joints)}, the log has "
+            f"{', '.join(joints)}"
+        )
 
 
 def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:

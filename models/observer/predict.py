@@ -14,7 +14,7 @@ from surefoot.models.observer.imu_mounting import (
     same_mounting,
 )
 from surefoot.models.observer.network import cholesky_factor
-from surefoot.models.observer.observer import Observer, ObserverError
+from surefoot.models.observer.observer import Observer, ObserverError, check_robot
 from surefoot.models.observer.samples import body_velocity, observer_samples
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -44,7 +44,8 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     observer learnt, in which case the log's gyro is used for the conversion. Raises ObserverError
     where the log lacks an input or is of another robot.
     """
-    robot = _fitting(observer, log, robot)
+    robot = Robot.for_log(log) if robot is None else robot
+    check_robot(observer, robot, log.joints, f"{log.name}: ")
     seen = observer_samples(log, observer.inputs)
     x = torch.from_numpy(observer.scaled(seen.x))
     with torch.no_grad():
@@ -57,8 +58,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
                 "the gyro that the log lacks"
             )
         v_I = move_velocity(v_I, log.gyro[seen.rows], observer, robot)
-        if covariance is not None:
-            covariance = move_covariance(covariance, observer, robot)
+        covariance = move_covariance(covariance, observer, robot)
     return Prediction(seen.rows, seen.t, v_I, covariance)
 
 
@@ -119,17 +119,3 @@ def _physical(observer: Observer, outputs: np.ndarray) -> tuple[np.ndarray, np.n
         return v_I, None
     L = scale[:, None] * cholesky_factor(torch.from_numpy(outputs)).double().numpy()
     return v_I, L @ L.swapaxes(-1, -2)
-
-
-def _fitting(observer: Observer, log: Log, robot: Mounted | None) -> Mounted:
-    robot = Robot.for_log(log) if robot is None else robot
-    if robot.name != observer.robot:
-        raise ObserverError(
-            f"{log.name}: the observer was trained on {observer.robot}, the log is of {robot.name}"
-        )
-    if log.joints != observer.joints:
-        raise ObserverError(
-            f"{log.name}: the observer reads the joints {', '.join(observer.joints)}, the log has "
-            f"{', '.join(log.joints)}"
-        )
-    return robot

@@ -11,7 +11,7 @@ from surefoot.models.observer.imu_mounting import (
     move_velocity,
     same_mounting,
 )
-from surefoot.models.observer.observer import Observer, ObserverError, signals
+from surefoot.models.observer.observer import Observer, ObserverError, check_robot, signals
 from surefoot.models.observer.predict import Loop
 from surefoot.models.observer.samples import DQ_ZERO_PHASE
 from surefoot.sim.log.derived import CausalDerivative
@@ -46,15 +46,7 @@ class ObserverStream:
             derived: the log's derived columns; zero-phase joint velocities look into the future and
                 are derived again.
         """
-        if robot.name != observer.robot:
-            raise ObserverError(
-                f"the observer was trained on {observer.robot}, the log is of {robot.name}"
-            )
-        if joints != observer.joints:
-            raise ObserverError(
-                f"the observer reads the joints {', '.join(observer.joints)}, the log has "
-                f"{', '.join(joints)}"
-            )
+        check_robot(observer, robot, joints)
         if rate < RATE * (1 - 1e-3):
             raise DecimationError(
                 f"sampled at {rate:g} Hz, the observer needs {RATE:g} Hz at least"
@@ -97,8 +89,7 @@ class ObserverStream:
             covariance = np.array([cov for _, cov in steps]).reshape(-1, 3, 3)
         if self._moved:
             v_I = move_velocity(v_I, gyro[rows], self._observer, self._robot)
-            if covariance is not None:
-                covariance = move_covariance(covariance, self._observer, self._robot)
+            covariance = move_covariance(covariance, self._observer, self._robot)
         return rows, v_I, covariance
 
     def _inputs(self, t: np.ndarray, joints: dict[str, np.ndarray | None]) -> np.ndarray:

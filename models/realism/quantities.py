@@ -6,6 +6,7 @@ The interval of the statistic is found by resampling strides.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -83,9 +84,14 @@ def period_change(walk: WalkView) -> Values:
     return np.concatenate(changes), np.concatenate(times)
 
 
-def feet_down(walk: WalkView, condition: Callable[[np.ndarray], np.ndarray]) -> Values:
-    """Share of each stride for which `condition` holds of the number of standing feet (N,)."""
-    return _by_stride(walk, condition(walk.log.contact.sum(axis=1)))
+def most_feet_down(walk: WalkView) -> Values:
+    """Share of each stride in which more than half of the feet stand."""
+    return _by_stride(walk, walk.log.contact.sum(axis=1) > len(walk.strides) / 2)
+
+
+def all_feet_down(walk: WalkView) -> Values:
+    """Share of each stride in which all feet stand."""
+    return _by_stride(walk, walk.log.contact.all(axis=1))
 
 
 def foothold_change(walk: WalkView, axis: int) -> Values:
@@ -270,86 +276,6 @@ def _median(values: np.ndarray) -> float:
     return float(np.median(values))
 
 
-def _quantities() -> tuple[Quantity, ...]:
-    """All quantities, in the order of the card."""
-    found = [
-        Quantity("forward speed", "m/s", forward_speed, _mean),
-        Quantity("stride period", "s", period, _median),
-        Quantity("stride period, jitter", "share", period_change, change_spread),
-        Quantity("duty factor", "share", duty, _median),
-        Quantity(
-            "more than half of the feet down",
-            "share",
-            lambda w: feet_down(w, lambda n: n > len(w.strides) / 2),
-            _mean,
-        ),
-        Quantity(
-            "all feet down", "share", lambda w: feet_down(w, lambda n: n == len(w.strides)), _mean
-        ),
-    ]
-    for axis, name in enumerate(DIRECTIONS_OF_FEET[:2]):
-        found.append(
-            Quantity(
-                f"foothold jitter, {name}",
-                "m",
-                lambda w, axis=axis: foothold_change(w, axis),
-                change_spread,
-            )
-        )
-    for part in PARTS:
-        for axis, name in enumerate(DIRECTIONS_OF_FEET):
-            found.append(
-                Quantity(
-                    f"standing foot, {part}, {name}",
-                    "m/s",
-                    lambda w, part=part, axis=axis: standing_speed(w, part, axis),
-                    _median,
-                )
-            )
-    found += [
-        Quantity("speed missed by standing legs", "share", walk_stance_means, missed_share),
-        Quantity("the same, stance to stance", "m/s", walk_stance_means, missed_spread),
-        Quantity("foot force, peak to middle", "ratio", force_peak, _median),
-        Quantity("foot force, peak to weight", "ratio", force_weight, _median),
-        Quantity("foot force, threshold to middle", "ratio", force_threshold, _median),
-    ]
-    for kind, name in enumerate(("hip", "thigh", "calf")):
-        found.append(
-            Quantity(
-                f"joint rate ripple, {name}",
-                "rad/s",
-                lambda w, kind=kind: joint_ripple(w, kind),
-                root_mean,
-            )
-        )
-    for axis, name in enumerate(("forward", "lateral", "up")):
-        found.append(
-            Quantity(
-                f"accelerometer, {name}",
-                "m/s^2",
-                lambda w, axis=axis: vibration(w, axis),
-                all_power,
-            )
-        )
-
-    def accel(walk: WalkView) -> Values:
-        return spectra(walk, "accel")
-
-    def gyro(walk: WalkView) -> Values:
-        return spectra(walk, "gyro")
-
-    found += [
-        Quantity("accelerometer, line", "Hz", accel, line),
-        Quantity("accelerometer, 20 to 45 Hz", "m/s^2", accel, ringing),
-        Quantity("accelerometer, bandwidth", "Hz", accel, bandwidth),
-        Quantity("gyro, bandwidth", "Hz", gyro, bandwidth),
-        Quantity("roll rate", "rad/s", lambda w: sway(w, 0), root_mean),
-        Quantity("pitch rate", "rad/s", lambda w: sway(w, 1), root_mean),
-        Quantity("mixing time of leg velocity errors", "s", mixing_time, _median),
-    ]
-    return tuple(found)
-
-
 def _mean_of_runs(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Means (K,) of values (N,) over rows first[k]:end[k], NaN ignored; NaN where all are."""
     known = np.isfinite(values)
@@ -411,5 +337,49 @@ def _spectra(walk: WalkView, reading: np.ndarray) -> Values:
     return found, walk.log.t[first]
 
 
-QUANTITIES = _quantities()
+_STEPS = enumerate(DIRECTIONS_OF_FEET[:2])
+_SLIPS = [(part, *side) for part in PARTS for side in enumerate(DIRECTIONS_OF_FEET)]
+_JOINTS, _AXES = enumerate(("hip", "thigh", "calf")), enumerate(("forward", "lateral", "up"))
+_ACCEL = partial(spectra, sensor="accel")
+QUANTITIES = (
+    Quantity("forward speed", "m/s", forward_speed, _mean),
+    Quantity("stride period", "s", period, _median),
+    Quantity("stride period, jitter", "share", period_change, change_spread),
+    Quantity("duty factor", "share", duty, _median),
+    Quantity("more than half of the feet down", "share", most_feet_down, _mean),
+    Quantity("all feet down", "share", all_feet_down, _mean),
+    *(
+        Quantity(f"foothold jitter, {name}", "m", partial(foothold_change, axis=i), change_spread)
+        for i, name in _STEPS
+    ),
+    *(
+        Quantity(
+            f"standing foot, {part}, {name}",
+            "m/s",
+            partial(standing_speed, part=part, axis=i),
+            _median,
+        )
+        for part, i, name in _SLIPS
+    ),
+    Quantity("speed missed by standing legs", "share", walk_stance_means, missed_share),
+    Quantity("the same, stance to stance", "m/s", walk_stance_means, missed_spread),
+    Quantity("foot force, peak to middle", "ratio", force_peak, _median),
+    Quantity("foot force, peak to weight", "ratio", force_weight, _median),
+    Quantity("foot force, threshold to middle", "ratio", force_threshold, _median),
+    *(
+        Quantity(f"joint rate ripple, {name}", "rad/s", partial(joint_ripple, kind=i), root_mean)
+        for i, name in _JOINTS
+    ),
+    *(
+        Quantity(f"accelerometer, {name}", "m/s^2", partial(vibration, axis=i), all_power)
+        for i, name in _AXES
+    ),
+    Quantity("accelerometer, line", "Hz", _ACCEL, line),
+    Quantity("accelerometer, 20 to 45 Hz", "m/s^2", _ACCEL, ringing),
+    Quantity("accelerometer, bandwidth", "Hz", _ACCEL, bandwidth),
+    Quantity("gyro, bandwidth", "Hz", partial(spectra, sensor="gyro"), bandwidth),
+    Quantity("roll rate", "rad/s", partial(sway, axis=0), root_mean),
+    Quantity("pitch rate", "rad/s", partial(sway, axis=1), root_mean),
+    Quantity("mixing time of leg velocity errors", "s", mixing_time, _median),
+)
 """The quantities of the realism card, in its order."""

@@ -199,7 +199,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     none = np.full((n, max(joints, 1)), np.nan)
     q = log.q if log.has("q") else none
     dq = joint_velocity(log) if log.has("q") else none
-    mean, angles, rates = bin_mean(motion), log.columns_of("q"), log.columns_of("q", "dq")
+    mean, angles, rates = bin_mean(motion), ("q",), ("q", "dq")
     gyro = accel = np.full((n, 3), np.nan)
     omega = motion.gyro
     if log.has("imu") and not robot.fixed:
@@ -225,7 +225,7 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
         imu = (motion.gyro, motion.accel) if known else (omega, log.accel)
         return mean(base_motion(log.t, *imu, legged))
 
-    of_feet = ("t",) if feet is None else log.columns_of(*feet.groups)
+    of_feet = () if feet is None else feet.groups
 
     def feet_readings() -> tuple[np.ndarray, np.ndarray]:
         place, rate = (none, none) if feet is None else feet.readings(log)
@@ -237,31 +237,29 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     def lag() -> np.ndarray:
         return mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0))
 
-    of_base = ("t",) if known else log.columns_of("imu")
+    of_base = () if known else ("imu",)
     mounted = () if legged is None else (legged.R_BI, legged.p_BI)
     return Bins(
         t=motion.t,
-        q=log.cached("binned q", angles, lambda: mean(q)),
-        dq=log.cached("binned dq", rates, lambda: mean(dq)),
-        tau=log.cached("binned tau", log.columns_of("tau"), tau),
+        q=log.once("binned q", angles, lambda: mean(q)),
+        dq=log.once("binned dq", rates, lambda: mean(dq)),
+        tau=log.once("binned tau", ["tau"], tau),
         gyro=_where_most(gyro, motion),
         accel=_where_most(accel, motion),
-        omega=log.cached(
+        omega=log.once(
             "binned omega",
-            log.columns_of("imu"),
+            ["imu"],
             lambda: mean(at_rows(omega)),
             motion,
             None if robot.fixed else robot.extras.imu_lowpass,
         ),
-        base=log.cached("binned base", of_base, base, motion, *mounted),
+        base=log.once("binned base", of_base, base, motion, *mounted),
         **motion.means,
-        lag=log.cached("binned lag", rates, lag),
-        q_step=log.cached("binned q_step", angles, lambda: mean(at_torques(q, motion)), motion),
-        dq_step=log.cached(
-            "binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion
-        ),
-        ddq=log.cached("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
-        feet=log.cached("binned feet", of_feet, feet_readings),
+        lag=log.once("binned lag", rates, lag),
+        q_step=log.once("binned q_step", angles, lambda: mean(at_torques(q, motion)), motion),
+        dq_step=log.once("binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion),
+        ddq=log.once("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
+        feet=log.once("binned feet", of_feet, feet_readings),
     )
 
 

@@ -34,8 +34,8 @@ class CommandedTorque(Channel):
                 asked = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
             return bin_mean(inputs.motion)(log.tau - asked)
 
-        columns = log.columns_of("tau", "tau_ff", *law)
-        return log.cached("torque less the command", columns, made, late, inputs.motion.first)
+        uses = ("tau", "tau_ff", *law)
+        return log.once("torque less the command", uses, made, late, inputs.motion.first)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))

@@ -49,9 +49,9 @@ def contact_timing(
     """
     rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
     turns = [changes(stands) for stands in log.contact.T]
-    moves = log.cached(
+    moves = log.once(
         "when touching points stop and start",
-        log.columns_of(*feet.groups, "imu", "contact", "reference", "ref_v"),
+        (*feet.groups, "imu", "contact", "reference", "ref_v"),
         lambda: _all_motion_changes(log, feet, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
         *feet.geometry,

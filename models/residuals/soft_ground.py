@@ -87,9 +87,9 @@ def foot_sinking(
         return motion.p_GI[:, 2, None] + above, stances
 
     # The same for every softness.
-    height, stances = log.cached(
+    height, stances = log.once(
         "height of feet, and stances",
-        log.columns_of("q", "dq", "contact"),
+        ["q", "dq", "contact"],
         height_and_stances,
         *(motion, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )

@@ -162,7 +162,7 @@ def facts_of_file(reader: LogReader) -> dict[str, float]:
     """
     loaded = slipping = 0.0
     length, duration, creeps, weights = 0.0, 0.0, [], []
-    for log in reader.chunks(MINUTE):
+    for log in Log.chunks(reader, MINUTE):
         slip = log.slip
         dry = slip[(slip > 0.0) & (log.mu >= DRY)]
         loaded, slipping = loaded + (slip > 0.0).sum(), slipping + (slip > SLIPPING).sum()

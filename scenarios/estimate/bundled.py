@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from surefoot.estimator.core.checks import check_velocity, spd_3
+from surefoot.estimator.core.checks import check_velocity, spd
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.filter import CoverageSettings, InvariantFilter
+from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
 from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
 from surefoot.estimator.run import (
     NO_VELOCITIES,
@@ -282,7 +282,12 @@ class ImuStream:
     """The invariant filter without measurements."""
 
     def __init__(self, beginning: Beginning, noise: FilterNoise, model=None):
-        self.filter = InvariantFilter(beginning.state, beginning.covariance, noise, model)
+        start = beginning.state, beginning.covariance
+        self.filter: InvariantFilter | PersistentFilter = (
+            InvariantFilter(*start, noise)
+            if model is None
+            else PersistentFilter(*start, model, noise)
+        )
 
     @property
     def state(self) -> NavState:
@@ -498,7 +503,7 @@ class LegStream:
         rows, v_I, cov = radar_of({name: np.array([x]) for name, x in sample.extra.items()})
         if not len(rows):
             return None
-        return check_velocity(v_I[0]), spd_3("x_radar_cov", self._inflation * cov[0])
+        return check_velocity(v_I[0]), spd("x_radar_cov", self._inflation * cov[0], 3)
 
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
         """Predict and update over the rows of a log; returns the estimates at `rows` of them."""

@@ -8,8 +8,9 @@ import numpy as np
 
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.ego_velocity import ego_velocities
-from surefoot.estimator.filter import run_coverage
-from surefoot.estimator.leg import run_leg
+from surefoot.estimator.filter import CoverageSettings, InvariantFilter
+from surefoot.estimator.leg import LegFilter
+from surefoot.estimator.run import bounded_velocities, imu_samples
 from surefoot.sim.common.gravity import GRAVITY
 
 
@@ -25,11 +26,14 @@ def compile_filters() -> None:
     t, still = np.arange(3) * 0.01, np.zeros((3, 3))
     accel = np.tile([0.0, 0.0, GRAVITY], (3, 1))
     start, covariance = NavState(), 1e-4 * np.eye(15)
-    bounds = np.full(3, 0.1)
+    imu = imu_samples(t, still, accel)
     # One loop holds the updates of all filters with a velocity.
-    run_coverage(t, still, accel, np.array([1, 2]), still[1:], bounds, 0.8, start, covariance)
+    velocities = bounded_velocities(np.array([1, 2]), still[1:], np.full(3, 0.1), len(t))
+    settings = CoverageSettings(0.8)
+    InvariantFilter(start, covariance).run(imu, velocities, settings=settings)
     feet, standing = np.tile(-0.3 * np.eye(3)[2], (3, 1, 1)), np.ones((3, 1), dtype=bool)
     noise = np.tile(1e-4 * np.eye(3), (3, 1, 1, 1))
-    run_leg(t, still, accel, feet, standing, noise, start, covariance)
+    leg = LegFilter(start, covariance, feet=1)
+    leg.run(imu, leg.legs(feet, standing, noise))
     ahead = np.eye(3)
     ego_velocities(np.zeros(3, dtype=np.int64), ahead, np.zeros(3), 1, 0.1)

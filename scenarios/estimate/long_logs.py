@@ -81,7 +81,7 @@ def estimate_file(
         warnings: about what in the log was not plausible, kept in the trajectory's metadata.
     """
     if reader.rows / reader.meta.rate <= LONG or reader.meta.effects:
-        (log,) = reader.chunks()
+        (log,) = Log.chunks(reader)
         result = run_filter(name, log, robot_of(log, robot_name), learnt, settings)
         if out:
             with whole_file(out, force) as temporary:
@@ -97,7 +97,7 @@ def estimate_file(
 def first_minutes(reader: LogReader) -> Log:
     """The log, or the first CHECKED seconds of a long one, for checks."""
     long = reader.rows / reader.meta.rate > LONG
-    return next(reader.chunks(CHECKED if long else np.inf))
+    return next(Log.chunks(reader, CHECKED if long else np.inf))
 
 
 def _in_pieces(
@@ -129,11 +129,11 @@ def _in_pieces(
     squares, segments = np.zeros(2), 0  # sums over the relative errors
 
     def pieces() -> Iterator[Log]:
-        for log in reader.chunks(LOG_PIECE):
+        for log in Log.chunks(reader, LOG_PIECE):
             waiting.append(log)
             yield log
 
-    first = next(reader.chunks(LOG_PIECE))
+    first = next(Log.chunks(reader, LOG_PIECE))
     robot, estimator = robot_of(first, robot_name), estimator_named(name)
     with ExitStack() as files:
         table, lines = None, None

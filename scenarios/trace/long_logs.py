@@ -31,7 +31,7 @@ def read_in_blocks(path: str | Path) -> list[Log]:
     """
     reader = LogReader(path)
     seconds = TRACED_BLOCK if _is_long(reader.rows, reader.meta.rate) else np.inf
-    return _blocks(reader.chunks(seconds), reader.meta.rate, reader.rows)
+    return _blocks(Log.chunks(reader, seconds), reader.meta.rate, reader.rows)
 
 
 def note_on_blocks(logs: Iterable[list[Log]]) -> tuple[str, ...]:

@@ -96,12 +96,6 @@ def layout(
     )
 
 
-def _hidden(estimators: Sequence[str], shown: Sequence[str]) -> dict[Any, Any]:
-    """Overrides that hide the other estimators until their eye in the view's list is clicked."""
-    others = [estimate_path(name) for name in estimators if name not in shown]
-    return {path: rrb.EntityBehavior(visible=False) for path in others}
-
-
 def _following(
     estimators: Sequence[str], shown: Sequence[str], size: np.ndarray
 ) -> rrb.Spatial3DView:
@@ -109,25 +103,13 @@ def _following(
 
     `size` is half of the trunk's (3,) [m].
     """
-    eye = 4.0 * size[0] * np.array([-0.9, -1.2, 0.8])
-    estimates = [
-        f"- /{estimate_path(n)}/{part}"
-        for n in estimators
-        for part in ("path", "body/dot", "ellipsoid")
-    ]
+    place = 4.0 * size[0] * np.array([-0.9, -1.2, 0.8])
     boxes = ", boxes: its trunk as estimated" if estimators else ""
     return rrb.Spatial3DView(
-        overrides=_hidden(estimators, shown),
+        **_scene(estimators, shown, ("path", "body/dot", "ellipsoid"), ("robot/dot", "truth/path")),
         origin="/world/follow",
-        contents=["/world/**", "- /world/robot/dot", "- /world/truth/path", *estimates],
         name=f"Robot{boxes}, last {_TRAIL:g} s of path; lines 1 m apart",
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=eye,
-            look_target=(0.0, 0.0, 0.3 * eye[2]),
-            eye_up=(0.0, 0.0, 1.0),
-        ),
-        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=_eye(place, (0.0, 0.0, 0.3 * place[2]), up=(0.0, 0.0, 1.0)),
         time_ranges=rrb.VisibleTimeRange(
             "time", start=_Time.cursor_relative(seconds=-_TRAIL), end=_Time.cursor_relative()
         ),
@@ -139,21 +121,33 @@ def _map(log: Log, estimators: Sequence[str], shown: Sequence[str]) -> rrb.Spati
     lower, upper = log.ref_p.min(axis=0), log.ref_p.max(axis=0)
     centre, span = 0.5 * (lower + upper), float((upper - lower)[:2].max()) + 1.0
     hidden = ("trail", "body/outline", "body/forward", "body/pole", "body/flag")
-    estimates = [f"- /{estimate_path(n)}/{part}" for n in estimators for part in hidden]
     found = ", estimates, dots where they are now, wire: 3σ" if estimators else ""
     return rrb.Spatial3DView(
-        overrides=_hidden(estimators, shown),
+        **_scene(estimators, shown, hidden, ("truth/trail",)),
         origin="/world",
-        contents=["/world/**", "- /world/truth/trail", *estimates],
         name=f"Whole walk from above: truth (grey){found}",
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=(centre[0], centre[1] - 0.02 * span, centre[2] + 1.15 * span),
-            look_target=centre,
-            eye_up=(0.0, 1.0, 0.0),
-        ),
-        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=_eye(centre + span * np.array([0.0, -0.02, 1.15]), centre, up=(0.0, 1.0, 0.0)),
     )
+
+
+def _scene(
+    estimators: Sequence[str], shown: Sequence[str], parts: Sequence[str], others: Sequence[str]
+) -> dict[str, Any]:
+    """Options of a view of the world without `parts` of each estimate and without `others`; the
+    estimates that are not `shown` are hidden until their eye in the view's list is clicked.
+    """
+    hidden = [estimate_path(name) for name in estimators if name not in shown]
+    estimates = [f"- /{estimate_path(name)}/{part}" for name in estimators for part in parts]
+    return {
+        "overrides": {path: rrb.EntityBehavior(visible=False) for path in hidden},
+        "contents": ["/world/**", *(f"- /world/{other}" for other in others), *estimates],
+        "line_grid": rrb.LineGrid3D(visible=False),
+    }
+
+
+def _eye(place: np.ndarray, target: Sequence[float], up: Sequence[float]) -> rrb.EyeControls3D:
+    kind = rrb.Eye3DKind.Orbital
+    return rrb.EyeControls3D(kind=kind, position=place, look_target=target, eye_up=up)
 
 
 def _plot(origin: str, name: str, legend: rrb.PlotLegend) -> rrb.TimeSeriesView:

@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from numba import njit
+from numba import njit, types
 from numba.core import config, event
 
 from surefoot.sim.common.files import cache_folder
@@ -38,6 +38,7 @@ QUIET_TIME = 3.0
 
 _lock = Lock()
 _swept: set[Path] = set()
+_compiled: set[Any] = set()
 
 
 def kernel(function: Any = None, **options: Any) -> Any:
@@ -64,13 +65,24 @@ def kernel(function: Any = None, **options: Any) -> Any:
             config.CACHE_DIR = kept
 
 
-def compile_for(function: Any, signature: str) -> None:
-    """Compile a kernel for one signature, before its first call; it then raises TypeError on other
+OWN_1, OWN_2 = types.float64[::1], types.float64[:, ::1]
+"""Types of a kernel's own arrays, one- and two-dimensional, contiguous."""
+GIVEN_1, GIVEN_2 = (
+    types.Array(types.float64, n, "C", readonly=True, aligned=False) for n in (1, 2)
+)
+"""Types of a caller's contiguous arrays, which may be read-only."""
+
+
+def compiled(function: Any, signature: Any) -> Any:
+    """A kernel, compiled for one signature when first asked for; it raises TypeError on other
     arguments.
     """
-    if not config.DISABLE_JIT and not function.signatures:
-        function.compile(signature)
-        function.disable_compile()
+    if function not in _compiled:
+        if not config.DISABLE_JIT and not function.signatures:
+            function.compile(signature)
+            function.disable_compile()
+        _compiled.add(function)
+    return function
 
 
 def _folder(function: Callable) -> Path:

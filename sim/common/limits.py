@@ -58,6 +58,8 @@ class Limits:
     """Walks of one command."""
     cells: float = 1e7
     """Points of a height field or a texture."""
+    pixels: float = 1e8
+    """Pixels of a model's pictures, in total: some eight bytes each while they are unpacked."""
     workers: float = 1024
     """Threads or processes of one command."""
 

@@ -12,12 +12,7 @@ import numpy as np
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
-from surefoot.sim.physics.leg_loads import (
-    foot_loads_B,
-    joint_loads,
-    knows_loads,
-    load_columns,
-)
+from surefoot.sim.physics.leg_loads import LOADS, foot_loads_B, joint_loads, knows_loads
 from surefoot.sim.physics.momentum_balance import feet_jacobian_B, load_parameters
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
@@ -57,9 +52,9 @@ class LegCompliance(Effect):
             add_joint_spring(spec, robot.joint_names[robot.limbs.joints.index(joint)], self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        deflection = log.cached(
+        deflection = log.once(
             "deflection of joints",
-            load_columns(log),
+            LOADS,
             lambda: _deflection(log, -joint_loads(log, robot)),
             *load_parameters(robot),
         )
@@ -92,9 +87,9 @@ class FootElasticity(Effect):
             add_foot_springs(spec, robot, leg, self._axes(), self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        deflection = log.cached(
+        deflection = log.once(
             f"deflection of feet, {self.target}",
-            load_columns(log),
+            LOADS,
             lambda: _deflection(log, _angles_of_yielding_feet(log, robot, self._axes())),
             *load_parameters(robot),
         )
@@ -127,9 +122,7 @@ def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> n
     force_B, along = foot_loads_B(log, robot), np.eye(3)[list(axes)]
     rows, legs = np.nonzero(force_B.any(axis=2))
     # The springs rotate with the last link; in the home pose their axes are the base's.
-    links_B = log.cached(
-        "last links", log.columns_of("q"), lambda: last_links(robot.legs, log.q), robot.legs
-    )
+    links_B = log.once("last links", ["q"], lambda: last_links(robot.legs, log.q), robot.legs)
     at_home = last_links(robot.legs, robot.q_home[None])
     axes_B = links_B[rows, legs] @ (np.swapaxes(at_home, 2, 3) @ along.T)[0, legs]
     given_B = axes_B @ (np.swapaxes(axes_B, 1, 2) @ force_B[rows, legs, :, None])

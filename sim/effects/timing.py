@@ -41,7 +41,7 @@ FEWEST_LAGS = 6
 """Least number of lags for a drift: three meaningless lags look like a drift in a third of all
 draws, six in 2 %.
 """
-_TURNING = ("t", "gyro_x", "gyro_y", "gyro_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z")
+_TURNING = ("gyro_x", "gyro_y", "gyro_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z")
 STREAMS = {"imu": ("gyro", "accel"), "joints": ("q", "dq", "tau"), "feet": ("force",)}
 STREAM_COLUMNS = {
     **STREAMS,
@@ -291,7 +291,7 @@ def reference_lag(log: Log, most: float) -> float:
 
     Where their correlation is largest, to the row.
     """
-    return log.cached(
+    return log.once(
         f"reference lag within {most}", _TURNING, lambda: _turning_lag(_turning(log), most)
     )
 
@@ -319,7 +319,7 @@ def _turning(log: Log) -> _Turning:
         turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / steps[:, None]
         return _Turning(steps, turned, 0.5 * (log.gyro[1:] + log.gyro[:-1]))
 
-    return log.cached("turning by reference and gyro", _TURNING, made)
+    return log.once("turning by reference and gyro", _TURNING, made)
 
 
 def _turning_lag(turning: _Turning, most: float) -> float:
@@ -339,7 +339,7 @@ def reference_lag_drift(log: Log, most: float) -> float:
     Median slope of the lags of pieces of the log (Theil-Sen). 0 if its 95 % interval contains 0, as
     it does if the pieces rotate too little to show a lag.
     """
-    return log.cached(f"reference drift within {most}", _TURNING, lambda: _lag_drift(log, most))
+    return log.once(f"reference drift within {most}", _TURNING, lambda: _lag_drift(log, most))
 
 
 def _lag_drift(log: Log, most: float) -> float:

@@ -28,16 +28,7 @@ MOST_POINTS = 2**18
 can be rotated smoothly.
 """
 _LEVELS = 2**16 - 1
-
-
-@dataclass(frozen=True)
-class _Strip:
-    start: tuple[float, float]
-    end: tuple[float, float]
-    width: float
-    heights: tuple[float, float]
-    steps: int
-    mu: float | None = None
+_OF_STRIPS = ("start", "end", "width", "heights", "steps", "mu")
 
 
 @dataclass(frozen=True)
@@ -54,8 +45,12 @@ class _Kept:
     mu: float
     half_size: float
     patches: tuple[tuple[float, float, float, float, float], ...] = ()
-    strips: tuple[_Strip, ...] = ()
+    strips: tuple[Strip, ...] = ()
     fields: tuple[_Field, ...] = ()
+
+    def __post_init__(self):
+        if any(strip.rough for strip in self.strips):
+            raise SurefootError("strips: a rough one is a field")
 
 
 def ground_metadata(ground: Ground) -> dict[str, Any]:
@@ -64,7 +59,7 @@ def ground_metadata(ground: Ground) -> dict[str, Any]:
     drawn = thinned(replace(ground, fields=(*rough, *ground.fields)))
     patches = [[p.center_x, p.center_y, p.size_x, p.size_y, p.mu] for p in ground.patches]
     strips = [
-        {name: getattr(strip, name) for name in _Strip.__dataclass_fields__}
+        {name: getattr(strip, name) for name in _OF_STRIPS}
         for strip in ground.strips
         if not strip.rough
     ]
@@ -92,7 +87,7 @@ def ground_of_log(log: "Log") -> Ground | None:
             kept.mu,
             tuple(Patch(*numbers) for numbers in kept.patches),
             kept.half_size,
-            tuple(Strip(**vars(strip)) for strip in kept.strips),
+            kept.strips,
             fields=tuple(_read(field) for field in kept.fields),
         )
     except SurefootError as error:

@@ -7,9 +7,9 @@ from surefoot.sim.importing.reference_noise import (
     MOST_MISSED_ROTATION,
     missed_rotation,
 )
-from surefoot.sim.log.dead_reckoning import compare_with_imu
 from surefoot.sim.log.derived import derivative
 from surefoot.sim.log.reference import Poses
+from surefoot.sim.log.reference_vs_imu import compare_with_imu
 
 _WINDOW = 0.1
 """Interval over which the reference's velocity is compared with the integrated accelerometer [s]: a

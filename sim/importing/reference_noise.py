@@ -1,6 +1,6 @@
 """Noise of a reference's samples, estimated by a smoother over IMU and poses.
 
-Relative to the IMU's integrals (`sim.log.dead_reckoning`), the path of a tracked point varies
+Relative to the IMU's integrals (`sim.log.reference_vs_imu`), the path of a tracked point varies
 slowly: initial position and velocity, a force that drifts with tilt and bias, and a lever arm that
 rotates with the body. The rest of a sample is the noise of its position, and its velocity times the
 error of its stamp. The noise levels are found by maximum likelihood of a Kalman filter with the
@@ -15,9 +15,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.log.dead_reckoning import ReferenceVsImu, compare_with_imu
 from surefoot.sim.log.derived import REFERENCE_WINDOW, derivative
 from surefoot.sim.log.reference import Poses
+from surefoot.sim.log.reference_vs_imu import ReferenceVsImu, compare_with_imu
 
 FEWEST_SAMPLES = 100
 """Least number of samples for an estimate."""

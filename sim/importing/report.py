@@ -7,8 +7,8 @@ from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import check_reference, without_jumps
 from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, missed_rotation, reference_noise
 from surefoot.sim.log import Log
-from surefoot.sim.log.dead_reckoning import compare_with_imu
 from surefoot.sim.log.reference import Poses, reference_poses
+from surefoot.sim.log.reference_vs_imu import compare_with_imu
 from surefoot.sim.robot.machine import machine_for_log
 
 

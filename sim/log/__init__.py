@@ -6,7 +6,8 @@ from surefoot.sim.log.derived import (
     reference_velocity,
     with_velocities,
 )
-from surefoot.sim.log.log import Log, LogError, LogReader, LogWriter
+from surefoot.sim.log.file import LogError, LogReader, LogWriter
+from surefoot.sim.log.log import Log, LogView
 from surefoot.sim.log.schema import JOINTS, LEGS, SCHEMA, Meta
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Log",
     "LogError",
     "LogReader",
+    "LogView",
     "LogWriter",
     "Meta",
     "foot_velocity",

@@ -149,7 +149,7 @@ def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
     def made() -> np.ndarray:
         return derivative(log.t, log.q, JOINT_WINDOW, causal)
 
-    return log.cached(f"joint velocity {causal}", log.columns_of("q"), made)
+    return log.once(f"joint velocity {causal}", ["q"], made)
 
 
 def foot_velocity(log: Log) -> np.ndarray:
@@ -165,7 +165,7 @@ def foot_velocity(log: Log) -> np.ndarray:
         flat = derivative(log.t, feet_I.reshape(len(feet_I), -1), JOINT_WINDOW, causal=False)
         return flat.reshape(feet_I.shape)
 
-    return log.cached("foot velocity", log.columns_of("foot"), made)
+    return log.once("foot velocity", ["foot"], made)
 
 
 def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
@@ -180,7 +180,7 @@ def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
     def made() -> np.ndarray:
         return derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal)
 
-    return log.cached(f"reference velocity {causal}", log.columns_of("reference"), made)
+    return log.once(f"reference velocity {causal}", ["reference"], made)
 
 
 def with_velocities(log: Log, causal: bool = False) -> Log:

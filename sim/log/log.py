@@ -6,71 +6,54 @@ a filter predicts over row k, then updates with row k. `sim.log.schema` defines 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.common.limits import admitted, check_limit, check_unpacked
-from surefoot.sim.common.log_file import check_first_bytes
 from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.log.schema import (
-    DIGEST_KEY,
-    GROUPS,
-    JOINTS,
-    KEY,
-    Meta,
-    check_frame,
-    check_table,
-    group_columns,
-    joint_names,
-    leg_names,
-    metadata_digest,
-    read_metadata,
-)
+from surefoot.sim.log.file import LogError, LogReader, LogWriter
+from surefoot.sim.log.schema import GROUPS, JOINTS, Meta, group_columns, joint_names, leg_names
 
 T = TypeVar("T")
-ROW_GROUP = 1 << 15
-"""Rows in a row group of a file: a minute at 500 Hz."""
-
-
-class LogError(SurefootError):
-    """A log that cannot be read, or that lacks requested data."""
 
 
 @dataclass(frozen=True)
 class Log:
     """One walk: `frame` has float64 columns (`t`, `gyro_x`, `q_FL_hip` ...) and one row per sample.
 
-    The properties return new contiguous arrays in SI units, unless the log caches them (`caching`);
-    each raises LogError where its columns are missing. J and L are the numbers of joints and legs
-    that the columns name. A quadruped's are in canonical order (leg by leg over FL, FR, RL, RR), so
-    that `q.reshape(N, 4, 3)` is (row, leg, joint).
+    The properties return new contiguous arrays in SI units; each raises LogError where its columns
+    are missing. J and L are the numbers of joints and legs that the columns name. A quadruped's are
+    in canonical order (leg by leg over FL, FR, RL, RR), so that `q.reshape(N, 4, 3)` is (row, leg,
+    joint). A `LogView` of a log computes each array once.
     """
 
     frame: pd.DataFrame
     meta: Meta
     name: str = "log"
-    _cache: ClassVar[dict[str, tuple[frozenset[str], tuple[Any, ...], Any]] | None] = None
-    """Cached values by name: the columns and objects that each depends on, and its value."""
 
     @classmethod
     def read(cls, path: str | Path) -> Log:
         """Read the log at `path`. Raises LogError, one line with file, column and row, if not
         valid.
         """
-        (log,) = LogReader(path).chunks()
+        (log,) = cls.chunks(LogReader(path))
         return log
+
+    @classmethod
+    def chunks(cls, reader: LogReader, seconds: float = np.inf) -> Iterator[Log]:
+        """The log of a file in pieces of about `seconds`, by default all rows in one.
+
+        Raises LogError, one line with file, column and row, at the first fault.
+        """
+        for frame in reader.frames(seconds):
+            yield Log(frame, reader.meta, reader.path.stem)
 
     def write(self, path: str | Path, force: bool = False) -> None:
         """Write the whole file or none. Raises LogError if it exists (without `force`) or is
@@ -85,45 +68,20 @@ class Log:
         except SurefootError as error:
             raise LogError(str(error)) from error
 
-    def caching(self) -> Log:
-        """The same log with cached arrays, which must not be written to."""
-        log = replace(self)
-        object.__setattr__(log, "_cache", {})
-        return log
-
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
-        """The log with some columns replaced; cached values of the others are kept."""
-        log = object.__new__(_WithColumns)
-        vars(log).update(meta=self.meta, name=self.name, before=self, replaced=dict(columns))
-        # Unchanged columns remain the same arrays, so comparisons can go by identity.
-        vars(log)["columns"] = self.columns | {n: np.asarray(x) for n, x in columns.items()}
-        if self.columns.keys() >= columns.keys():
-            vars(log).update(joints=self.joints, legs=self.legs)
-        if self._cache is not None:
-            kept = {k: v for k, v in self._cache.items() if v[0].isdisjoint(columns)}
-            object.__setattr__(log, "_cache", kept)
-        return log
+        """The log with some columns replaced or added."""
+        return replace(self, frame=self.frame.assign(**columns))
 
-    def cached(self, what: str, columns: Iterable[str], make: Callable[[], T], *given: Any) -> T:
-        """A value computed from some columns, cached if the log caches its arrays.
+    def once(self, what: str, uses: Iterable[str], make: Callable[[], T], *given: Any) -> T:
+        """A value derived from the log, which a `LogView` computes once.
 
         Args:
             what: its name, unique for this log.
-            columns: all columns that it depends on.
+            uses: groups (see `require`) and single columns that it depends on, besides time.
             make: computes it.
             given: other objects that it depends on; it is recomputed if these are not identical.
         """
-        if self._cache is None:
-            return make()
-        known = self._cache.get(what)
-        if known is None or not all(a is b for a, b in zip(known[1], given, strict=True)):
-            self._cache[what] = known = frozenset(columns), given, make()
-        return known[2]
-
-    def columns_of(self, *groups: str) -> tuple[str, ...]:
-        """The columns of these groups (see `require`) and of time, for `cached`."""
-        names = (group_columns(group, self.joints, self.legs) for group in groups)
-        return ("t", *(name for own in names for name in own))
+        return make()
 
     def rows(self, which: slice | np.ndarray) -> Log:
         """Select rows by a slice (a step divides the rate), a mask (N,) or indices."""
@@ -147,12 +105,13 @@ class Log:
             raise LogError(f"{self.name}: the log lacks {', '.join(lacking)}")
 
     def _missing(self, group: str) -> list[str]:
-        if group.startswith("x_"):
-            return [] if group in self.columns else [group]
-        if group not in GROUPS:
+        if group not in GROUPS and not group.startswith("x_"):
             raise KeyError(f"no log group {group!r}; groups are {', '.join(GROUPS)}")
-        names = group_columns(group, self.joints, self.legs)
-        return [name for name in names if name not in self.columns]
+        return [name for name in self._names(group) if name not in self.columns]
+
+    def _names(self, group: str) -> Sequence[str]:
+        """The columns of a group; any other name is a column's own."""
+        return group_columns(group, self.joints, self.legs) if group in GROUPS else (group,)
 
     def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
         def stacked() -> np.ndarray:
@@ -160,7 +119,7 @@ class Log:
             # Column by column: selecting them together takes pandas several times as long.
             return np.column_stack([np.asarray(self.columns[n], dtype=float) for n in names])
 
-        return self.cached(names[0] if names else group, names, stacked)
+        return self.once(names[0] if names else group, names, stacked)
 
     def _joint_array(self, prefix: str) -> np.ndarray:
         return self._array(prefix, [f"{prefix}_{joint}" for joint in self.joints])
@@ -180,13 +139,13 @@ class Log:
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Joint names, canonical for a quadruped, else in the order of the columns."""
-        names = joint_names(self.frame.columns)
+        names = joint_names(self.columns)
         return JOINTS if set(names) == set(JOINTS) else names
 
     @cached_property
     def legs(self) -> tuple[str, ...]:
         """Leg names, FL, FR, RL, RR for a quadruped, else in the order of the columns."""
-        return leg_names(self.frame.columns)
+        return leg_names(self.columns)
 
     @property
     def rate(self) -> float:
@@ -196,7 +155,7 @@ class Log:
     @property
     def t(self) -> np.ndarray:
         """Time (N,), s, strictly increasing."""
-        return self.cached("t", ["t"], lambda: np.array(self.columns["t"], dtype=float))
+        return self.once("t", (), lambda: np.array(self.columns["t"], dtype=float))
 
     @property
     def gyro(self) -> np.ndarray:
@@ -241,8 +200,9 @@ class Log:
     @property
     def contact(self) -> np.ndarray:
         """Feet in contact (N, L), bool, as the robot senses it."""
-        names = self.columns_of("contact")
-        return self.cached("contact", names, lambda: self._leg_array("contact", "contact") > 0.5)
+        return self.once(
+            "contact", ["contact"], lambda: self._leg_array("contact", "contact") > 0.5
+        )
 
     @property
     def force(self) -> np.ndarray:
@@ -272,8 +232,7 @@ class Log:
     @property
     def ref_R_GI(self) -> np.ndarray:
         """Reference attitude (N, 3, 3)."""
-        names = self.columns_of("reference")
-        return self.cached("ref_R_GI", names, lambda: matrix_from_quaternion(self.ref_q))
+        return self.once("ref_R_GI", ["reference"], lambda: matrix_from_quaternion(self.ref_q))
 
     @property
     def ref_v(self) -> np.ndarray:
@@ -299,152 +258,57 @@ class Log:
         return self._leg_array("truth", "mu")
 
 
-class _WithColumns(Log):
-    """A log made by `Log.with_columns`: its frame is built on first use, since most need none."""
+class LogView(Log):
+    """A log that computes its arrays, and whatever else is derived from it, once.
 
-    before: Log
-    replaced: dict[str, np.ndarray]
+    They must not be written to. With other columns (`with_columns`), the view keeps all that does
+    not depend on these.
+    """
 
-    @cached_property
+    def __init__(self, frame: pd.DataFrame, meta: Meta, name: str = "log"):
+        super().__init__(frame, meta, name)
+        self._derived: dict[str, _Derived] = {}
+
+    @classmethod
+    def of(cls, log: Log) -> LogView:
+        """A view of this log."""
+        return cls(log.frame, log.meta, log.name)
+
+    @property
     def frame(self) -> pd.DataFrame:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.before.frame.assign(**self.replaced)
+        # Assigned on first use, since most views need none.
+        if self._replaced:
+            self._frame, self._replaced = self._frame.assign(**self._replaced), {}
+        return self._frame
+
+    @frame.setter
+    def frame(self, frame: pd.DataFrame) -> None:
+        self._frame, self._replaced = frame, {}
+
+    def with_columns(self, columns: Mapping[str, np.ndarray]) -> LogView:
+        view = LogView(self._frame, self.meta, self.name)
+        view._replaced = self._replaced | {name: np.asarray(x) for name, x in columns.items()}
+        # Unchanged columns remain the same arrays, so comparisons can go by identity.
+        view.columns = self.columns | view._replaced
+        if self.columns.keys() >= columns.keys():
+            view.joints, view.legs = self.joints, self.legs
+        view._derived = {k: x for k, x in self._derived.items() if x.columns.isdisjoint(columns)}
+        return view
+
+    def once(self, what: str, uses: Iterable[str], make: Callable[[], T], *given: Any) -> T:
+        found = self._derived.get(what)
+        if found is None or not all(a is b for a, b in zip(found.given, given, strict=True)):
+            columns = frozenset(("t", *(name for one in uses for name in self._names(one))))
+            self._derived[what] = found = _Derived(columns, given, make())
+        return found.value
 
 
-class LogWriter:
-    """Writes a log in pieces, using the memory of one; the file is the same as of a log written at
-    once.
-    """
+class _Derived(NamedTuple):
+    """A derived value, with the columns and objects that it depends on."""
 
-    def __init__(self, path: Path, meta: Meta):
-        """Raises LogError for invalid metadata. `whole_file` provides the path."""
-        try:
-            text = json.dumps(asdict(meta), default=_plain, allow_nan=False, sort_keys=True)
-            read_metadata({KEY: text.encode()})
-        except (SurefootError, TypeError, ValueError) as error:
-            raise LogError(str(error)) from error
-        self._path, self._rate = path, meta.rate
-        self._about = {KEY: text.encode(), DIGEST_KEY: metadata_digest(text.encode())}
-        self._file: pq.ParquetWriter | None = None
-        self._held: pa.Table | None = None  # rows that do not fill a row group yet
-        self.rows, self._last = 0, -np.inf
-
-    def __enter__(self) -> LogWriter:
-        return self
-
-    def write(self, frame: pd.DataFrame) -> None:
-        """Write the next rows. Raises LogError, with column and row, where they are not valid."""
-        try:
-            check_frame(frame, self._rate, self.rows, self._last)
-        except (SurefootError, TypeError, ValueError) as error:
-            raise LogError(str(error)) from error
-        self.rows, self._last = self.rows + len(frame), float(frame["t"].iloc[-1])
-        table = pa.table({str(name): pa.array(frame[name].to_numpy()) for name in frame})
-        if self._held is not None:
-            table = pa.concat_tables([self._held, table]).combine_chunks()
-        full = len(table) // ROW_GROUP * ROW_GROUP
-        self._write(table[:full])
-        self._held = table[full:]
-
-    def _write(self, table: pa.Table) -> None:
-        if self._file is None:
-            schema = table.schema.with_metadata(self._about)
-            self._file = pq.ParquetWriter(
-                self._path, schema, compression="zstd", write_page_checksum=True
-            )
-        if len(table):
-            table = table.replace_schema_metadata(self._about)
-            self._file.write_table(table, row_group_size=ROW_GROUP)
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None and self._held is not None:
-            self._write(self._held)
-        if self._file is not None:
-            self._file.close()
-
-
-FEWEST_ROWS = 3
-"""Least number of rows of a log, for a second derivative."""
-
-
-class LogReader:
-    """Reads a log in pieces: a walk of any length in the memory of one piece.
-
-    `meta`, `columns` and the number of `rows` are available at once.
-    """
-
-    def __init__(self, path: str | Path):
-        """Raises LogError, one line, where the file, its columns' types or its metadata are bad."""
-        try:
-            self.path = admitted(path, "recording")
-            check_first_bytes(self.path)  # Arrow looks at the last four bytes alone
-        except SurefootError as error:
-            raise LogError(str(error)) from None
-        with self._opened() as file:
-            self.rows = file.metadata.num_rows
-            self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
-            check_limit("rows", self.rows, "rows")
-            check_limit("columns", len(self.columns), "columns")
-            size = 8.0 * self.rows * len(self.columns)
-            check_unpacked(self.path, size, "bytes of columns", at_once=False)
-            check_table(file.schema_arrow)
-            self.meta = read_metadata(file.schema_arrow.metadata)
-            if 0 < self.rows < FEWEST_ROWS:
-                raise SurefootError(f"has {self.rows} rows, a log {FEWEST_ROWS} at least")
-            check_limit("items", file.num_row_groups, "row groups")
-            sizes = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
-            most = 8.0 * len(self.columns) * max(sizes, default=0)
-            check_limit("piece", most, "bytes of a row group in memory")
-
-    def chunks(self, seconds: float = np.inf) -> Iterator[Log]:
-        """The log in pieces of about `seconds`, by default all rows in one; the last may be
-        shorter.
-
-        Raises LogError, one line with file, column and row, at the first fault.
-        """
-        size = max(1, round(min(seconds * self.meta.rate, self.rows)))
-        try:
-            check_limit("memory", 8.0 * size * len(self.columns), "bytes in memory")
-        except SurefootError as error:
-            raise LogError(f"{self.path}: {error}") from None
-        row, before = 0, -np.inf
-        with self._opened() as file:
-            for table in _tables(file, size):
-                frame = pd.DataFrame({name: table[name].to_numpy() for name in self.columns})
-                check_frame(frame, self.meta.rate, row, before)
-                yield Log(frame, self.meta, self.path.stem)
-                row, before = row + len(frame), frame["t"].iloc[-1]
-
-    @contextmanager
-    def _opened(self) -> Iterator[pq.ParquetFile]:
-        try:
-            with pq.ParquetFile(self.path, page_checksum_verification=True) as file:
-                yield file
-        except SurefootError as error:
-            raise LogError(f"{self.path}: {error}") from error
-        except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise LogError(
-                f"{self.path}: not a whole Parquet file, truncated? ({reason})"
-            ) from error
-
-
-def _tables(file: pq.ParquetFile, size: int) -> Iterator[pa.Table]:
-    """All rows of a file in tables of `size`, except the last, which may be shorter or empty."""
-    held = pa.Table.from_batches([], file.schema_arrow)
-    # One row group at a time, since `iter_batches` keeps what it has read.
-    for group in range(file.num_row_groups):
-        held = pa.concat_tables([held, file.read_row_group(group, use_threads=False)])
-        while len(held) >= size:
-            yield held[:size]
-            held = held[size:]
-    if len(held) or not file.metadata.num_rows:
-        yield held
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"metadata holds a {type(value).__name__}, which JSON does not")
+    columns: frozenset[str]
+    given: tuple[Any, ...]
+    value: Any
 
 
 def _shorten(names: list[str]) -> str:

@@ -1,11 +1,11 @@
 """Validity of a log: its columns, metadata and values. Each fault is one clear line.
 
-The messages name column and row (counted from 0); `sim.log.log` prepends the file. Joints and legs
+The messages name column and row (counted from 0); `sim.log.file` prepends the file. Joints and legs
 are those that the columns name: a quadruped's, a biped's, an arm's.
 """
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from typing import Any
@@ -66,15 +66,11 @@ def _of_each(placeholder: str) -> tuple[str, ...]:
 _OF_JOINTS, _OF_LEGS = _of_each("<joint>"), _of_each("<leg>")
 
 
-def group_columns(group: str, joints: Sequence[str], legs: Sequence[str]) -> list[str]:
+@lru_cache(maxsize=128)
+def group_columns(group: str, joints: tuple[str, ...], legs: tuple[str, ...]) -> tuple[str, ...]:
     """The columns of a group for these joints and legs; without any, the name with its
     placeholder.
     """
-    return list(_group_columns(group, tuple(joints), tuple(legs)))
-
-
-@lru_cache(maxsize=128)
-def _group_columns(group: str, joints: tuple[str, ...], legs: tuple[str, ...]) -> tuple[str, ...]:
     names: list[str] = []
     for name in GROUPS[group]:
         for placeholder, each in (("<joint>", joints), ("<leg>", legs)):

@@ -16,16 +16,13 @@ from surefoot.sim.robot.machine import Modelled
 
 STICTION_RATE = 0.03
 """Rate below which dry friction is smoothed [rad/s]: a few times the noise of a measured rate."""
+LOADS = ("q", "dq", "tau", "imu", "contact", "force")
+"""The groups of a log that the loads of joints and feet depend on."""
 
 
 def knows_loads(log: Log) -> bool:
     """Whether a log determines the loads of joints and feet, by torques or by its motion."""
     return log.has("tau") or (log.has("imu") and log.has("contact"))
-
-
-def load_columns(log: Log) -> tuple[str, ...]:
-    """The columns of a log that loads of joints and feet depend on."""
-    return log.columns_of("q", "dq", "tau", "imu", "contact", "force")
 
 
 def joint_loads(log: Log, robot: Modelled) -> np.ndarray:
@@ -34,9 +31,9 @@ def joint_loads(log: Log, robot: Modelled) -> np.ndarray:
     The motor's torque, as logged or else from the momentum balance, less rotor inertia and declared
     friction.
     """
-    return log.cached(
+    return log.once(
         "joint loads",
-        load_columns(log),
+        LOADS,
         lambda: _joint_loads(log, robot),
         *load_parameters(robot),
     )
@@ -62,9 +59,9 @@ def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     From logged torques for legs of three joints, J^T f = inverse dynamics - torque, else from the
     momentum balance.
     """
-    return log.cached(
+    return log.once(
         "foot loads",
-        load_columns(log),
+        LOADS,
         lambda: _foot_loads_B(log, robot),
         *load_parameters(robot),
     )

@@ -55,9 +55,9 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     Raises LogError where the log lacks one of them.
     """
     log.require("imu", "q", "contact")
-    columns = log.columns_of("q", "dq", "imu", "contact", "force")
-    return log.cached(
-        "balance of momentum", columns, lambda: _balanced(log, robot), *load_parameters(robot)
+    uses = ("q", "dq", "imu", "contact", "force")
+    return log.once(
+        "balance of momentum", uses, lambda: _balanced(log, robot), *load_parameters(robot)
     )
 
 
@@ -72,9 +72,9 @@ def load_parameters(robot: Machine) -> tuple[Any, ...]:
 
 def feet_jacobian_B(log: Log, robot: Robot) -> np.ndarray:
     """Jacobian of each foot by its own leg's joints (N, L, 3, P) in B [m/rad]."""
-    return log.cached(
+    return log.once(
         "Jacobians of the feet",
-        log.columns_of("q"),
+        ["q"],
         lambda: robot.R_BI @ robot.feet_jacobian_I(log.q),
         *(robot.legs, robot.R_BI),
     )

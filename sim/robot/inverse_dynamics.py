@@ -313,11 +313,7 @@ def _sweep(memory, Q, V, A, out):
         out: (N, nv), filled.
     """
     for k in range(len(Q)):
-        copy_row(Q[k], memory.qpos)
-        copy_row(V[k], memory.qvel)
-        copy_row(A[k], memory.qacc)
-        _take_positions(memory)
-        _take_velocities(memory)
+        _take_motion(memory, Q[k], V[k], A[k])
         _fill_forces(memory, out[k])
 
 
@@ -338,11 +334,7 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
     qpos, qvel, qacc = memory.qpos, memory.qvel, memory.qacc
     here, there = np.empty(len(qvel)), np.empty(len(qvel))
     for k in range(len(Q)):
-        copy_row(Q[k], qpos)
-        copy_row(V[k], qvel)
-        copy_row(A[k], qacc)
-        _take_positions(memory)
-        _take_velocities(memory)
+        _take_motion(memory, Q[k], V[k], A[k])
         _fill_forces(memory, here)
         # In order of increasing recomputation.
         for j in range(len(dof_adr)):
@@ -383,11 +375,7 @@ def _sweep_links(memory, tree, Q, V, A, bodies, out):
     """
     moved = np.empty((len(tree.parent), 6))  # accelerations, about the tree's centre of mass
     for k in range(len(Q)):
-        copy_row(Q[k], memory.qpos)
-        copy_row(V[k], memory.qvel)
-        copy_row(A[k], memory.qacc)
-        _take_positions(memory)
-        _take_velocities(memory)
+        _take_motion(memory, Q[k], V[k], A[k])
         _fill_accelerations(memory, tree, moved)
         for j, body in enumerate(bodies):
             centre, mass, R = tree.root[body], tree.mass[body], tree.xmat[body]
@@ -465,6 +453,16 @@ def _difference(there, here, step, out):
     """(there - here) / step, all (nv,), into out."""
     for i in range(len(out)):
         out[i] = (there[i] - here[i]) / step
+
+
+@kernel(nogil=True)
+def _take_motion(memory, q, v, a):
+    """Bring a motion (nq,), (nv,), (nv,) into memory, and what depends on it up to date."""
+    copy_row(q, memory.qpos)
+    copy_row(v, memory.qvel)
+    copy_row(a, memory.qacc)
+    _take_positions(memory)
+    _take_velocities(memory)
 
 
 @kernel(nogil=True)

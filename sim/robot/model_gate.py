@@ -7,6 +7,7 @@ include names.
 import math
 import os
 import site
+import struct
 import sysconfig
 from functools import cache
 from pathlib import Path
@@ -21,28 +22,25 @@ from surefoot.sim.common.files import is_there, protect
 from surefoot.sim.common.limits import admitted, check_limit
 
 DEEPEST = 100
-"""Maximum depth of elements, enough for a centipede of fifty segments."""
+"""Maximum depth of elements, of a URDF's links and of a composite's bodies, enough for a centipede
+of fifty segments.
+"""
+FLEXIBLE = 1000
+"""Maximum number of points of flexible bodies in a model, which MuJoCo compiles in a second; its
+time grows with their square.
+"""
 ATTRIBUTES = 1000
 """Maximum number of attributes of an element; MuJoCo's parser takes quadratic time in them."""
 INCLUDES = 100
 """Maximum number of files in a model, counting nested includes each time."""
 MOST_FILES, MOST_FOLDERS = 10_000, 20
 """Maximum number of shapes and pictures that a model names, and of folders for them."""
-_PARTS = {
-    "flexcomp",
-    "composite",
-    "body",
-    "geom",
-    "site",
-    "joint",
-    "freejoint",
-    "link",
-    "visual",
-    "collision",
-    "light",
-}
+_PARTS = {"body", "geom", "site", "joint", "freejoint", "light", "flexcomp", "composite"}
+_PARTS |= {"link", "visual", "collision"}
 _ASSETS = {".stl", ".obj", ".msh", ".ply", ".dae", ".png", ".jpg", ".jpeg", ".ktx", ".bin"}
 """Suffixes of shapes and pictures."""
+_BYTES_OF_POINT = 50
+"""Least size of a point in a file of a flexible body, with its share of triangles [bytes]."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _SIZES = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
 _COUNTS = {"nkey"}
@@ -54,13 +52,13 @@ _NUMBERS = {"mass", "density", "pos", "size", "friction", "diaginertia", "fullin
 def check_model_file(file: Path) -> None:
     """Check a model file before it is compiled.
 
-    Raises SurefootError, one line with the file, for a model that is too large, includes files
-    outside its folder, names shapes or pictures outside that and the folders beside it, has
-    entities, or invalid numbers.
+    Like MuJoCo, it takes a file for MJCF or URDF by its root element. Raises SurefootError, one
+    line with the file, for a model that is too large, includes files outside its folder, names
+    shapes or pictures outside that and the folders beside it, has entities, or invalid numbers.
     """
     try:
         scan = _Scan(file)
-        scan.read(file, 1)
+        scan.read(file, 1.0, 0)
         scan.check_named()
     except SurefootError:
         raise
@@ -92,42 +90,57 @@ class _Scan:
         self.file = file
         self.folder = file.resolve().parent
         self.elements, self.files = 0, 0
-        self.parts = 0.0
+        self.parts, self.flexible = 0.0, 0.0
         self.folders = {""}
-        self.named: list[tuple[Path, str, str]] = []
+        self.named = dict[tuple[Path, str, str], None]()
 
-    def read(self, file: Path, times: float) -> None:
-        """Scan one of its files, whose contents are repeated `times` times."""
+    def read(self, file: Path, times: float, depth: int) -> None:
+        """Scan one of its files.
+
+        Args:
+            file: the model's own, or one that it includes or attaches.
+            times: how often the contents are repeated.
+            depth: number of elements that enclose them.
+        """
         self.files += 1
         if self.files > INCLUDES:
             self.refuse(f"includes more than {INCLUDES} files, or itself")
         admitted(file, "text", "robot")
         protect(file)
-        counts, included = [times], list[tuple[str, str, float]]()
+        counts, included = [times], list[tuple[str, float, int]]()
+        tags, ends, parents = list[str](), dict[str, str](), dict[str, str]()
 
         def start(tag: str, values: dict[str, str]) -> None:
             self.elements += 1
             check_limit("items", self.elements, f"robot {self.file}: elements")
             if len(values) > ATTRIBUTES:
                 self.refuse(f"{tag} has more than {ATTRIBUTES} attributes")
-            if len(counts) > DEEPEST:
-                self.refuse(f"elements are nested deeper than {DEEPEST}")
-            count = counts[-1] * self.repeated(tag, values)
-            counts.append(count)
-            self.parts += count if tag in _PARTS else 0.0
-            check_limit("bodies", self.parts, f"robot {self.file}: bodies and shapes")
+            if depth + len(counts) > DEEPEST:
+                self.refuse(f"elements are nested deeper than {DEEPEST}, or a file includes itself")
+            counts.append(self.count(tag, values, counts[-1]))
+            self.check_values(tag, values)
+            tags.append(tag)
+            urdf, own = tags[0] == "robot", file == self.file
+            if (own and urdf != (file.suffix == ".urdf")) or (tag == "robot" and len(tags) > 1):
+                self.refuse("a URDF's name ends in .urdf, and it begins with <robot>")
+            if urdf and tag == "joint":
+                ends.clear()
+            if urdf and tag in ("parent", "child"):
+                ends[tag] = values.get("link", "")
+                if len(ends) == 2:
+                    parents[ends["child"]] = ends["parent"]
+            if urdf and own:
+                return  # its reader opens none of the files that it names
             if tag == "compiler":
                 self.folders.update(values[key] for key in _FOLDERS if key in values)
-            self.check_values(tag, values)
-            if file.suffix == ".urdf":
-                return
-            if tag == "robot":
-                self.refuse("a URDF's name ends in .urdf")
             for name in (values[key] for key in values if key.startswith("file") and values[key]):
                 if tag in ("include", "model"):
-                    included.append((tag, name, count))
+                    if not self.may_read(file.parent / name, beside=False):
+                        self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
+                    nested = depth + len(counts) if tag == "include" else 0
+                    included.append((name, counts[-1], nested))
                 else:
-                    self.named.append((file.parent, tag, name))
+                    self.named[file.parent, tag, name] = None
 
         parser = expat.ParserCreate()
         parser.StartElementHandler = start
@@ -135,14 +148,18 @@ class _Scan:
         parser.StartDoctypeDeclHandler = lambda *_: self.refuse("has a DOCTYPE, so entities")
         with file.open("rb") as stream:
             parser.ParseFile(stream)
-        for tag, name, count in included:
-            path = file.parent / name
-            if not (self.within(path, self.folder) or _installed(self.file)):
-                self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
-            if tag == "include" or path.suffix == ".xml":
-                self.read(path.resolve(), count)
-            elif is_there(path):
-                admitted(path, "piece", "robot")
+        self.check_chains(parents)
+        for name, count, nested in included:
+            self.read((file.parent / name).resolve(), count, nested)
+
+    def check_chains(self, parents: dict[str, str]) -> None:
+        """Raise for the links of a URDF, each with its parent, that are nested too deeply."""
+        for link in parents:
+            above: str | None = link
+            for _ in range(DEEPEST):
+                above = parents.get(above) if above is not None else None
+            if above is not None:
+                self.refuse(f"links of the URDF are nested deeper than {DEEPEST}, or in a circle")
 
     def check_named(self) -> None:
         """Check the shapes and pictures that the model names.
@@ -150,51 +167,62 @@ class _Scan:
         MuJoCo takes a name from the model's folder or that of a `<compiler>`, whichever comes last
         in any of the files; here it must be within bounds from each of them.
         """
-        named = dict.fromkeys(self.named)
-        if len(named) > MOST_FILES or len(self.folders) > MOST_FOLDERS:
+        if len(self.named) > MOST_FILES or len(self.folders) > MOST_FOLDERS:
             self.refuse(f"names more than {MOST_FILES} files or {MOST_FOLDERS} folders")
-        for included, tag, name in named:
-            for base in {self.folder, included}:
-                for folder in self.folders:
-                    path = base / folder / name
-                    if not (self.is_asset(path) or _installed(self.file)):
-                        where = "model's folder and the folders beside it"
-                        self.refuse(f"{tag} file '{name}' lies outside of the {where}")
-                    if is_there(path):
-                        admitted(path, "piece", "robot")
+        pixels = dict[Path, int]()
+        for included, tag, name in self.named:
+            for path in {
+                base / folder / name for base in (self.folder, included) for folder in self.folders
+            }:
+                if not self.may_read(path, beside=True):
+                    where = "model's folder and the folders beside it"
+                    self.refuse(f"{tag} file '{name}' lies outside of the {where}")
+                if not is_there(path):
+                    continue
+                admitted(path, "piece", "robot")
+                if tag == "flexcomp" and path.stat().st_size > _BYTES_OF_POINT * FLEXIBLE:
+                    self.refuse(f"{tag} file '{name}' has more than {FLEXIBLE} points")
+                pixels[path.resolve()] = _pixels(path)
+        check_limit("pixels", sum(pixels.values()), f"robot {self.file}: pixels of its pictures")
 
-    def is_asset(self, path: Path) -> bool:
-        """Whether a path lies in the model's folder or, as a shape or picture, in a folder beside
-        it, such as `../meshes`. Folders of users are not beside each other.
+    def may_read(self, path: Path, beside: bool) -> bool:
+        """Whether a path lies in the model's folder or, if `beside` and it is a shape or picture,
+        in a folder beside it, such as `../meshes`. Folders of users are not beside each other.
+
+        Symbolic links are resolved before `..`, as by the system, and after, as MuJoCo may do.
         """
-        if self.within(path, self.folder):
-            return True
         above = self.folder.parent
-        if path.suffix.lower() not in _ASSETS or above in (*Path.home().parents, Path.home()):
-            return False
-        if not self.within(path, above):
-            return False
-        parts = [one.relative_to(above).parts for one in self.readings(path)]
-        hidden = any(part.startswith(".") for part in (*parts[0], *parts[1]))
-        return min(map(len, parts)) > 1 and not hidden
+        beside = beside and path.suffix.lower() in _ASSETS
+        beside = beside and above not in (*Path.home().parents, Path.home())
+        for one in (path.resolve(), Path(os.path.normpath(path)).resolve()):
+            if one.is_relative_to(self.folder):
+                continue
+            parts = one.relative_to(above).parts if one.is_relative_to(above) else ()
+            hidden = any(part.startswith(".") for part in parts)
+            if not beside or len(parts) < 2 or hidden:
+                return _installed(self.file)
+        return True
 
-    @staticmethod
-    def readings(path: Path) -> tuple[Path, Path]:
-        """A path with symbolic links resolved before `..`, as by the system, and after."""
-        return path.resolve(), Path(os.path.normpath(path)).resolve()
+    def count(self, tag: str, values: dict[str, str], times: float) -> float:
+        """Number of copies of an element's contents, where it itself is there `times` times.
 
-    def within(self, path: Path, folder: Path) -> bool:
-        """Whether a path lies in a folder, in either reading."""
-        return all(one.is_relative_to(folder) for one in self.readings(path))
-
-    def repeated(self, tag: str, values: dict[str, str]) -> float:
-        """Number of copies that an element makes of its contents."""
-        if tag not in ("replicate", "composite", "flexcomp"):
-            return 1.0
-        product = 1.0
-        for count in values.get("count", "1").split()[:3]:
-            product *= max(1.0, self.number(tag, "count", count))
-        return product
+        Raises if the model has too many bodies and shapes.
+        """
+        copies = 1.0
+        if tag in ("replicate", "composite", "flexcomp"):
+            for count in values.get("count", "1").split()[:3]:
+                copies *= max(1.0, self.number(tag, "count", count))
+        if tag == "composite" and copies > DEEPEST:
+            self.refuse(f"a composite is a chain of more than {DEEPEST} bodies")
+        if tag == "flexcomp":
+            copies = max(copies, len(values.get("point", "").split()) / 3)
+            self.flexible += times * copies
+            if self.flexible > FLEXIBLE:
+                self.refuse(f"flexcomp has more than {FLEXIBLE} points")
+        if tag in _PARTS:
+            self.parts += times * copies
+            check_limit("bodies", self.parts, f"robot {self.file}: bodies and shapes")
+        return times * copies
 
     def check_values(self, tag: str, values: dict[str, str]) -> None:
         """Raise for invalid numbers, and for sizes that MuJoCo would allocate."""
@@ -227,6 +255,16 @@ class _Scan:
     def refuse(self, why: str) -> NoReturn:
         """Raise SurefootError with the model's file."""
         raise SurefootError(f"robot {self.file}: {why}")
+
+
+def _pixels(path: Path) -> int:
+    """Pixels of a PNG picture by its header, which may unpack a thousandfold; of others 0."""
+    with path.open("rb") as stream:
+        head = stream.read(24)
+    if len(head) < 24 or not head.startswith(b"\x89PNG"):
+        return 0
+    width, height = struct.unpack(">II", head[16:])
+    return width * height
 
 
 @cache

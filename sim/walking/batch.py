@@ -70,21 +70,6 @@ def known_robot(name_or_path: str) -> Robot:
     return Robot.load(name_or_path)
 
 
-def walk_batch(
-    jobs: Sequence[Job],
-    use: Callable[[Walked], T],
-    threads: int = 1,
-    progress: Callable[[float], None] | None = None,
-) -> Iterator[T]:
-    """Simulate the jobs on `threads` threads; yields the results of `use`, in order of finishing.
-
-    `use` is called with each walk on the walk's own thread, so writing files is parallel too.
-    `progress` is called with the share of the whole batch. An error, or leaving the iterator early,
-    stops the walks in progress within a second of simulated time.
-    """
-    return on_threads(jobs, lambda job, report: use(walk_job(job, report)), threads, progress)
-
-
 def on_threads(
     items: Sequence[S],
     work: Callable[[S, Callable[[float], None]], T],
@@ -94,7 +79,10 @@ def on_threads(
     """Run `work(item, report)` for every item on `threads` threads; yields results in order of
     finishing.
 
-    `work` calls `report` with the share done, which raises once the batch has ended.
+    Results can be used, and files written, within `work`, in parallel. It calls `report` with the
+    share done, which raises once the batch has ended; `progress` is called with the share of the
+    whole batch. An error, or leaving the iterator early, stops the walks in progress within a
+    second of simulated time.
     """
     shares = [0.0] * len(items)
     stop, guard = threading.Event(), threading.Lock()

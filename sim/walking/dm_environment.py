@@ -10,7 +10,7 @@ env.log().write("mine.parquet")
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import dm_env
 import mujoco
@@ -50,9 +50,8 @@ except ModuleNotFoundError as error:
         "bring on Python 3.13 and later: there one of its dependencies is built by a compiler"
     ) from error
 
-SETTLING_PERIODS = (
-    round(SETTLING_TIME / TIMESTEP) // STEPS_PER_TICK
-)  # control periods before the log begins
+SETTLING_PERIODS = round(SETTLING_TIME / TIMESTEP) // STEPS_PER_TICK
+"""Control periods before the log begins."""
 TOLERANCE = 0.5  # m/s and rad/s, of the reward
 
 
@@ -135,7 +134,7 @@ class WalkingEnvironment(dm_env.Environment):
         first, self._k = self._k, self._k + STEPS_PER_TICK
         self._wanted[first : self._k] = wanted
         torque = np.zeros(12) if self._by_position else wanted
-        motors = _Motors(self._kp, self._kd, self._robot.torque_limit)
+        motors = self._kp, self._kd, self._robot.torque_limit
         _drive(self._body, self._trace, first, torque, wanted, motors)
         qpos = self._body.qpos
         fell = has_fallen(self._plan.gait, self._plan.world.height_map, qpos, rotation(*qpos[3:7]))
@@ -214,12 +213,6 @@ def _reward(observation: OrderedDict) -> float:
     return float(np.exp(-miss @ miss))
 
 
-class _Motors(NamedTuple):
-    kp: np.ndarray  # (12,) N m/rad
-    kd: np.ndarray  # (12,) N m s/rad
-    limit: np.ndarray  # (12,) N m
-
-
 @kernel(nogil=True)
 def _drive(body, trace, k, torque, target, motors):
     """One control period of torques plus those of the motor law, clipped to the motors' limits.
@@ -229,7 +222,7 @@ def _drive(body, trace, k, torque, target, motors):
         trace: a Recording, written.
         k: the period's first timestep.
         torque, target: (12,) N m and rad.
-        motors: _Motors.
+        motors: kp [N m/rad], kd [N m s/rad] and the limit [N m], (12,) each.
     """
     kp, kd, limit = motors
     for i in range(STEPS_PER_TICK):

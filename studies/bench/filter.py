@@ -9,6 +9,7 @@ from studies.bench.ratio import SAMPLES, Progress, Ratio, in_turn
 from studies.montecarlo.qmc import ordinary_boxes, qmc_moments
 from studies.montecarlo.settings import UNBIASED, load_study
 from studies.montecarlo.trials import make_trials, true_motion
+from surefoot import Observer
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.propagation import propagate
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
@@ -16,7 +17,6 @@ from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import FLOOR, update_coverage
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
 from surefoot.models.observer.network import Network
-from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import Loop
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.gravity import GRAVITY

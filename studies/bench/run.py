@@ -5,10 +5,12 @@ The two run alternately, under the same conditions; the smallest time of each co
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import UseAppendAction, arg
 
 from studies.bench.box import box_rows
 from studies.bench.filter import coverage_row, gtsam_row, step_row
@@ -83,6 +85,23 @@ ROWS: dict[str, Callable[[int, Progress | None], list[Ratio]]] = {
     "montecarlo": montecarlo_rows,
     "walking": lambda rounds, progress: [walking(rounds, progress)],
 }
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure run times, each as a ratio to a reference timed in the same run."""
+
+    rounds: int = 12
+    """Number of repetitions of each pair, alternating; the shortest time counts."""
+    only: Annotated[
+        UseAppendAction[tuple[str, ...]],
+        arg(metavar="ITEM", help=f"One of {', '.join(ROWS)}; by default all."),
+    ] = ()
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/bench.md."""
+
+    def run(self) -> None:
+        print(bench(self.rounds, self.only, self.page))
 
 
 def bench(rounds: int, only: Sequence[str] = (), page: Path | None = None) -> str:

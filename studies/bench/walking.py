@@ -9,13 +9,13 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
+from surefoot import Robot, Scenario
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.physics.stepper import start
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Ranges, Scenario, Segment
+from surefoot.sim.scenario import Ranges, Segment
 from surefoot.sim.sensors.streams import Motion
 from surefoot.sim.walk import Plan, plan, simulate
-from surefoot.sim.walking.batch import Job, walk_batch
+from surefoot.sim.walking.batch import Job, on_threads, walk_job
 
 COURSE = Scenario(
     "bench",
@@ -78,7 +78,7 @@ class Race:
 
     def walk(self) -> None:
         """World building, controller, engine, truth and sensors: all that `sim.walk.walk` does."""
-        for _ in walk_batch(self.jobs, lambda _: None, self.threads):
+        for _ in on_threads(self.jobs, walk_job, self.threads):
             pass
 
     def replay(self) -> None:

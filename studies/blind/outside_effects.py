@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
+from surefoot import Robot
 from surefoot.sim.effects.base import AXES, Effect
-from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
 ENCODER_CHANNELS = (

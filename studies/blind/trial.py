@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 
 from studies.blind.plan import PLAN, Case, study_robot
+from surefoot import Log, Scenario, walk
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
 from surefoot.models.attribution.settings import DEFAULT
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import Effect
 from surefoot.sim.ground.terrain import Ground, Patch
-from surefoot.sim.log import Log
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
+from surefoot.sim.scenario import Segment
 
 STANDING_TIME = 20.0
 """Duration of the logs of a standing robot [s], with effects that standing cannot distinguish."""

@@ -6,12 +6,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from surefoot import Log, Robot, run_filter
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 
 ICUB_RUNS = ("walking", "com_sinusoid")
 FILTERS = ("leg", "leg_slip", "imu")

@@ -20,10 +20,10 @@ from scipy.stats import norm
 from studies.hardware.drives import FIRST
 from studies.hardware.impulses import SizeKey, WindowRows, window_rows
 from studies.hardware.shared_sizes import Calibration, HeldOutRun
+from surefoot import Log
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
-from surefoot.sim.log import Log
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Modelled
 
@@ -174,35 +174,38 @@ def least_changes(one: HeldOutRun) -> dict[SizeKey, float]:
     return {change.key: change.least for change in every_change(one.others, one.rows)}
 
 
+@dataclass(frozen=True)
+class KeptRows:
+    """Folder of finished rows, and the digests of the recordings that they are of."""
+
+    folder: Path
+    inputs: Mapping[str, Any]
+
+
 def tried_changes(
     logs: Mapping[str, Sequence[Log]],
     machine: Modelled,
     done: Sequence[HeldOutRun],
     length: float,
-    folder: Path,
-    inputs: Mapping[str, Any],
+    kept: KeptRows,
     each: int = 5,
-    seed: int = 0,
 ) -> list[dict[str, Any]]:
     """Changes found in unchanged runs, in their pieces, and in runs with an injected change.
 
-    Each run is compared with the calibration by the other runs. A finished row is stored in
-    `folder`.
+    Each run is compared with the calibration by the other runs.
 
     Args:
         logs: by run.
         machine: as declared.
         done: the runs with the calibration by the others.
         length: of the windows [s].
-        folder: of finished rows.
-        inputs: digests of the recordings.
+        kept: rows that are finished.
         each: injected changes of each kind on each link.
-        seed: of the draws.
     """
     others = {one.name: one.others for one in done}
     whole = [(run, slice(None), None, 0.0) for run in logs]
     pieces = [(r, slice(k, k + 1), None, 0.0) for r in logs for k in range(len(logs[r]))]
-    drawn = drawn_changes(done, each, np.random.default_rng(seed))
+    drawn = drawn_changes(done, each, np.random.default_rng(0))
     cases = [
         *whole,
         *(piece for piece in pieces if len(logs[piece[0]]) > 1),
@@ -225,8 +228,8 @@ def tried_changes(
             return {"named": best, "least": least, "most": found[0].excess}
 
         name = own[0].name if len(own) < len(logs[run]) else run
-        given = {**inputs, "run": name, "key": key, "size": size, "length": length}
-        row = finished_case(folder, f"{number:02d}", given, __name__, judged)
+        given = {**kept.inputs, "run": name, "key": key, "size": size, "length": length}
+        row = finished_case(kept.folder, f"{number:02d}", given, __name__, judged)
         rows.append({"run": name, "key": key, "size": size, **row})
     return rows
 

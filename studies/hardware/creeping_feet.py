@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
+from surefoot import Log
 from surefoot.sim.importing.contacts import heights_beside_others, up_in_imu
-from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 
 DISPLACED_OVER = 1.0

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from surefoot import Log
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.contact import STICTION_RATE
-from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Modelled
 
 GRID = 0.005

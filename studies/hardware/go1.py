@@ -13,21 +13,20 @@ from matplotlib.figure import Figure
 
 from studies.hardware.drives import BLOCK, between, ratio_interval
 from studies.hardware.stream_lags import WALKING, Lag
+from surefoot import Learnt, Log, Robot, evaluate
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import align_first, evaluate
+from surefoot.estimator.metrics import align_first
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.layout import layout_for
-from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import Effect, compensate_all, effect
-from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.robot import Robot
+from surefoot.sim.log import joint_velocity
 from surefoot.sim.sensors.stances import stance_phase
 
 TENTHS = 10

@@ -21,9 +21,9 @@ from studies.hardware.drives import (
     select,
 )
 from studies.hardware.row_times import RowTimes, row_times
+from surefoot import Log
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Modelled
 
 HANGING_WIDTH = 0.03

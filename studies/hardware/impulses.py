@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from surefoot import Log
 from surefoot.sim.effects import compensate_all, effect, known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.effects.targets import AXES
-from surefoot.sim.log import Log
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Modelled
 

@@ -23,9 +23,9 @@ from studies.hardware.drives import (
     rms,
     select,
 )
+from surefoot import Log
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
 
 PENDULUM_WIDTH = 0.04

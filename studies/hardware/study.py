@@ -22,19 +22,17 @@ from studies.hardware import pendulum as pendulum
 from studies.hardware import walks_by_feet as feet
 from studies.hardware.impulses import window_rows
 from studies.hardware.stream_lags import lags
+from surefoot import Log, Robot, TraceOptions, trace
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.rows import finished_case
-from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.recording import import_log, read_recording
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.machine import load_machine
 
@@ -279,8 +277,8 @@ def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
         for length, held_out in by_length.items()
     }
     inputs = {file.stem: file_digest(file) for file in files}
-    kept = (options.data or options.out / "cases") / "ricmonk_changes"
-    tried = changes.tried_changes(logs, machine, done, RICMONK_WINDOW, kept, inputs)
+    kept = changes.KeptRows((options.data or options.out / "cases") / "ricmonk_changes", inputs)
+    tried = changes.tried_changes(logs, machine, done, RICMONK_WINDOW, kept)
     tables = {
         "Residual torque of runs that no fit has seen (root mean square)": (
             shared_sizes.left_out_table(done)

@@ -18,14 +18,13 @@ from studies.hardware.creeping_feet import (
     turning_of_feet,
     with_share,
 )
+from surefoot import Log, align, run_filter
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.models.alignment.alignment import Alignment, align, aligned_log
-from surefoot.scenarios.estimate.run import run_filter
+from surefoot.models.alignment.alignment import Alignment, aligned_log
 from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.importing.assemble import RawRecording
-from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
 
 PATH_STEP = 0.5

@@ -2,12 +2,13 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from studies.command import OutputFolder
 from studies.montecarlo.figures import (
     PAPER_ROWS,
     nees_figure,
@@ -35,32 +36,40 @@ from surefoot.sim.common.limits import check_limit
 _TITLE = "The Monte-Carlo study of the coverage update"
 
 
-def montecarlo(
-    out: Path,
-    trials: int | None = None,
-    seed: int | None = None,
-    force: bool = False,
-    workers: int | None = None,
-    cluster: str | None = None,
-    data: Path | None = None,
-    page: Path | None = None,
-) -> str:
-    """Run the whole study and write it into `out`; returns the text of its tables.
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Reproduce the paper's runtime-accuracy and consistency tables, with further regimes."""
 
-    Args:
-        out: folder for table.md, the tables as CSV, figures/ and report.html.
-        trials: in each regime; by default those of montecarlo.toml.
-        seed: by default the file's.
-        force: whether files may be replaced.
-        workers: processes; by default one per core.
-        cluster: address of a Dask scheduler to run on instead.
-        data: folder of finished regimes, which are not run again; by default `cases` in `out`.
-        page: page of results (Markdown) to write as well.
+    out: OutputFolder
+    """Folder for the tables and report.html."""
+    trials: int | None = None
+    """Trials in each regime, at least two; by default those of montecarlo.toml."""
+    seed: int | None = None
+    """Seed of the trials; by default that of montecarlo.toml."""
+    workers: int | None = None
+    """Number of parallel processes on this machine; by default one for each core."""
+    cluster: str | None = None
+    """Address of a Dask scheduler that runs the work, such as tcp://127.0.0.1:8786."""
+    data: Path | None = None
+    """Folder of finished regimes, which later runs reuse; by default `cases` in the output."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/montecarlo.md."""
+    force: bool = False
+    """Replace what an earlier run of this study wrote."""
+
+    def run(self) -> None:
+        print(montecarlo(self))
+        print(f"report: {self.out / 'report.html'}")
+
+
+def montecarlo(options: MonteCarlo) -> str:
+    """Run the whole study and write it; returns the text of its tables.
 
     Raises SurefootError on bad input.
     """
     study = load_study()
-    if workers is not None and cluster is not None:
+    trials, seed, workers, out = options.trials, options.seed, options.workers, options.out
+    if workers is not None and options.cluster is not None:
         raise SurefootError("--workers and --cluster: one of the two")
     if workers is not None and workers < 1:
         raise SurefootError(f"--workers {workers}: at least 1")
@@ -76,12 +85,13 @@ def montecarlo(
         study = replace(study, seed=seed)
     killed = out.is_dir() and [path.name for path in out.iterdir()] == ["cases"]
     if not killed:
-        refuse_full(out, force)
+        refuse_full(out, options.force)
     with percent_bar("box moments") as progress:
         rng = np.random.default_rng([study.seed, 1000])
         runtime = runtime_accuracy(rng, progress=progress)
-    results = run_montecarlo(study, workers or os.cpu_count() or 1, cluster, data or out / "cases")
-    return write_study(results, runtime, out, force, page)
+    data = options.data or out / "cases"
+    results = run_montecarlo(study, workers or os.cpu_count() or 1, options.cluster, data)
+    return write_study(results, runtime, out, options.force, options.page)
 
 
 def write_study(

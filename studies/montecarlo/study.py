@@ -36,8 +36,14 @@ from studies.montecarlo.trials import (
 )
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.filter import run_coverage, run_velocity
+from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
 from surefoot.estimator.metrics import nees
+from surefoot.estimator.run import (
+    bounded_velocities,
+    every_row,
+    gaussian_velocities,
+    imu_samples,
+)
 from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.models.calibration.bias_model import estimate_bias_model
 from surefoot.models.calibration.conformal import level_per_axis
@@ -318,19 +324,17 @@ def run_trials(study: MonteCarloStudy, truth: Truth, trials: Trials, setting: Se
     for gyro, accel, v_I, mean in zip(
         trials.gyro, trials.accel, trials.v_I, trials.means, strict=True
     ):
-        log = truth.t, gyro, accel, rows, v_I
-        start = NavState.unpack(mean), trials.covariance, noise, study.per_score
-        if setting.R is not None:
-            found = run_velocity(*log, setting.R, *start, setting.persistent)
+        imu, start = imu_samples(truth.t, gyro, accel), (NavState.unpack(mean), trials.covariance)
+        if setting.persistent is None:
+            one = InvariantFilter(*start, noise)
         else:
-            found = run_coverage(
-                *log,
-                setting.epsilon,
-                setting.gamma,
-                *start,
-                persistent=setting.persistent,
-                iterations=setting.iterations,
-            )
+            one = PersistentFilter(*start, setting.persistent, noise)
+        if setting.R is not None:
+            velocities, levels = gaussian_velocities(rows, v_I, setting.R, len(imu.t)), None
+        else:
+            velocities = bounded_velocities(rows, v_I, setting.epsilon, len(imu.t))
+            levels = CoverageSettings(setting.gamma, setting.iterations)
+        found = one.run(imu, velocities, every_row(imu.t, study.per_score), levels)
         assert found.updates is not None
         distance.append(np.linalg.norm(found.p_GI - true.p_GI, axis=1)[1:])
         position_nees.append(nees(true, found).position[1:])

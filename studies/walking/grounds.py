@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from surefoot import Robot, Scenario
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.scenario import Segment
 
 SLOPE = np.tan(np.radians(10.0))
 MU, ICE = 0.8, 0.15

@@ -8,12 +8,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import thread_time
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from tyro.conf import UseAppendAction, arg
 
 from studies.bench.walking import COURSE, Replay
+from studies.command import OutputFolder
 from studies.walking.grounds import grounds_for
+from surefoot import Scenario
 from surefoot.scenarios.datasets.index import DRY, recipe, walk_facts
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page
@@ -27,7 +30,6 @@ from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import STEPS_PER_TICK
 from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.streams import Motion
 from surefoot.sim.walk import SETTLING_TIME, Fallen, Plan, plan, record, simulate
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
@@ -65,45 +67,59 @@ class WalkRow:
     bare_pace: float = np.nan  # the same, of the bare engine; measured with seed 0
 
 
-def walking_study(
-    out: Path,
-    robots: Sequence[str] = (),
-    courses: Sequence[str | Path] = (),
-    seeds: int = 5,
-    workers: int = 1,
-    data: Path | None = None,
-    page: Path | None = None,
-    force: bool = False,
-) -> list[WalkRow]:
-    """Write `walking.md` and `walking.csv` (one row per walk) into `out`; returns the walks.
+@dataclass(frozen=True)
+class WalkingStudy:
+    """Measure how robots walk: falls, tracking, slip, creep and speed on four grounds and courses.
 
-    Args:
-        out: folder.
-        robots: names or MJCF files, each on its four grounds with seed 0.
-        courses: scenario files, each with its own robot. With neither robots nor courses: every
-            known robot, and the courses of both suites.
-        seeds: number of seeds of each course, from 0.
-        workers: number of walks at a time, each on a thread.
-        data: folder of finished walks; by default `walks` in `out`.
-        page: page of results (Markdown) to write too.
-        force: overwrite walking.md and walking.csv.
+    Without --robot and --course: every known robot, and the courses of both suites.
     """
+
+    out: OutputFolder
+    """Folder for walking.md and finished walks."""
+    robot: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME|FILE")] = ()
+    """Name of a robot, or its file (MJCF or URDF); it walks on flat ground, a slope, a slippery
+    patch and stairs.
+    """
+    course: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME|FILE")] = ()
+    """Scenario (TOML file or bundled name), walked by its own robot with every seed."""
+    seeds: int = 5
+    """Number of seeds of each course, from 0."""
+    workers: int = 1
+    """Number of walks at a time."""
+    data: Path | None = None
+    """Folder of finished walks, which later runs reuse; by default `walks` in the output."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/walking.md."""
+    force: bool = False
+    """Replace what an earlier run of this study wrote."""
+
+    def run(self) -> None:
+        print(report(walking_study(self)))
+        print(f"table: {self.out / 'walking.md'}")
+
+
+def walking_study(options: WalkingStudy) -> list[WalkRow]:
+    """Write `walking.md` and `walking.csv` (one row per walk); returns the walks.
+
+    A robot walks its four grounds with seed 0.
+    """
+    robots, courses, out = options.robot, options.course, options.out
     if not robots and not courses:
-        robots = list(known_robots())
-        courses = [path for suite in COURSE_FOLDERS for path in sorted(suite.glob("*.toml"))]
+        robots = tuple(known_robots())
+        courses = [str(path) for suite in COURSE_FOLDERS for path in sorted(suite.glob("*.toml"))]
     table, rows = out / "walking.md", out / "walking.csv"
     for path in (table, rows):
-        refuse_overwrite(path, force)
-    if seeds < 1 or workers < 1:
+        refuse_overwrite(path, options.force)
+    if options.seeds < 1 or options.workers < 1:
         raise SurefootError("--seeds and --workers: at least 1")
-    check_limit("walks", seeds, "--seeds")
-    check_limit("workers", workers, "--workers")
+    check_limit("walks", options.seeds, "--seeds")
+    check_limit("workers", options.workers, "--workers")
     on_grounds = [Job(g, name, 0) for name in robots for g in grounds_for(known_robot(name))]
-    on_courses = [_course_job(path, seed) for path in courses for seed in range(seeds)]
+    on_courses = [_course_job(path, seed) for path in courses for seed in range(options.seeds)]
     jobs = [*on_grounds, *on_courses]
     order = {(known_robot(j.robot).name, j.scenario.name, j.seed): i for i, j in enumerate(jobs)}
     jobs.sort(key=lambda job: job.seed)  # every course once before any twice
-    folder = data or out / "walks"
+    folder = options.data or out / "walks"
     if any(_finished(folder, job) is None for job in jobs):
         walked(Job(COURSE, "spot_class", 0))  # compiles what is compiled at first use
 
@@ -115,16 +131,16 @@ def walking_study(
         return WalkRow(**row)
 
     with percent_bar("walking") as progress:
-        walks = list(on_threads(jobs, row_of, workers, progress))
+        walks = list(on_threads(jobs, row_of, options.workers, progress))
     walks.sort(key=lambda w: order[w.robot, w.walk, w.seed])
-    with whole_folder(out, force) as made:
+    with whole_folder(out, options.force) as made:
         with whole_file(made / rows.name) as temporary:
             temporary.write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
         with whole_file(made / table.name) as temporary:
             temporary.write_text(report(walks), encoding="utf-8")
-    if page:
+    if options.page:
         section = Section("Means over the seeds", LEGEND, _lines(walks))
-        write_page(page, _TITLE, [section], origin_of(_MODULE, "make study-walking"))
+        write_page(options.page, _TITLE, [section], origin_of(_MODULE, "make study-walking"))
     return walks
 
 

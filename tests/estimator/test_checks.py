@@ -9,32 +9,17 @@ from surefoot.estimator.core.checks import (
     DivergedError,
     SampleError,
     check_sound,
-    spd_3,
-    vector,
+    spd,
 )
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.leg import LegFilter
 from surefoot.sim.common.errors import SurefootError
 
 
-@pytest.mark.parametrize("shape", [(2,), (4,), (3, 3), (3, 1), ()])
-def test_a_vector_is_of_three_numbers(shape):
-    with pytest.raises(SurefootError, match="v_I: shape"):
-        vector("v_I", np.zeros(shape))
-
-
-@pytest.mark.parametrize("value", [[1.0, 2.0, 3.0], np.arange(1, 4), np.arange(1.0, 7.0)[::2]])
-def test_whatever_holds_three_numbers_is_a_vector(value):
-    found = vector("v_I", value)
-    assert found.dtype == float
-    assert found.flags.carray
-    assert found.tolist() == list(value)
-
-
 @pytest.mark.parametrize("given", [np.asarray, np.ndarray.tolist, np.asfortranarray])
 def test_a_covariance_is_symmetric_and_definite_in_whatever_form(given):
     right = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.2], [0.1, 0.2, 3.0]])
-    found = spd_3("R", given(right))
+    found = spd("R", given(right), 3)
     assert type(found) is np.ndarray
     np.testing.assert_array_equal(found, right)
     skew, infinite = right.copy(), right.copy()
@@ -42,7 +27,7 @@ def test_a_covariance_is_symmetric_and_definite_in_whatever_form(given):
     infinite[1, 1] = np.inf
     for wrong in (-right, right - 1.5 * np.eye(3), skew, infinite, np.eye(2), np.eye(4)):
         with pytest.raises(SurefootError, match="R: "):
-            spd_3("R", given(wrong))
+            spd("R", given(wrong), 3)
 
 
 @pytest.mark.parametrize("name", ["v_GI", "p_GI", "b_a", "b_g"])

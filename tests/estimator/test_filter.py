@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import motion
 from numpy.testing import assert_array_equal
+from whole_runs import filter_of, run_coverage, run_imu, run_velocity
 
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
-from surefoot.estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
+from surefoot.estimator.filter import InvariantFilter, PersistentFilter
 from surefoot.estimator.metrics import evaluate, nees
 from surefoot.estimator.run import imu_samples
 from surefoot.estimator.updates.bias_states import PersistentError
@@ -85,7 +86,7 @@ def test_streaming_is_the_compiled_run(walk, rows, kind, persistent):
             t, gyro, accel, rows, v_I, EPSILON, 0.8, *start, stride=10, persistent=persistent
         )
     assert whole.covariance is not None
-    one = InvariantFilter(*start, persistent=persistent)
+    one = filter_of(*start, persistent=persistent)
     m, pi = 0, []
     for k in range(n):
         if k:
@@ -190,7 +191,7 @@ def test_a_few_samples_in_a_run_are_the_same_one_by_one(kind, persistent, stride
     rng = np.random.default_rng(11)
     (t, gyro, accel), v_I, cov = moving(8, rng), rng.normal(size=(2, 3)), 0.1 * np.eye(3)
     start, rows = (NavState(), 0.01 * np.eye(15)), np.array([2, 5])
-    one = InvariantFilter(*start, persistent=persistent)
+    one = filter_of(*start, persistent=persistent)
     if kind == "imu":
         if persistent is not None:
             pytest.skip("there is no observer whose error could persist")
@@ -226,11 +227,9 @@ def test_a_run_goes_on_from_the_last_row_of_the_one_before():
 
 
 def test_the_persistent_error_is_its_prior_at_first():
-    """A filter that has none tells of none; one that has learns of it by measurements."""
+    """And measurements tell of it."""
     start, prior = (NavState(), np.eye(15)), np.diag([1e-3, 2e-3, 3e-3])
-    assert InvariantFilter(*start).persistent is None
-    one = InvariantFilter(*start, persistent=PersistentError(prior))
-    assert one.persistent is not None
+    one = PersistentFilter(*start, PersistentError(prior))
     mean, covariance = one.persistent
     assert_array_equal(mean, np.zeros(3))
     assert_array_equal(covariance, prior)

@@ -5,10 +5,11 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 from synthetic import synthetic_walk
+from whole_runs import run_coverage, run_imu
 
 from surefoot.estimator.evaluation.innovation import innovations
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, UpdateRecord
-from surefoot.estimator.filter import InvariantFilter, run_coverage, run_imu
+from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.initial import initial_state
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log, Meta

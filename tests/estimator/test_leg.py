@@ -5,10 +5,11 @@ import pytest
 from lie_group import se_inverse, se_log
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
+from whole_runs import run_leg
 
 from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
-from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance, run_leg
+from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
 from surefoot.estimator.metrics import evaluate, nees
 from surefoot.estimator.run import imu_samples
 from surefoot.estimator.updates.contact import (

@@ -3,12 +3,13 @@
 import numpy as np
 from motions import feet, motion
 from numpy.testing import assert_allclose
+from whole_runs import run_leg
 
 from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.leg import LegNoise, run_leg
+from surefoot.estimator.leg import LegNoise
 from surefoot.estimator.metrics import evaluate, nees
 
 STD = 3e-3

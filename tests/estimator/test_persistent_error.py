@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from motions import motion
 from numpy.testing import assert_allclose, assert_array_equal
+from whole_runs import run_coverage, run_velocity
 
 from surefoot.estimator.core import lie
 from surefoot.estimator.core.propagation import propagate
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
-from surefoot.estimator.filter import InvariantFilter, run_coverage, run_velocity
+from surefoot.estimator.filter import InvariantFilter, PersistentFilter
 from surefoot.estimator.metrics import nees
 from surefoot.estimator.updates.bias_states import (
     EXTRAS,
@@ -121,7 +122,7 @@ def test_a_window_of_one_without_a_persistent_part_is_the_papers_update():
     state, P = NavState(v_GI=np.array([0.5, 0.1, 0.0])), np.eye(15) * 1e-2
     epsilon = np.array([0.1, 0.2, 0.05])
     plain = InvariantFilter(state, P)
-    ours = InvariantFilter(state, P, persistent=PersistentError(np.eye(3) * 1e-14))
+    ours = PersistentFilter(state, P, PersistentError(np.eye(3) * 1e-14))
     for _ in range(3):
         v_I = state.v_I + np.array([0.2, -0.1, 0.3])
         pi = plain.update_coverage(v_I, epsilon, 0.8)
@@ -136,8 +137,8 @@ def test_a_bias_is_told_from_motion_by_turning():
     rows = np.arange(5, len(walk.t), 5)
     bias = np.array([0.08, -0.05, 0.0])
     lasting = PersistentError(np.eye(3) * 0.05**2, window=20)
-    one = InvariantFilter(*walk.start(), FilterNoise(1e-4, 1e-3, 0, 0), lasting)
-    two = InvariantFilter(*walk.start(), FilterNoise(1e-4, 1e-3, 0, 0), lasting)
+    one = PersistentFilter(*walk.start(), lasting, FilterNoise(1e-4, 1e-3, 0, 0))
+    two = PersistentFilter(*walk.start(), lasting, FilterNoise(1e-4, 1e-3, 0, 0))
     for k in range(1, len(walk.t)):
         for each in (one, two):
             each.predict(walk.gyro[k], walk.accel[k], walk.t[k] - walk.t[k - 1])
@@ -156,7 +157,7 @@ def test_outliers_alone_are_left_out_and_a_jump_is_not():
     lasting = PersistentError(np.eye(3) * 1e-4, window=5, max_error=np.full(3, 0.2))
     far = np.array([30.0, 0.0, 0.0])
     for kind in ("coverage", "velocity"):
-        one = InvariantFilter(state, P, persistent=lasting)
+        one = PersistentFilter(state, P, lasting)
 
         def tell(v, one=one, kind=kind):
             if kind == "coverage":

@@ -122,7 +122,7 @@ def test_gamma_derivatives(angle):
     phi, a, h = rng.normal(size=3), rng.normal(size=3), 1e-5
     phi *= angle / np.linalg.norm(phi)
     D1, D2 = np.empty((3, 3)), np.empty((3, 3))
-    gamma_derivatives(phi, a, D1, D2)
+    gamma_derivatives(phi, a, lie.entire(phi @ phi), D1, D2)
 
     def products(x):
         g = [np.empty((3, 3)) for _ in range(3)]

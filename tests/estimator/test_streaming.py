@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from motions import feet, motion
 from numpy.testing import assert_array_equal
+from whole_runs import filter_of, run_coverage, run_imu, run_leg, run_velocity
 
-from surefoot.estimator.filter import InvariantFilter, run_coverage, run_imu, run_velocity
-from surefoot.estimator.leg import LegFilter, run_leg
+from surefoot.estimator.filter import InvariantFilter
+from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.updates.bias_states import PersistentError
 
 RADIUS, STRIDE = 0.03, 7
@@ -73,7 +74,7 @@ def test_coverage(walk, log, measured, persistent, iterations):
     t, gyro, accel = log
     rows, v_I, epsilon, _ = measured
     start = walk[0].start()
-    one, pi = InvariantFilter(*start, persistent=persistent), []
+    one, pi = filter_of(*start, persistent=persistent), []
 
     def at_row(k):
         if k:
@@ -123,7 +124,7 @@ def test_velocity(walk, log, measured, persistent):
     t, gyro, accel = log
     rows, v_I, _, cov = measured
     start = walk[0].start()
-    one = InvariantFilter(*start, persistent=persistent)
+    one = filter_of(*start, persistent=persistent)
 
     def at_row(k):
         if k:

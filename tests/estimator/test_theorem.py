@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
+from whole_runs import run_coverage
 
 from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.state import NavState
-from surefoot.estimator.filter import InvariantFilter, run_coverage
+from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
 from surefoot.sim.common.errors import SurefootError
 

@@ -8,11 +8,11 @@ import pytest
 from motions import motion
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
+from whole_runs import run_coverage
 
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, reference
-from surefoot.estimator.filter import run_coverage
 from surefoot.estimator.initial import GRAVITY_STD, initial_state, level, still_gyro_bias
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix

@@ -248,7 +248,7 @@ CSV = [
 ROBOT = [
     ("a body a billion times", '<body name="arm" pos="0 0 1">', '<replicate count="1000000000" offset="1 0 0"><geom size="1"/></replicate><body name="arm" pos="0 0 1">', "bodies"),
     ("a thousand times a thousand", '<body name="arm" pos="0 0 1">', '<replicate count="1000"><replicate count="1000"><geom size="1"/></replicate></replicate><body name="arm" pos="0 0 1">', "bodies"),
-    ("a cloth of a billion", '<body name="arm" pos="0 0 1">', '<body name="c"><flexcomp name="x" type="grid" count="1000 1000 1000" spacing="1 1 1" mass="1"/></body><body name="arm" pos="0 0 1">', "bod"),
+    ("a cloth of a billion", '<body name="arm" pos="0 0 1">', '<body name="c"><flexcomp name="x" type="grid" count="1000 1000 1000" spacing="1 1 1" mass="1"/></body><body name="arm" pos="0 0 1">', "points"),
     ("twenty thousand shapes", '<body name="arm" pos="0 0 1">', '<geom size="1"/>' * 20_000 + '<body name="arm" pos="0 0 1">', "bodies"),
     ("bodies in bodies", '<body name="arm" pos="0 0 1">', "<body>" * 3000, "deeper"),
     ("an include of a secret", "<worldbody>", '<include file="/etc/passwd"/><worldbody>', "outside"),

@@ -20,7 +20,12 @@ from surefoot.models.attribution.fit import (
 from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
 from surefoot.models.attribution.refinement import contenders
 from surefoot.models.attribution.robust_weights import robust_weights, slips
-from surefoot.models.attribution.selection import Candidate, distinct, evaluate_candidates
+from surefoot.models.attribution.selection import (
+    Candidate,
+    SearchState,
+    distinct,
+    evaluate_candidates,
+)
 from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.jacobians import sparse
@@ -50,8 +55,9 @@ def whitened(one, floor=NOISE):
 
 
 def judged(one, chosen=(), floor=NO_WALKS, explained=None):
+    state = SearchState(chosen, explained or {})
     return evaluate_candidates(
-        whitened(one), floor, chosen, explained or {}, one.layout.limbs, np.random.default_rng(0)
+        whitened(one), floor, state, one.layout.limbs, np.random.default_rng(0)
     )
 
 

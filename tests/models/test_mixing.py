@@ -48,16 +48,6 @@ def test_two_state_chain(lag):
     assert beta_coefficient(states, lag) == pytest.approx(true, abs=0.015)
 
 
-def test_blocks_see_what_single_samples_cannot():
-    # Each sample is the parity of the two before it: pairwise independent, wholly dependent.
-    rng = np.random.default_rng(1)
-    bits = rng.integers(0, 2, 20_000)
-    triples = np.stack((bits[0::2], bits[1::2], bits[0::2] ^ bits[1::2]), axis=1).ravel()
-    single, double = beta_coefficient(triples, 1), beta_coefficient(triples, 1, blocks=2)
-    assert single < 0.02
-    assert double > 0.1
-
-
 @pytest.mark.parametrize("phi", [0.8, 0.9])
 def test_autoregression_curve_and_spacing(phi):
     x = autoregression(phi, 7000, np.random.default_rng(2), axes=3)

@@ -9,7 +9,7 @@ from surefoot.models.attribution.fit import design, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import PRIORS, prior_of, prior_penalty
 from surefoot.models.attribution.robust_weights import robust_weights
-from surefoot.models.attribution.selection import evaluate_candidates
+from surefoot.models.attribution.selection import SearchState, evaluate_candidates
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import QUADRUPED
 
@@ -54,7 +54,7 @@ def test_a_gyro_scale_that_no_gyro_has_needs_more_than_chance():
         part = np.floor(one.t / 4).astype(int) % 2
         sums = normal_equations(data, weights.sigma, weights.weight, part)
         best = evaluate_candidates(
-            sums, NoiseFloor(noise, (), "none"), (), {}, QUADRUPED, np.random.default_rng(0)
+            sums, NoiseFloor(noise, (), "none"), SearchState(), QUADRUPED, np.random.default_rng(0)
         )
         return next(c for c in best if c.key == ("gyro_scale", "x"))
 

@@ -9,7 +9,7 @@ from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
 from surefoot.models.attribution.search import _is_insignificant
-from surefoot.models.attribution.verdict import verdict_of
+from surefoot.models.attribution.verdict import Findings, verdict_of
 from surefoot.sim.effects import effect
 from surefoot.sim.robot.limbs import QUADRUPED
 
@@ -23,7 +23,7 @@ def level(before, after, floor=1.0, highest=1.1):
 
 def verdict(found, before, after, held_out=None, **more):
     levels = {"leg_velocity": level(before, after)}
-    return verdict_of(found, levels, False, (), held_out, **more)
+    return verdict_of(Findings(found, levels, held_out=held_out, **more))
 
 
 def test_what_explains_the_residual_down_to_its_floor_is_attributed():
@@ -44,7 +44,7 @@ def test_nothing_is_attributed_below_the_floor():
     # By no more than the floor's walks differ it does not; nor where one channel is above it.
     assert verdict([CALF], 0.95, 0.9)[0] == "attributed"
     levels = {"leg_velocity": level(0.6, 0.5), "base_wrench": level(1.5, 1.0)}
-    assert verdict_of([CALF], levels, False, (), None)[0] == "attributed"
+    assert verdict_of(Findings([CALF], levels))[0] == "attributed"
 
 
 def test_nothing_is_attributed_that_takes_nothing_off_what_no_fit_has_seen():

@@ -29,11 +29,13 @@ FILTERS = "from surefoot.scenarios.estimate.first_use import compile_filters\nco
 ESTIMATES = """
 import numpy as np
 from surefoot.estimator.core.state import NavState
-from surefoot.estimator.filter import run_imu, run_velocity
+from surefoot.estimator.filter import InvariantFilter
+from surefoot.estimator.run import gaussian_velocities, imu_samples
 from surefoot.models.observer.gru import scan
 t, still, start = np.arange(50) * 0.01, np.zeros((50, 3)), (NavState(), np.eye(15))
-run_imu(t, still, still, *start)
-run_velocity(t, still, still, np.arange(1, 9), still[1:9], np.eye(3), *start)
+imu = imu_samples(t, still, still)
+InvariantFilter(*start).run(imu)
+InvariantFilter(*start).run(imu, gaussian_velocities(np.arange(1, 9), still[1:9], np.eye(3), 50))
 scan(*(np.zeros(n, np.float32) for n in ((2, 3, 24), (8, 24), 24, (3, 8))))
 """
 SEVERAL = ("add_cross_columns", "is_outlier", "_rotate", "add_velocity")

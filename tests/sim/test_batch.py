@@ -13,7 +13,7 @@ from surefoot.sim.physics.stepper import at_time_of_rates, rotation
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import Fallen, plan, simulate, walk
-from surefoot.sim.walking.batch import Job, walk_batch, walk_job
+from surefoot.sim.walking.batch import Job, on_threads, walk_job
 
 FLAT = Scenario(
     "flat",
@@ -42,7 +42,7 @@ def test_a_batch_gives_the_bits_of_walks_alone():
         Job(ROUGH, "spot_class", 1),
     ]
     logs = {}
-    for walked in walk_batch(jobs, lambda walked: walked, threads=3):
+    for walked in on_threads(jobs, walk_job, threads=3):
         logs[walked.job.scenario.name, walked.job.robot, walked.job.seed] = walked.log
     assert len(logs) == len(jobs)
     for job in jobs:
@@ -54,7 +54,7 @@ def test_a_batch_gives_the_bits_of_walks_alone():
 
 def test_a_fall_is_a_result_and_not_the_end_of_the_batch():
     jobs = [Job(CLIFF, "spot_class", 0), Job(FLAT, "spot_class", 0)]
-    falls = {w.job.scenario.name: w.log for w in walk_batch(jobs, lambda walked: walked, 2)}
+    falls = {w.job.scenario.name: w.log for w in on_threads(jobs, walk_job, 2)}
     fall = falls["cliff"]
     assert isinstance(fall, Fallen)
     assert 3.0 < fall.time < 9.0
@@ -63,7 +63,7 @@ def test_a_fall_is_a_result_and_not_the_end_of_the_batch():
 
 def test_progress_never_falls_and_ends_at_one():
     told = []
-    list(walk_batch([Job(ROUGH, "spot_class", s) for s in (0, 1)], str, 2, told.append))
+    list(on_threads([Job(ROUGH, "spot_class", s) for s in (0, 1)], walk_job, 2, told.append))
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1.0)
 
@@ -73,11 +73,12 @@ def test_an_error_stops_the_walks_that_are_on():
     long = Scenario("long", (Segment(300.0, 0.5, turn=0.3),), Ground(0.8))
     jobs = [Job(ROUGH, "spot_class", 0), Job(long, "spot_class", 0)]
 
-    def refuse(_):
+    def refuse(job, report):
+        walk_job(job, report)
         raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        list(walk_batch(jobs, refuse, 2))
+        list(on_threads(jobs, refuse, 2))
     assert not [t for t in threading.enumerate() if t.name.startswith("walk")]
 
 

@@ -4,7 +4,7 @@ import json
 import pickle
 import re
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +22,11 @@ from surefoot.sim.log import (
     Log,
     LogError,
     LogReader,
+    LogView,
     Meta,
     joint_velocity,
 )
-from surefoot.sim.log.log import ROW_GROUP
+from surefoot.sim.log.file import ROW_GROUP
 
 RATE = 500.0
 FUZZ = settings(
@@ -96,18 +97,49 @@ def test_arrays_are_contiguous_and_in_canonical_order():
     np.testing.assert_allclose(np.linalg.det(log.ref_R_GI), 1.0)
 
 
-def test_a_log_that_keeps_its_arrays_makes_those_again_whose_columns_change():
-    log = make_log().caching()
-    q, tau = log.q, log.tau
-    moved = log.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
-    assert log.q is q
-    assert moved.tau is tau
-    np.testing.assert_array_equal(moved.q[:, 0], log.q[:, 0] + 1.0)
-    np.testing.assert_array_equal(moved.q, replace(moved).q)
-    made = [
-        moved.cached("sum", ["t"], lambda x=x: x, given) for x, given in enumerate((log, log, 1))
-    ]
-    assert made == [0, 0, 2]
+def test_a_log_is_frozen_and_its_arrays_are_new_each_time():
+    log = make_log()
+    with pytest.raises(FrozenInstanceError):
+        log.name = "another"  # pyright: ignore[reportAttributeAccessIssue]
+    log.q[:] = 0.0
+    np.testing.assert_array_equal(log.q[:, 0], log.frame["q_FL_hip"])
+
+
+def test_a_view_computes_each_array_once_and_those_of_replaced_columns_anew():
+    log = make_log()
+    view = LogView.of(log)
+    moved = view.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
+    for name in ("t", "gyro", "q", "tau", "contact", "force", "ref_q", "ref_R_GI"):
+        assert getattr(view, name) is getattr(view, name)
+        np.testing.assert_array_equal(getattr(view, name), getattr(log, name))
+    again = view.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
+    assert again.tau is view.tau
+    assert again.ref_R_GI is view.ref_R_GI
+    assert again.columns["q_FR_hip"] is view.columns["q_FR_hip"]
+    for one in (moved, again):
+        np.testing.assert_array_equal(one.q[:, 0], log.q[:, 0] + 1.0)
+        np.testing.assert_array_equal(one.q[:, 1:], log.q[:, 1:])
+    np.testing.assert_array_equal(view.q, log.q)
+
+
+def test_a_view_derives_a_value_again_only_if_what_it_depends_on_changes():
+    calls, robot, column = [], object(), np.zeros(40)
+
+    def call() -> int:
+        calls.append(None)
+        return len(calls)
+
+    def number_of_call(log: Log, given: object = robot) -> int:
+        return log.once("number of the call", ["q", "x_temperature"], call, given)
+
+    view = LogView.of(make_log())
+    assert number_of_call(view) == number_of_call(view) == 1
+    assert number_of_call(view.with_columns({"gyro_x": column, "dq_FL_hip": column})) == 1
+    changed = [view.with_columns({name: column}) for name in ("q_RR_calf", "x_temperature", "t")]
+    assert [number_of_call(one) for one in changed] == [2, 3, 4]
+    assert number_of_call(view) == 1
+    assert number_of_call(view, object()) == 5
+    assert [number_of_call(make_log()) for _ in range(2)] == [6, 7]
 
 
 def test_a_pendulum_has_one_joint_and_no_feet():
@@ -197,7 +229,7 @@ def test_nothing_is_overwritten_without_force_and_nothing_half_written(tmp_path,
     before = path.read_bytes()
     with pytest.raises(LogError, match="exists already"):
         make_log(seed=2).write(path)
-    monkeypatch.setattr("surefoot.sim.log.log.pq.ParquetWriter.write_table", _fail_half_way)
+    monkeypatch.setattr("surefoot.sim.log.file.pq.ParquetWriter.write_table", _fail_half_way)
     with pytest.raises(LogError, match="No space left"):
         make_log(seed=2).write(path, force=True)
     assert path.read_bytes() == before
@@ -348,7 +380,7 @@ def test_chunks_are_the_rows_in_turn_each_once(tmp_path, seconds):
     log.write(path)
     reader = LogReader(path)
     assert (reader.rows, reader.meta, reader.columns) == (1003, log.meta, tuple(log.frame.columns))
-    chunks = list(reader.chunks(seconds))
+    chunks = list(Log.chunks(reader, seconds))
     size = max(1, round(min(seconds * RATE, 1003)))
     assert [len(c.t) for c in chunks[:-1]] == [size] * (len(chunks) - 1)
     assert all(c.meta == log.meta and c.name == "walk" for c in chunks)
@@ -363,7 +395,7 @@ def test_a_long_log_is_in_many_row_groups_and_a_chunk_crosses_them(tmp_path):
     groups = pq.ParquetFile(tmp_path / "long.parquet").metadata
     rows = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]
     assert rows == [ROW_GROUP] * 3 + [17]
-    chunks = list(LogReader(tmp_path / "long.parquet").chunks(100.0))
+    chunks = list(Log.chunks(LogReader(tmp_path / "long.parquet"), 100.0))
     assert [len(c.t) for c in chunks] == [50_000, 48_321]
     np.testing.assert_array_equal(np.concatenate([c.q for c in chunks]), log.q)
 
@@ -377,7 +409,7 @@ def test_a_log_is_read_in_the_memory_of_a_chunk(tmp_path):
     del columns, t
     before = pa.total_allocated_bytes()
     most = 0
-    for _ in LogReader(tmp_path / "long.parquet").chunks(10.0):
+    for _ in Log.chunks(LogReader(tmp_path / "long.parquet"), 10.0):
         most = max(most, pa.total_allocated_bytes() - before)
     assert most < 0.2 * whole
 
@@ -396,7 +428,7 @@ def test_a_fault_is_found_across_chunks_with_its_row_in_the_log(tmp_path, row, c
     log = make_log(1003)
     log.frame.loc[row, column] = value
     path = written(log, tmp_path / "bad.parquet")
-    chunks = LogReader(path).chunks(1.0)
+    chunks = Log.chunks(LogReader(path), 1.0)
     assert len(next(chunks).t) == 500
     with pytest.raises(LogError) as caught:
         list(chunks)
@@ -423,17 +455,17 @@ def test_a_recording_read_as_a_log_is_told_what_it_is(tmp_path):
             Log.read(tmp_path / name)
 
 
-def test_replaced_columns_are_in_the_frame_when_it_is_asked_for():
-    log = make_log().caching()
+@pytest.mark.parametrize("made", [make_log, lambda: LogView.of(make_log())])
+def test_replaced_columns_are_in_the_frame(made):
+    log = made()
     once = log.with_columns({"gyro_x": np.ones(40)})
     twice = once.with_columns({"gyro_x": np.full(40, 2.0)})
-    assert "frame" not in vars(once)
-    assert "frame" not in vars(twice)
     assert (twice.gyro[:, 0] == 2.0).all()
     copied = pickle.loads(pickle.dumps(twice))
     for one, size in ((once, 1.0), (twice, 2.0), (copied, 2.0), (replace(twice, name="b"), 2.0)):
         assert list(one.frame) == list(log.frame)
         np.testing.assert_array_equal(one.frame["gyro_x"], size)
         np.testing.assert_array_equal(one.frame["gyro_y"], log.frame["gyro_y"])
-    added = twice.with_columns({"x_new": np.zeros(40)})
-    assert list(added.frame) == [*log.frame, "x_new"]
+    added = twice.with_columns({"x_new": np.zeros(40), "contact_extra": np.ones(40)})
+    assert list(added.frame) == [*log.frame, "x_new", "contact_extra"]
+    assert "extra" in added.legs

@@ -14,7 +14,7 @@ from surefoot.sim.gait.course import course_pieces, stretches
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import LogError, LogWriter
-from surefoot.sim.log import log as log_module
+from surefoot.sim.log import file as log_file
 from surefoot.sim.physics.stepper import Fallen
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -52,7 +52,7 @@ def test_its_rows_are_those_of_the_whole(made, whole):
 
 
 def test_its_file_is_that_of_the_whole(made, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(log_module, "ROW_GROUP", 512)
+    monkeypatch.setattr(log_file, "ROW_GROUP", 512)
     whole.write(tmp_path / "whole.parquet")
     with LogWriter(tmp_path / "pieces.parquet", meta_of(made)) as writer:
         for first in range(0, len(whole.frame), 777):

@@ -239,8 +239,11 @@ def test_a_bad_file_is_one_line(tmp_path, name, content, more, words):
 def test_a_kept_ground_that_is_damaged_is_one_line(tmp_path):
     log = walk(replace(grid(tmp_path), segments=grid(tmp_path).segments[:1]), ROBOT, 0)
     kept = dict(log.meta.model["ground"])
-    for field in ({"levels": "AAAA"}, {"shape": [1, 9]}, {"shape": [10**6, 10**6]}, {"range": [0]}):
-        damaged = {**kept, "fields": [kept["fields"][0] | field]}
+    rough = {"start": [0, 0], "end": [1, 0], "width": 1.0, "rough": 0.1}  # without its bumps
+    fields = {"levels": "AAAA"}, {"shape": [1, 9]}, {"shape": [10**6, 10**6]}, {"range": [0]}
+    damages = [{"fields": [kept["fields"][0] | field]} for field in fields]
+    for damage in (*damages, {"strips": [rough]}):
+        damaged = kept | damage
         meta = replace(log.meta, model={"ground": damaged})
         with pytest.raises(SurefootError, match="metadata"):
             ground_of_log(replace(log, meta=meta))

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from whole_runs import run_coverage
 
 from studies.bench import walking
-from studies.bench.__main__ import Bench
 from studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
 from studies.bench.filter import (
     BENCH_GAMMA,
@@ -17,10 +17,9 @@ from studies.bench.filter import (
     velocity_filter,
 )
 from studies.bench.ratio import Ratio, in_turn
-from studies.bench.run import bench
+from studies.bench.run import Bench, bench
 from studies.command import run_study
 from surefoot.estimator.core.state import FilterNoise, NavState
-from surefoot.estimator.filter import run_coverage
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Scenario, Segment

@@ -134,7 +134,8 @@ def test_drawn_changes_are_tried_once_and_kept(machine, runs, tmp_path, monkeypa
         {r: [window_rows(x, machine, WINDOW) for x in own] for r, own in runs.items()}
     )
     monkeypatch.setattr(changes, "KINDS", ("link_mass", "coulomb_friction"))
-    rows = changes.tried_changes(runs, machine, done, WINDOW, tmp_path, {}, each=1)
+    kept = changes.KeptRows(tmp_path, {})
+    rows = changes.tried_changes(runs, machine, done, WINDOW, kept, each=1)
     assert [row["run"] for row in rows if row["key"] is None] == list(runs)
     counted = changes.counts_table(rows).set_index("changed")
     assert counted.cases.sum() == len(rows)
@@ -142,7 +143,7 @@ def test_drawn_changes_are_tried_once_and_kept(machine, runs, tmp_path, monkeypa
     assert counted.wrong.sum() == 0
     assert counted.iloc[0].right == counted.iloc[0].cases >= 3
     monkeypatch.setattr(changes, "window_rows", None)  # nothing is judged again
-    again = changes.tried_changes(runs, machine, done, WINDOW, tmp_path, {}, each=1)
+    again = changes.tried_changes(runs, machine, done, WINDOW, kept, each=1)
     assert changes.changes_table(again).equals(changes.changes_table(rows))
     assert list(changes.unchanged_table({WINDOW: done})) == ["run", f"{WINDOW:g} s"]
     assert len(changes.least_table(done)) == len(done[0].rows[0].changes)

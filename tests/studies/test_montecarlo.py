@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import ndtri
+from whole_runs import filter_of, run_imu
 
 from studies.command import run_study
-from studies.montecarlo.__main__ import Montecarlo
 from studies.montecarlo.qmc import (
     _phi_inverse,
     ordinary_boxes,
@@ -15,7 +15,7 @@ from studies.montecarlo.qmc import (
     runtime_accuracy,
     tensor_moments,
 )
-from studies.montecarlo.report import montecarlo, write_study
+from studies.montecarlo.report import MonteCarlo, montecarlo, write_study
 from studies.montecarlo.settings import (
     BIASED,
     MIXING_LAWS,
@@ -48,7 +48,6 @@ from studies.montecarlo.trials import (
 from studies.montecarlo.update import update, update_illustration
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import FilterNoise, NavState
-from surefoot.estimator.filter import InvariantFilter, run_imu
 from surefoot.scenarios.reporting.pages import read_origin
 from surefoot.sim.common.errors import SurefootError
 
@@ -115,9 +114,8 @@ def test_scores_are_those_of_the_filters_one_sample_at_a_time(study, regime):
     for setting in paper_settings(study, regime, np.random.SeedSequence(1)):
         scores = run_trials(study, truth, trials, setting)
         for k in range(2):
-            f = InvariantFilter(
-                NavState.unpack(trials.means[k]), trials.covariance, noise, setting.persistent
-            )
+            start = NavState.unpack(trials.means[k]), trials.covariance
+            f = filter_of(*start, noise, setting.persistent)
             distance, nees = [], []
             for n in range(1, len(truth.t)):
                 f.predict(trials.gyro[k, n], trials.accel[k, n], truth.t[n] - truth.t[n - 1])
@@ -345,12 +343,12 @@ def test_the_command_refuses_bad_options(tmp_path):
         ["--cluster", "tcp://x:1", "--workers", "2"],
     ):
         with pytest.raises(SystemExit) as caught:
-            run_study(Montecarlo, ["-o", str(tmp_path / "out"), *option])
+            run_study(MonteCarlo, ["-o", str(tmp_path / "out"), *option])
         assert option[0] in str(caught.value)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a").write_text("")
     with pytest.raises(SurefootError, match="not empty"):
-        montecarlo(tmp_path / "full", trials=2)
+        montecarlo(MonteCarlo(tmp_path / "full", trials=2))
 
 
 @pytest.mark.parametrize("gamma", [0.6, 0.8])

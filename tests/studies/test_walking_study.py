@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 
 from studies.command import run_study
-from studies.walking.__main__ import Walking
 from studies.walking.grounds import SLOPE, grounds_for
-from studies.walking.study import COURSE_FOLDERS, velocity_error, walking_study
+from studies.walking.study import COURSE_FOLDERS, WalkingStudy, velocity_error, walking_study
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -40,7 +39,7 @@ def course(tmp_path, monkeypatch) -> Path:
 
 
 def test_the_command_leaves_a_row_a_walk_and_a_line_a_course(course, capsys):
-    run_study(Walking, "--course short.toml --seeds 2 --workers 2 -o study".split())
+    run_study(WalkingStudy, "--course short.toml --seeds 2 --workers 2 -o study".split())
     rows = pd.read_csv("study/walking.csv")
     assert list(rows.seed) == [0, 1]
     assert (rows.falls == 0).all()
@@ -49,13 +48,13 @@ def test_the_command_leaves_a_row_a_walk_and_a_line_a_course(course, capsys):
     assert rows.bare_pace[0] > rows.pace[0]
     assert "| spot_class | short | 0 of 2 |" in capsys.readouterr().out
     with pytest.raises(SystemExit, match=r"walking\.md: exists already"):
-        run_study(Walking, "--course short.toml -o study".split())
+        run_study(WalkingStudy, "--course short.toml -o study".split())
     with pytest.raises(SystemExit, match="--seeds"):
-        run_study(Walking, "--course short.toml --seeds -1 -o new".split())
+        run_study(WalkingStudy, "--course short.toml --seeds -1 -o new".split())
 
 
 def test_a_fall_is_counted_and_the_study_goes_on(course, cliff):
-    walks = walking_study(Path("study"), courses=[cliff, course], seeds=1)
+    walks = walking_study(WalkingStudy(Path("study"), course=(str(cliff), str(course)), seeds=1))
     assert [(w.walk, w.falls) for w in walks] == [("cliff", 1), ("short", 0)]
     assert "| cliff | 1 of 1 | –" in Path("study/walking.md").read_text()
 
@@ -89,7 +88,7 @@ def spot() -> Robot:
 
 @pytest.mark.slow
 def test_every_robot_walks_everything_and_the_courses_are_as_long_as_the_papers(tmp_path):
-    walks = walking_study(tmp_path, workers=2)
+    walks = walking_study(WalkingStudy(tmp_path, workers=2))
     print((tmp_path / "walking.md").read_text())
     assert {w.walk for w in walks} > set(PAPER)
     assert len(PAPER) == sum(1 for suite in COURSE_FOLDERS for _ in suite.glob("*.toml"))

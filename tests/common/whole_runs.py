@@ -1,0 +1,57 @@
+"""A filter over a whole log in one call, for the tests that compare filters."""
+
+from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
+from surefoot.estimator.leg import LegFilter
+from surefoot.estimator.run import (
+    NO_VELOCITIES,
+    bounded_velocities,
+    every_row,
+    gaussian_velocities,
+    imu_samples,
+)
+from surefoot.estimator.updates.outliers import UNLIMITED
+
+
+def filter_of(state, covariance, noise=None, persistent=None):
+    """The filter with this model of the persistent error, or the one without any."""
+    if persistent is None:
+        return InvariantFilter(state, covariance, noise)
+    return PersistentFilter(state, covariance, persistent, noise)
+
+
+def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None):
+    imu = imu_samples(t, gyro, accel)
+    return InvariantFilter(state, covariance, noise).run(imu, rows=every_row(imu.t, stride))
+
+
+def run_velocity(
+    t, gyro, accel, rows, v_I, cov, state, covariance, noise=None, stride=None, persistent=None
+):
+    imu = imu_samples(t, gyro, accel)
+    velocities = gaussian_velocities(rows, v_I, cov, len(imu.t))
+    one = filter_of(state, covariance, noise, persistent)
+    return one.run(imu, velocities, every_row(imu.t, stride))
+
+
+def run_coverage(
+    t, gyro, accel, rows, v_I, epsilon, gamma, state, covariance, noise=None, stride=None,
+    persistent=None, iterations=1, max_error=UNLIMITED,
+):  # fmt: skip
+    imu = imu_samples(t, gyro, accel)
+    velocities = bounded_velocities(rows, v_I, epsilon, len(imu.t))
+    one = filter_of(state, covariance, noise, persistent)
+    settings = CoverageSettings(gamma, iterations, max_error)
+    return one.run(imu, velocities, every_row(imu.t, stride), settings)
+
+
+def run_leg(
+    t, gyro, accel, feet_I, contact, cov, state, covariance, noise=None, foot_radius=0.0,
+    foot_rates_I=None, slip_gate=None, stride=None, rows=None, v_I=None, v_cov=None,
+):  # fmt: skip
+    imu = imu_samples(t, gyro, accel)
+    feet = feet_I.shape[1] if feet_I.ndim == 3 else 0
+    one = LegFilter(state, covariance, noise, foot_radius, feet, slip_gate)
+    legs = one.legs(feet_I, contact, cov, foot_rates_I)
+    none = rows is None
+    velocities = NO_VELOCITIES if none else gaussian_velocities(rows, v_I, v_cov, len(imu.t))
+    return one.run(imu, legs, velocities, every_row(imu.t, stride))

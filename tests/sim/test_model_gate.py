@@ -1,0 +1,119 @@
+"""The gate before MuJoCo: what a model reads, repeats, nests and unpacks is bounded beforehand."""
+
+import struct
+
+import mujoco
+import pytest
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.robot.model_gate import check_compiled, check_model_file
+
+BASE = '<body name="base"><freejoint/><geom size="0.1" mass="1"/>{}</body>'
+ATTACHED = (
+    '<mujoco><asset><model name="m" file="{}"/></asset><worldbody>'
+    + BASE.format('<attach model="m" body="part" prefix="p"/>')
+    + "</worldbody></mujoco>"
+)
+PART = '<mujoco><worldbody><body name="part">{}</body></worldbody></mujoco>'
+PNG = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 20_000, 20_000)
+
+
+def refusal(path):
+    with pytest.raises(SurefootError) as found:
+        check_model_file(path)
+    assert str(path) in str(found.value)
+    assert "\n" not in str(found.value)
+    return str(found.value)
+
+
+def model(folder, inside, name="robot.xml"):
+    path = folder / name
+    path.write_text(f"<mujoco><worldbody>{BASE.format(inside)}</worldbody></mujoco>")
+    return path
+
+
+@pytest.mark.parametrize("name", ["part.urdf", "part.xml", "part.txt", "part"])
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('<include file="../outside/secret.xml"/>', "outside"),
+        ('<include file="/etc/passwd"/>', "outside"),
+        ('<replicate count="100000000"><geom size="1"/></replicate>', "bodies"),
+    ],
+)
+def test_an_attached_model_is_what_its_root_says(tmp_path, name, content, said):
+    (tmp_path / name).write_text(PART.format(content))
+    (tmp_path / "robot.xml").write_text(ATTACHED.format(name))
+    assert said in refusal(tmp_path / "robot.xml")
+
+
+def test_an_attached_urdf_reads_no_shape_outside(tmp_path):
+    shape = '<visual><geometry><mesh filename="../../secret.stl"/></geometry></visual>'
+    (tmp_path / "part.urdf").write_text(f'<robot name="r"><link name="part">{shape}</link></robot>')
+    (tmp_path / "robot.xml").write_text(ATTACHED.format("part.urdf"))
+    assert "outside" in refusal(tmp_path / "robot.xml")
+
+
+def test_an_attached_model_that_is_harmless_is_compiled(tmp_path):
+    (tmp_path / "part.xml").write_text(PART.format('<geom size="0.1" mass="2"/>'))
+    path = tmp_path / "robot.xml"
+    path.write_text(ATTACHED.format("part.xml"))
+    check_model_file(path)
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    check_compiled(path, compiled)
+    assert compiled.body_mass.sum() == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "root"), [("robot.urdf", "mujoco"), ("robot.xml", "robot"), ("robot", "robot")]
+)
+def test_a_name_that_its_root_contradicts_is_refused(tmp_path, name, root):
+    (tmp_path / name).write_text(f'<{root}><link name="a"/></{root}>')
+    assert "URDF" in refusal(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        '<flexcomp name="f" type="grid" count="20 20 20" spacing="1 1 1" mass="1"/>',
+        '<replicate count="9"><flexcomp name="f" type="grid" count="20 10"/></replicate>',
+        '<flexcomp name="f" type="direct" point="' + "0 0 1 " * 1001 + '"/>',
+        '<flexcomp name="f" type="mesh" file="cloth.obj"/>',
+        '<composite type="cable" count="500 1 1" size="10"/>',
+    ],
+)
+def test_flexible_bodies_are_bounded(tmp_path, inside):
+    (tmp_path / "cloth.obj").write_text("v 0.123456 0.123456 0.123456\n" * 2000)
+    assert refusal(model(tmp_path, inside))
+
+
+def test_a_small_cloth_is_none_of_its_business(tmp_path):
+    check_model_file(model(tmp_path, '<flexcomp name="f" type="grid" count="9 9 9" mass="1"/>'))
+
+
+def test_a_long_chain_of_links_is_refused(tmp_path):
+    links = "".join(f'<link name="l{k}"/>' for k in range(200))
+    joints = [
+        f'<joint name="j{k}"><parent link="l{k}"/><child link="l{k + 1}"/></joint>'
+        for k in range(199)
+    ]
+    (tmp_path / "a.urdf").write_text(f'<robot name="r">{links}{"".join(joints)}</robot>')
+    assert "deeper" in refusal(tmp_path / "a.urdf")
+    (tmp_path / "b.urdf").write_text(f'<robot name="r">{links}{"".join(joints[:90])}</robot>')
+    check_model_file(tmp_path / "b.urdf")
+
+
+def test_elements_are_counted_through_includes(tmp_path):
+    for k in range(3):
+        name = f"<include file='{k + 1}.xml'/>" if k < 2 else "<geom/>"
+        text = f"{'<body>' * 40}{name}{'</body>' * 40}"
+        (tmp_path / f"{k}.xml").write_text(f"<mujoco>{text}</mujoco>")
+    assert "deeper" in refusal(tmp_path / "0.xml")
+
+
+@pytest.mark.parametrize("element", ["texture", "hfield"])
+def test_a_picture_is_measured_before_it_is_unpacked(tmp_path, element):
+    (tmp_path / "big.png").write_bytes(PNG)
+    path = tmp_path / "robot.xml"
+    path.write_text(f'<mujoco><asset><{element} name="x" file="big.png"/></asset></mujoco>')
+    assert "pixels" in refusal(path)
