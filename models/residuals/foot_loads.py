@@ -7,7 +7,7 @@ from surefoot.models.residuals.torques import DynamicsInputs
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
-from surefoot.sim.physics.leg_loads import LOADS
+from surefoot.sim.physics.leg_loads import LOAD_GROUPS
 from surefoot.sim.physics.momentum_balance import load_parameters
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import leg_forward
@@ -44,7 +44,7 @@ def foot_loads(
 
     return log.once(
         "foot loads along the normal",
-        LOADS,
+        LOAD_GROUPS,
         made,
         *(motion, robot.extras.payload, *load_parameters(robot)),
     )

@@ -12,7 +12,7 @@ import numpy as np
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
-from surefoot.sim.physics.leg_loads import LOADS, foot_loads_B, joint_loads, knows_loads
+from surefoot.sim.physics.leg_loads import LOAD_GROUPS, foot_loads_B, joint_loads, knows_loads
 from surefoot.sim.physics.momentum_balance import feet_jacobian_B, load_parameters
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
@@ -54,7 +54,7 @@ class LegCompliance(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         deflection = log.once(
             "deflection of joints",
-            LOADS,
+            LOAD_GROUPS,
             lambda: _deflection(log, -joint_loads(log, robot)),
             *load_parameters(robot),
         )
@@ -89,7 +89,7 @@ class FootElasticity(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         deflection = log.once(
             f"deflection of feet, {self.target}",
-            LOADS,
+            LOAD_GROUPS,
             lambda: _deflection(log, _angles_of_yielding_feet(log, robot, self._axes())),
             *load_parameters(robot),
         )

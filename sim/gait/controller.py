@@ -16,7 +16,7 @@ from surefoot.sim.gait.irregular import stride_at
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.gait.stance_control import load_share, stiffen, support
-from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, Feet, Gait, LegMemory
+from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, FootStates, Gait, LegMemory
 from surefoot.sim.gait.swing import swing
 from surefoot.sim.ground.height_map import HeightMap, height, normal, surface
 from surefoot.sim.robot import Robot
@@ -110,7 +110,7 @@ def tick(legs, controller, state, target, torque):
     yaw = np.arctan2(base.R[1, 0], base.R[0, 0])
     command = _command(base, yaw, target)
     ground = ground_below(gait, height_map, base.p, yaw)
-    feet = Feet(
+    feet = FootStates(
         np.empty((4, 3)),
         np.empty((4, 3)),
         np.empty((4, 3)),
@@ -192,7 +192,7 @@ def slow_down_when_sliding(controller, state, loaded, command, feet):
         state: a RobotState.
         loaded: force from which a foot is loaded [N]; a bouncing foot does not slide.
         command: a Command, changed.
-        feet: Feet.
+        feet: FootStates.
     """
     gait, memory = controller.gait, controller.memory
     t, base, _, _, load = state
@@ -242,7 +242,7 @@ def sway_body(controller, state, heading, command, feet):
         state: a RobotState.
         heading: cosine and sine of the yaw.
         command: a Command, changed.
-        feet: Feet.
+        feet: FootStates.
     """
     gait, memory = controller.gait, controller.memory
     total, x, y = 1e-3, 0.0, 0.0

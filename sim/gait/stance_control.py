@@ -57,7 +57,7 @@ def support(controller, ground, base, command, feet, torque):
         ground: height at the base [m] and slopes along x and y of the plane that it follows.
         base: a BaseMotion.
         command: a Command.
-        feet: Feet.
+        feet: FootStates.
         torque: (12,) N m, written for the legs in stance.
     """
     gait = controller.gait
@@ -137,7 +137,7 @@ def stiffen(controller, state, command, feet, torque):
         controller: a Controller, whose memory of touchdowns is changed.
         state: a RobotState.
         command: a Command.
-        feet: Feet.
+        feet: FootStates.
         torque: (12,) N m, changed for the legs in stance.
     """
     gait, memory = controller.gait, controller.memory

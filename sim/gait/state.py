@@ -102,7 +102,7 @@ class Command(NamedTuple):
     push: np.ndarray  # (2,) m/s^2, in G, its rate
 
 
-class Feet(NamedTuple):
+class FootStates(NamedTuple):
     """The four feet at a tick, in G."""
 
     place: np.ndarray  # (4, 3) m, of the centres

@@ -25,7 +25,7 @@ def swing(controller, base, command, feet, torque):
         controller: a Controller, whose footholds and bumps are changed.
         base: a BaseMotion.
         command: a Command.
-        feet: Feet.
+        feet: FootStates.
         torque: (12,) N m, written for the legs in swing.
     """
     gait, memory = controller.gait, controller.memory
@@ -67,7 +67,7 @@ def _desired_foothold(gait, base, command, feet, leg, heading, want):
         gait: a Gait.
         base: a BaseMotion.
         command: a Command.
-        feet: Feet.
+        feet: FootStates.
         leg: its index.
         heading: cosine and sine of the base's yaw.
         want: (2,) m in G, written.

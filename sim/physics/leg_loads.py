@@ -16,7 +16,7 @@ from surefoot.sim.robot.machine import Modelled
 
 STICTION_RATE = 0.03
 """Rate below which dry friction is smoothed [rad/s]: a few times the noise of a measured rate."""
-LOADS = ("q", "dq", "tau", "imu", "contact", "force")
+LOAD_GROUPS = ("q", "dq", "tau", "imu", "contact", "force")
 """The groups of a log that the loads of joints and feet depend on."""
 
 
@@ -33,7 +33,7 @@ def joint_loads(log: Log, robot: Modelled) -> np.ndarray:
     """
     return log.once(
         "joint loads",
-        LOADS,
+        LOAD_GROUPS,
         lambda: _joint_loads(log, robot),
         *load_parameters(robot),
     )
@@ -61,7 +61,7 @@ def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     """
     return log.once(
         "foot loads",
-        LOADS,
+        LOAD_GROUPS,
         lambda: _foot_loads_B(log, robot),
         *load_parameters(robot),
     )

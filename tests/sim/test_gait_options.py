@@ -14,7 +14,7 @@ from surefoot.sim.gait.controller import (
 )
 from surefoot.sim.gait.irregular import estimated_base, irregular, stride_at
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
-from surefoot.sim.gait.state import STANCE, Command, Feet, RobotState, standing
+from surefoot.sim.gait.state import STANCE, Command, FootStates, RobotState, standing
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
@@ -193,7 +193,7 @@ def test_care_stops_a_robot_and_never_turns_it_back():
     """Pushed backwards over ice, and none of it where a single foot slides."""
     gait = gait_for(SPOT, 0.0, options=GaitOptions(slip_care=1.0))
     place, velocity, sole_velocity = np.zeros((3, 4, 3))
-    feet = Feet(
+    feet = FootStates(
         place,
         velocity,
         sole_velocity,

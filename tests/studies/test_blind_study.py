@@ -160,17 +160,6 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
     ]
 
 
-@pytest.mark.slow
-def test_the_blind_study(tmp_path):
-    """The whole of it: a few hours of one core."""
-    records = run_blind_study(tmp_path / "cases", workers=2)
-    print(write_report_of(tmp_path, records))
-    single = [points(r) for r in records if r["kind"] == "single" and "fell" not in r]
-    clean = [bool(r["effects_found"]) for r in records if r["kind"] == "clean"]
-    assert sum(single) >= 0.8 * len(single)
-    assert sum(clean) <= 1
-
-
 def test_one_case_in_many_is_not_none():
     assert count([]) == "no case"
     assert count([False] * 20).startswith("0 of 20 (0.0..")

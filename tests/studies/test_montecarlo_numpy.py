@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from studies.bench.run import montecarlo_rows
 from studies.montecarlo.numpy_reference import numpy_moments, numpy_trial
 from studies.montecarlo.settings import BIASED, load_study
 from studies.montecarlo.study import Setting, run_trials
@@ -39,11 +38,3 @@ def test_the_moments_in_numpy_are_those_of_the_filter():
         assert abs(np.log(pi) - log_prob) < 1e-8
         assert np.abs(mean - m).max() < 1e-8
         assert np.abs(spread - C).max() < 1e-8
-
-
-@pytest.mark.slow
-def test_the_batch_is_thirty_times_as_fast_as_numpy_a_trial_at_a_time():
-    for row in montecarlo_rows(rounds=3):
-        print(f"{row.what}: {row.value:.0f} times as fast as {row.against}")
-        assert row.value is not None
-        assert row.value > 30.0
