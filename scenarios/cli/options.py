@@ -116,7 +116,7 @@ def command(kind: type[C]) -> type[C]:
     """A dataclass of options, its inherited ones included, with what --help shows of plain types:
     metavars, and `(optional)` for what may be None. `out` is also `-o`.
     """
-    made = dataclass(frozen=True, kw_only=True)(kind)
+    made: Any = dataclass(frozen=True, kw_only=True)(kind)
     hints = get_type_hints(made, include_extras=True)
     made.__annotations__ = {f.name: _shown(f.name, hints[f.name]) for f in fields(made)}
     return made

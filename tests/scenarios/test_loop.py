@@ -169,10 +169,10 @@ def test_what_measured_errors_have_beyond_simulated_ones_is_shared_by_squares():
 def test_the_gait_that_is_more_like_the_logs_is_taken(robot, log, monkeypatch):
     counts = {"the plain gait": (9, 17), "the gait as walked": (12, 3)}
 
-    def compared(log, robot, words, effects, walked, seed, progress):
-        like, unlike = counts[words]
+    def compared(log, robot, simulating, seed, progress):
+        like, unlike = counts[simulating.words]
         rows = SimpleNamespace(counts={"like": like, "unlike": unlike}, rows=())
-        return SimpleNamespace(words=words, card=rows)
+        return SimpleNamespace(words=simulating.words, card=rows)
 
     monkeypatch.setattr(gait_choice, "compare_walks", compared)
     choice = choose_gait(log, robot, (), 0)

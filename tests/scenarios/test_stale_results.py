@@ -21,7 +21,7 @@ from surefoot.scenarios.estimate.tuned import read_tuned
 from surefoot.scenarios.experiments import products
 from surefoot.scenarios.experiments.file import Learning
 from surefoot.scenarios.experiments.products import LearntFiles
-from surefoot.scenarios.settings import SimulateSettings
+from surefoot.scenarios.settings import LoopSettings, SimulateSettings, TuneSettings
 from surefoot.scenarios.trace import loop
 from surefoot.sim.common import sources
 from surefoot.sim.common.errors import SurefootError
@@ -246,7 +246,8 @@ def test_a_search_depends_on_robot_and_effects(boots, machine, tmp_path, monkeyp
     for change in (None, path, part):
         if change:
             edited(change)
-        tune.search_filter("leg", [tmp_path / "log.parquet"], name, Learnt(), 1, 5.0, tmp_path)
+        settings = TuneSettings(tmp_path, robot=name, budget=1, longest=5.0)
+        tune.search_filter("leg", [tmp_path / "log.parquet"], settings, Learnt())
     assert asked[0] != asked[1] != asked[2] != asked[0]
 
 
@@ -281,10 +282,10 @@ def test_a_loop_depends_on_log_robot_and_code(boots, machine, tmp_path, monkeypa
 
     def recipe_of(log):
         with pytest.raises(Found):
-            loop.loop(log, Robot.load(name), tmp_path / "loop", force=True)
+            loop.loop(log, Robot.load(name), LoopSettings(tmp_path / "loop", force=True))
         found = json.loads((tmp_path / "loop" / loop.RECIPE).read_text())
         with pytest.raises(Found):  # the same folder goes on
-            loop.loop(log, Robot.load(name), tmp_path / "loop")
+            loop.loop(log, Robot.load(name), LoopSettings(tmp_path / "loop"))
         return json.dumps(found)
 
     found = [recipe_of(log)]
