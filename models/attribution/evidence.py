@@ -40,7 +40,7 @@ from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import changed_columns, with_columns
 from surefoot.sim.effects.joint import TorqueScale
-from surefoot.sim.log import Log, LogView
+from surefoot.sim.log import Log, MemoisedLog
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.sensors.streams import Sensors
@@ -128,7 +128,7 @@ def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT)
     turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.fixed_base_rate
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
     fixed = robot.fixed or hung
-    log = LogView.of(log)
+    log = MemoisedLog.of(log)
     motion = motion_under_model(log, robot, fixed)
     if fixed and log.has("tau") and angles_are_quieter(log, motion):
         motion = replace(motion, rates_of_angles=True)

@@ -21,6 +21,8 @@ from surefoot.sim.common.files import (
     clear_debris,
     command_run,
     folder_of,
+    is_there,
+    open_plain,
     refuse_input,
 )
 from surefoot.sim.common.limits import check_limit
@@ -99,14 +101,8 @@ def guarded(name: str, command: Any) -> Iterator[None]:
 
 def _paths(value: Any) -> list[Path]:
     """The files and folders in an option's value."""
-    found = []
-    for one in value if isinstance(value, tuple) else (value,):
-        try:
-            if isinstance(one, str | Path) and str(one) and Path(one).exists():
-                found.append(Path(one))
-        except (OSError, ValueError):  # no file's name, so none of a file
-            continue
-    return found
+    several = value if isinstance(value, tuple) else (value,)
+    return [Path(one) for one in several if isinstance(one, str | Path) and is_there(one)]
 
 
 @contextmanager
@@ -133,7 +129,7 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
         yield
         return
     while True:
-        stream = lock.open("a")
+        stream = os.fdopen(open_plain(lock), "ab")
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -8,6 +8,7 @@ gains a line as each walk ends; an interrupted run continues from it.
 import hashlib
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from importlib.metadata import version
@@ -19,7 +20,13 @@ import pandas as pd
 
 from surefoot.estimator.metrics import path_length
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.files import file_digest, whole_file
+from surefoot.sim.common.files import (
+    append_lines,
+    check_plain,
+    file_digest,
+    json_lines,
+    whole_file,
+)
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.log import Log, LogReader
@@ -190,21 +197,16 @@ class Journal:
         self.folder = folder
         self.path = folder / INDEX_FOLDER / "journal.jsonl"
         self.rows: dict[tuple[str, str, int], IndexRow] = {}
-        text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
-        for line in text.splitlines():
-            row = _parsed(line)
-            if row:
-                self._keep(row)
-        self._torn = bool(text) and not text.endswith("\n")
+        check_plain(self.path)
+        for entry in json_lines(self.path):
+            with suppress(TypeError):
+                self._keep(IndexRow(**entry))
 
     def _keep(self, row: IndexRow) -> None:
         self.rows[row.scenario, row.robot, row.seed] = row
 
     def add(self, row: IndexRow) -> None:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("a", encoding="utf-8") as stream:
-            stream.write("\n" * self._torn + json.dumps(asdict(row)) + "\n")
-        self._torn = False
+        append_lines(self.path, [asdict(row)])
         self._keep(row)
 
     def find(self, job: Job) -> IndexRow | None:
@@ -218,13 +220,6 @@ class Journal:
         """Rows of walks that fell or whose files exist, sorted."""
         rows = [r for r in self.rows.values() if r.falls or (self.folder / r.file).exists()]
         return sorted(rows, key=lambda r: (r.scenario, r.robot, r.seed))
-
-
-def _parsed(line: str) -> IndexRow | None:
-    try:
-        return IndexRow(**json.loads(line))
-    except (ValueError, TypeError):
-        return None
 
 
 def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:

@@ -1,7 +1,6 @@
 """Velocities from the simulated radar of a walk, for the perceptive filter."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -41,7 +40,7 @@ def with_radar(log: Log, robot: Robot) -> Log:
     rows, v_I, cov = radar_velocity(log, robot)
     values = np.full((len(log.frame), len(RADAR_COLUMNS)), np.nan)
     values[rows] = np.concatenate([v_I, cov.reshape(-1, 9)], axis=1)
-    return replace(log, frame=log.frame.assign(**dict(zip(RADAR_COLUMNS, values.T, strict=True))))
+    return log.with_columns(dict(zip(RADAR_COLUMNS, values.T, strict=True)))
 
 
 def radar_of(

@@ -9,8 +9,8 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from glob import escape
 from importlib.resources import files
@@ -22,6 +22,7 @@ from platformdirs import user_cache_path
 from surefoot.sim.common.errors import SurefootError
 
 MANIFEST = ".surefoot.jsonl"
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 def cache_folder() -> Path:
@@ -121,6 +122,7 @@ def refuse_overwrite(path: str | Path, force: bool) -> None:
     """
     path = Path(path)
     refuse_input(path)
+    check_plain(path.parent / MANIFEST)
     if path.is_dir():
         raise SurefootError(f"{path}: is a folder, not a file to write")
     if not path.exists():
@@ -177,21 +179,62 @@ def _check_place(path: Path) -> None:
             raise SurefootError(f"{_short(path)}: {parent} is a file, not a folder")
 
 
+def open_plain(path: Path) -> int:
+    """Descriptor of a regular file of ours, such as a manifest or a lock, to read and append to;
+    created if there is none.
+
+    Raises SurefootError for a link, a pipe, a folder or a device, so that nothing outside the
+    folder is written and no reader is waited for. Raises OSError if it cannot be created.
+    """
+    check_plain(path)
+    return os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o666)
+
+
+def check_plain(path: Path) -> None:
+    """Raise SurefootError if a path exists and is not itself a regular file."""
+    if os.path.lexists(path) and not _is_plain(path):
+        raise SurefootError(f"{path}: is a link or no regular file; move it away")
+
+
+def _is_plain(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()
+
+
+def json_lines(path: Path) -> Iterator[Any]:
+    """The entries of a file to which `append_lines` writes, without those that a kill cut short;
+    none if there is no such file, or it is a link, a pipe or no text.
+    """
+    try:
+        text = path.read_text(encoding="utf-8") if _is_plain(path) else ""
+    except (OSError, UnicodeDecodeError):
+        return
+    for line in text.splitlines():
+        with suppress(ValueError, RecursionError):
+            yield json.loads(line)
+
+
+def append_lines(path: Path, entries: Iterable[Mapping[str, Any]]) -> None:
+    """Append entries to a file, a line of JSON each; a line that was cut short is ended first.
+
+    Raises SurefootError as `open_plain` does.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with os.fdopen(open_plain(path), "r+b") as stream:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(max(size - 1, 0))
+        torn = stream.read() not in (b"", b"\n")
+        lines = "".join(f"{json.dumps(entry)}\n" for entry in entries)
+        stream.write(("\n" * torn + lines).encode())
+
+
 def manifest_entries(folder: Path) -> dict[str, dict[str, str]]:
     """Entries of a folder's manifest: file, relative to the folder -> digest of each content ->
     command.
     """
     found: dict[str, dict[str, str]] = {}
-    try:
-        lines = (folder / MANIFEST).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return {}
-    for line in lines:
-        try:
-            entry = json.loads(line)
+    for entry in json_lines(folder / MANIFEST):
+        with suppress(KeyError, TypeError):
             found.setdefault(entry["file"], {})[entry["sha256"]] = entry["command"]
-        except (ValueError, KeyError, TypeError, RecursionError):  # a line that a kill cut short
-            continue
     return found
 
 
@@ -202,8 +245,7 @@ def _entries_of(path: Path) -> dict[str, str]:
     whole = Path(os.path.abspath(path))
     found: dict[str, str] = {}
     for folder in whole.parents:
-        if (folder / MANIFEST).is_file():
-            found |= manifest_entries(folder).get(whole.relative_to(folder).as_posix(), {})
+        found |= manifest_entries(folder).get(whole.relative_to(folder).as_posix(), {})
     return found
 
 
@@ -254,10 +296,7 @@ def clear_debris(paths: Iterable[Path]) -> None:
         try:
             os.kill(int(number), 0)
         except (ProcessLookupError, OverflowError):
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink(missing_ok=True)
+            _remove(path)
         except OSError:
             continue
 
@@ -271,26 +310,11 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     refuse_overwrite(path, force)
-    with _replaced(path) as temporary:
+    with _staged(path) as temporary:
         yield temporary
-        if not _is_temporary(path):
-            _list_replaced(path, temporary)
+        _list(path.parent, path.parent, {path.name: temporary})
+        _replace(temporary, path)
     _note_written(path)
-
-
-def _list_replaced(path: Path, temporary: Path) -> None:
-    """List a file in the manifest before it is renamed, so that an interruption in between leaves
-    no unlisted file.
-
-    A file that a program writes over a command's output remains listed as that command's.
-    """
-    maker = _run.command if _run is not None else _last_maker(path)
-    if maker:
-        _list(path.parent, maker, {path.name: file_digest(temporary)})
-
-
-def _last_maker(path: Path) -> str | None:
-    return next(reversed(_entries_of(path).values()), None) if path.exists() else None
 
 
 @contextmanager
@@ -298,24 +322,30 @@ def kept_file(path: Path) -> Iterator[Path]:
     """Like `whole_file`, for caches and states to resume from: replaces an older file, and is not
     listed.
     """
-    with _replaced(path) as temporary:
+    with _staged(path) as temporary:
         yield temporary
+        _replace(temporary, path)
 
 
 @contextmanager
-def _replaced(path: Path) -> Iterator[Path]:
+def _staged(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path`, where nothing is left."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with folder_of(path):
             try:
                 yield temporary
-                with temporary.open("rb+") as stream:
-                    os.fsync(stream.fileno())
-                os.replace(temporary, path)
             finally:
                 _remove(temporary)
     except OSError as error:
-        raise SurefootError(f"{_short(path)}: cannot be written ({_reason(error)})") from error
+        reason = " ".join(str(error.strerror or error).split())
+        raise SurefootError(f"{_short(path)}: cannot be written ({reason})") from error
+
+
+def _replace(temporary: Path, path: Path) -> None:
+    with temporary.open("rb+") as stream:
+        os.fsync(stream.fileno())
+    os.replace(temporary, path)
 
 
 @contextmanager
@@ -344,19 +374,12 @@ def whole_folder(out: str | Path, force: bool = False) -> Iterator[Path]:
     On failure `out` is left as it was. Raises SurefootError if a file of `out` is in the way.
     """
     out = Path(os.path.realpath(out))
-    staging = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
-    try:
-        with folder_of(out):
-            try:
-                staging.mkdir()
-                yield staging
-                _publish(staging, out, force)
-                _note_written(out)
-            finally:
-                shutil.rmtree(staging, ignore_errors=True)
-    except OSError as error:
-        raise SurefootError(f"{_short(out)}: cannot be written ({_reason(error)})") from error
+    with _staged(out) as staging:
+        staging.mkdir()
+        yield staging
+        _publish(staging, out, force)
+    _note_written(out)
 
 
 def _note_written(path: Path) -> None:
@@ -368,31 +391,24 @@ def _publish(staging: Path, out: Path, force: bool) -> None:
     made = {p.relative_to(staging).as_posix(): p for p in staging.rglob("*") if p.is_file()}
     for name in made:
         refuse_overwrite(out / name, force)
-    digests = {name: file_digest(path) for name, path in made.items()}
-    stale: list[str] = []
-    if force and _run is not None:
-        before = manifest_entries(out)
-        stale = [name for name, e in before.items() if _run.command in e.values()]
-        stale = [name for name in stale if name not in made and _as_made(out / name, before[name])]
+    before = manifest_entries(out) if force and _run is not None else {}
+    stale = [
+        name
+        for name, entries in before.items()
+        if name not in made and _run is not None and _run.command in entries.values()
+        if _is_plain(out / name) and file_digest(out / name) in entries
+    ]
     fresh = not out.exists() or not any(out.iterdir())
-    if _run is not None and not _is_temporary(out):
-        _list(staging if fresh else out, _run.command, digests)
-    elif not fresh:
-        for name in made:
-            if maker := _last_maker(out / name):
-                _list(out, maker, {name: digests[name]})
+    # Files are listed before they are renamed, so that an interruption leaves no unlisted one.
+    _list(staging if fresh else out, out, made)
     if fresh:
         os.rename(staging, out)
         return
     for name in stale:
         (out / name).unlink(missing_ok=True)
-    for name, path in sorted(made.items(), key=lambda item: item[0] in ("report.html",)):
+    for name, path in sorted(made.items(), key=lambda item: item[0] == "report.html"):
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         os.replace(path, out / name)
-
-
-def _as_made(path: Path, digests: dict[str, str]) -> bool:
-    return path.is_file() and not path.is_symlink() and file_digest(path) in digests
 
 
 def refuse_full(out: Path, force: bool) -> None:
@@ -405,6 +421,7 @@ def refuse_full(out: Path, force: bool) -> None:
         return
     if not out.is_dir():
         raise SurefootError(f"-o {out}: is a file, not a folder")
+    check_plain(out / MANIFEST)
     if not any(path.name != MANIFEST for path in out.iterdir()):
         return
     if not force:
@@ -424,14 +441,27 @@ def refuse_full(out: Path, force: bool) -> None:
             refuse_overwrite(out / name, force)
 
 
-def _list(folder: Path, command: str, digests: dict[str, str]) -> None:
-    """Append files, given relative to the folder, to its manifest."""
-    folder.mkdir(parents=True, exist_ok=True)
-    entries = ({"file": n, "sha256": d, "command": command} for n, d in digests.items())
-    path = folder / MANIFEST
-    torn = path.is_file() and path.stat().st_size and not path.read_bytes().endswith(b"\n")
-    with path.open("a", encoding="utf-8") as stream:
-        stream.write("\n" * bool(torn) + "".join(f"{json.dumps(entry)}\n" for entry in entries))
+def _list(into: Path, out: Path, made: Mapping[str, Path]) -> None:
+    """List files in a manifest, as outputs of the command that is running.
+
+    A file that a program writes over a command's output remains listed as that command's.
+
+    Args:
+        into: folder of the manifest.
+        out: folder where the files will be.
+        made: name of each in `out` -> file with its content.
+    """
+    entries = []
+    for name, content in made.items():
+        maker = _run.command if _run is not None else _last_maker(out / name)
+        if maker and not _is_temporary(out / name):
+            entries.append({"file": name, "sha256": file_digest(content), "command": maker})
+    if entries:
+        append_lines(into / MANIFEST, entries)
+
+
+def _last_maker(path: Path) -> str | None:
+    return next(reversed(_entries_of(path).values()), None) if path.exists() else None
 
 
 def _is_temporary(path: Path) -> bool:
@@ -440,11 +470,8 @@ def _is_temporary(path: Path) -> bool:
 
 
 def _remove(path: Path) -> None:
-    try:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    with suppress(OSError):  # a name that is too long, a folder that is no longer there
         path.unlink(missing_ok=True)
-    except OSError:
-        return  # a name that is too long, a folder that is no longer there
-
-
-def _reason(error: OSError) -> str:
-    return " ".join(str(error.strerror or error).split())

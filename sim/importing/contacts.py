@@ -53,9 +53,9 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
     for leg, (offset, on, off) in rule.by_leg(legs).items():
         own = load[:, legs.index(leg)] - offset
         stands[f"contact_{leg}"] = contact_from_force(log.t, own, on, off, rule.debounce)
-    frame = log.frame.assign(**{name: one.astype(float) for name, one in stands.items()})
     meta = replace(log.meta, derived=(*log.meta.derived, f"contact from {rule.of}"))
-    return replace(log, frame=frame, meta=meta)
+    sensed = {name: one.astype(float) for name, one in stands.items()}
+    return replace(log, meta=meta).with_columns(sensed)
 
 
 def speeds_beside_lowest(

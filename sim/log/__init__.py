@@ -7,7 +7,7 @@ from surefoot.sim.log.derived import (
     with_velocities,
 )
 from surefoot.sim.log.file import LogError, LogReader, LogWriter
-from surefoot.sim.log.log import Log, LogView
+from surefoot.sim.log.log import Log, MemoisedLog
 from surefoot.sim.log.schema import JOINTS, LEGS, SCHEMA, Meta
 
 __all__ = [
@@ -17,8 +17,8 @@ __all__ = [
     "Log",
     "LogError",
     "LogReader",
-    "LogView",
     "LogWriter",
+    "MemoisedLog",
     "Meta",
     "foot_velocity",
     "joint_velocity",

@@ -196,8 +196,4 @@ def with_velocities(log: Log, causal: bool = False) -> Log:
         velocity = reference_velocity(log, causal)
         columns |= {f"ref_v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
         derived.append(f"ref_v ({kind})")
-    return replace(
-        log,
-        frame=log.frame.assign(**columns),
-        meta=replace(log.meta, derived=tuple(derived)),
-    )
+    return replace(log, meta=replace(log.meta, derived=tuple(derived))).with_columns(columns)

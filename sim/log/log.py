@@ -31,7 +31,7 @@ class Log:
     The properties return new contiguous arrays in SI units; each raises LogError where its columns
     are missing. J and L are the numbers of joints and legs that the columns name. A quadruped's are
     in canonical order (leg by leg over FL, FR, RL, RR), so that `q.reshape(N, 4, 3)` is (row, leg,
-    joint). A `LogView` of a log computes each array once.
+    joint). A `MemoisedLog` of a log computes each array once.
     """
 
     frame: pd.DataFrame
@@ -73,7 +73,7 @@ class Log:
         return replace(self, frame=self.frame.assign(**columns))
 
     def once(self, what: str, uses: Iterable[str], make: Callable[[], T], *given: Any) -> T:
-        """A value derived from the log, which a `LogView` computes once.
+        """A value derived from the log, which a `MemoisedLog` computes once.
 
         Args:
             what: its name, unique for this log.
@@ -258,7 +258,7 @@ class Log:
         return self._leg_array("truth", "mu")
 
 
-class LogView(Log):
+class MemoisedLog(Log):
     """A log that computes its arrays, and whatever else is derived from it, once.
 
     They must not be written to. With other columns (`with_columns`), the view keeps all that does
@@ -270,7 +270,7 @@ class LogView(Log):
         self._derived: dict[str, _Derived] = {}
 
     @classmethod
-    def of(cls, log: Log) -> LogView:
+    def of(cls, log: Log) -> MemoisedLog:
         """A view of this log."""
         return cls(log.frame, log.meta, log.name)
 
@@ -285,8 +285,8 @@ class LogView(Log):
     def frame(self, frame: pd.DataFrame) -> None:
         self._frame, self._replaced = frame, {}
 
-    def with_columns(self, columns: Mapping[str, np.ndarray]) -> LogView:
-        view = LogView(self._frame, self.meta, self.name)
+    def with_columns(self, columns: Mapping[str, np.ndarray]) -> MemoisedLog:
+        view = MemoisedLog(self._frame, self.meta, self.name)
         view._replaced = self._replaced | {name: np.asarray(x) for name, x in columns.items()}
         # Unchanged columns remain the same arrays, so comparisons can go by identity.
         view.columns = self.columns | view._replaced

@@ -7,7 +7,7 @@ only the loss per radian is fitted to a reference.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -104,7 +104,7 @@ def with_share(log: Log, share: float) -> Log:
         for k, leg in enumerate(log.legs)
         for i, axis in enumerate("xyz")
     }
-    return replace(log, frame=log.frame.assign(**columns))
+    return log.with_columns(columns)
 
 
 def lost_way_table(logs: Sequence[Log]) -> pd.DataFrame:

@@ -70,7 +70,7 @@ class Drives:
 
 def drives(log: Log, machine: Modelled, period: float) -> Drives:
     """The balance of the log if a row takes `period` [s]."""
-    retimed = replace(log, frame=log.frame.assign(t=period * np.arange(len(log.t))))
+    retimed = log.with_columns({"t": period * np.arange(len(log.t))})
     one = balance(retimed, machine, HANGING_WIDTH, STOPS)
     late = one.t > (1 - REPORT_SHARE) * one.t[-1]
     return Drives(

@@ -434,7 +434,7 @@ def _chapter(name: str, folder: Path, options: HardwareStudy, picture: Path) -> 
 def _contacts_as_logged(log: Log) -> Log:
     """The log with the robot's own contacts, which the map imports as x_contact_<leg>."""
     columns = {f"contact_{leg}": (log.frame[f"x_contact_{leg}"] > 0.5) * 1.0 for leg in log.legs}
-    return replace(log, frame=log.frame.assign(**columns))
+    return log.with_columns(columns)
 
 
 def _as_recorded(recording: RawRecording) -> Log:

@@ -2,6 +2,7 @@
 run into the same output is refused."""
 
 import fcntl
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -134,3 +135,31 @@ def test_a_disk_that_fills_up_is_one_line(what, more, tmp_path):
         if longest == 0 or found.code:
             assert found.refused, found
             assert "File too large" in found.err
+
+
+def planted(kind: str, path: Path, outside: Path) -> None:
+    if kind == "a link":
+        path.symlink_to(outside)
+    elif kind == "a link to nothing":
+        path.symlink_to(outside.with_name("nothing"))
+    elif kind == "a pipe":
+        os.mkfifo(path)
+    else:
+        path.mkdir()
+
+
+@pytest.mark.parametrize("kind", ["a link", "a link to nothing", "a pipe", "a folder"])
+@pytest.mark.parametrize("name", [files.MANIFEST, ".new.csv.lock"])
+@pytest.mark.parametrize("what", [pytest.param("export to CSV"), pytest.param("import's map")])
+def test_a_manifest_or_a_lock_that_is_no_file_is_refused(what, name, kind, more, tmp_path):
+    """Lines would be appended to a file outside of the folder, or a reader waited for."""
+    folder = copied(more, tmp_path / "case")
+    (output,) = (word for word in WRITING[what].split() if word.startswith("new"))
+    outside = tmp_path / "victim.txt"
+    outside.write_text("keep\n")
+    planted(kind, folder / name.replace("new.csv", output), outside)
+    found = run(what, folder)
+    assert found.refused, found
+    assert "no regular file" in found.err
+    assert outside.read_text() == "keep\n"
+    assert not outside.with_name("nothing").exists()

@@ -16,7 +16,7 @@ from surefoot.models.residuals.residual import motion_under_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log, LogView, Meta
+from surefoot.sim.log import Log, MemoisedLog, Meta
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import PointFeet
@@ -32,12 +32,12 @@ POINT_FEET = replace(SPOT, foot_radius=np.zeros(4))
 @pytest.fixture(scope="module")
 def log():
     course = (Segment(2.0, 0.5, turn=0.3), Segment(2.0, 0.4, 0.1, turn=-0.4))
-    return LogView.of(walk(Scenario("short", course, Ground(0.8)), SPOT, seed=0))
+    return MemoisedLog.of(walk(Scenario("short", course, Ground(0.8)), SPOT, seed=0))
 
 
 @pytest.fixture(scope="module")
 def feet(log):
-    return LogView.of(with_feet_for_joints(log, SPOT))
+    return MemoisedLog.of(with_feet_for_joints(log, SPOT))
 
 
 def test_feet_fixed_to_the_ground_give_the_velocity_of_the_body():

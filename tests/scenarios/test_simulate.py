@@ -235,3 +235,12 @@ def test_names_that_collide_are_refused(folder):
     (folder / "twin.toml").write_text(COURSE)
     with pytest.raises(SurefootError, match=r"short_0\.parquet"):
         simulate(SimulateSettings([Path("short.toml"), Path("twin.toml")], Path("walks")))
+
+
+def test_a_journal_that_is_a_link_is_refused(tmp_path):
+    """A row would be appended to a file outside of the folder."""
+    journal = Journal(tmp_path / "walks").path
+    journal.parent.mkdir(parents=True)
+    journal.symlink_to(tmp_path / "victim.txt")
+    with pytest.raises(SurefootError, match=r"journal\.jsonl: is a link"):
+        Journal(tmp_path / "walks")

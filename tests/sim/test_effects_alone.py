@@ -18,7 +18,7 @@ from surefoot.sim.effects.imu import AccelScale, GyroBias, GyroScale
 from surefoot.sim.effects.joint import Backlash, TorqueScale
 from surefoot.sim.effects.timing import ContactDelay, ImuDelay, JointDelay, TorqueDelay
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
-from surefoot.sim.log import JOINTS, LEGS, Log, LogView, Meta
+from surefoot.sim.log import JOINTS, LEGS, Log, MemoisedLog, Meta
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.physics.springs import foot_parts
 from surefoot.sim.robot import Robot
@@ -186,7 +186,7 @@ def test_contacts_that_begin_early_are_cut_by_what_debouncing_has_left(log, debo
 
 def test_delays_of_logs_one_after_the_other_do_not_mix_them_up(log):
     """Splines are kept while the columns are the same arrays."""
-    log = LogView.of(log)
+    log = MemoisedLog.of(log)
     doubled = log.with_columns({f"q_{joint}": 2.0 * log.q[:, i] for i, joint in enumerate(JOINTS)})
     for value in (1e-3, 4e-3):
         one, other = (

@@ -22,7 +22,7 @@ from surefoot.sim.log import (
     Log,
     LogError,
     LogReader,
-    LogView,
+    MemoisedLog,
     Meta,
     joint_velocity,
 )
@@ -107,7 +107,7 @@ def test_a_log_is_frozen_and_its_arrays_are_new_each_time():
 
 def test_a_view_computes_each_array_once_and_those_of_replaced_columns_anew():
     log = make_log()
-    view = LogView.of(log)
+    view = MemoisedLog.of(log)
     moved = view.with_columns({"q_FL_hip": log.columns["q_FL_hip"] + 1.0})
     for name in ("t", "gyro", "q", "tau", "contact", "force", "ref_q", "ref_R_GI"):
         assert getattr(view, name) is getattr(view, name)
@@ -132,7 +132,7 @@ def test_a_view_derives_a_value_again_only_if_what_it_depends_on_changes():
     def number_of_call(log: Log, given: object = robot) -> int:
         return log.once("number of the call", ["q", "x_temperature"], call, given)
 
-    view = LogView.of(make_log())
+    view = MemoisedLog.of(make_log())
     assert number_of_call(view) == number_of_call(view) == 1
     assert number_of_call(view.with_columns({"gyro_x": column, "dq_FL_hip": column})) == 1
     changed = [view.with_columns({name: column}) for name in ("q_RR_calf", "x_temperature", "t")]
@@ -455,7 +455,7 @@ def test_a_recording_read_as_a_log_is_told_what_it_is(tmp_path):
             Log.read(tmp_path / name)
 
 
-@pytest.mark.parametrize("made", [make_log, lambda: LogView.of(make_log())])
+@pytest.mark.parametrize("made", [make_log, lambda: MemoisedLog.of(make_log())])
 def test_replaced_columns_are_in_the_frame(made):
     log = made()
     once = log.with_columns({"gyro_x": np.ones(40)})
