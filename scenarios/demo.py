@@ -13,9 +13,9 @@ from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.scenarios.compare import compare_log, write_comparison
-from surefoot.scenarios.estimate.first_use import compile_filters
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
+from surefoot.scenarios.first_use import compile_filters
 from surefoot.scenarios.reporting.html import Picture, Section, nested, save_picture
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve

@@ -190,7 +190,7 @@ class Estimate:
     force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.long_logs import estimate_file, first_minutes
+        from surefoot.scenarios.estimate.file import TrajectoryFile, estimate_file, first_minutes
         from surefoot.scenarios.estimate.settings import read_settings
         from surefoot.sim.common.files import refuse_overwrite
         from surefoot.sim.log import LogReader
@@ -207,10 +207,9 @@ class Estimate:
         learnt = learnt_from(self.observer, self.bounds)
         settings = read_settings(self.settings, self.set_lines)
         warnings = not_plausible([first_minutes(reader)], self.robot, self.strict)
-        found, health = estimate_file(
-            self.filter, reader, self.robot, learnt, self.out, self.force, settings,
-            warnings.get(self.log.stem, ()),
-        )  # fmt: skip
+        doubted = tuple(warnings.get(self.log.stem, ()))
+        out = TrajectoryFile(self.out, self.force, doubted) if self.out else None
+        found, health = estimate_file(self.filter, reader, self.robot, learnt, settings, out)
         if self.as_json:
             values = {"log": self.log, "filter": self.filter, "trajectory": self.out}
             why = {"trusted": not health.lost, "why_not": health.sentence(self.filter)}

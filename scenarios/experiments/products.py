@@ -20,9 +20,9 @@ from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.datasets.index import recipe, row_of
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named
-from surefoot.scenarios.estimate.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.estimate.run import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Learning
 from surefoot.scenarios.viewer.recording import record_walk
 from surefoot.sim.common.errors import SurefootError
@@ -35,7 +35,7 @@ from surefoot.sim.walking.batch import Job, known_robot, walk_job
 WALKING_MODULE = "surefoot.sim.walking.batch"
 TRAINING = "surefoot.models.observer.training"
 CALIBRATION = "surefoot.models.calibration.calibrate"
-ESTIMATION = "surefoot.scenarios.estimate.facts"
+ESTIMATION = "surefoot.scenarios.experiments.facts"
 """Modules that make the products."""
 
 

@@ -34,8 +34,8 @@ PEAKS = """
 import json, resource, sys, time
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets import simulate
-from surefoot.scenarios.estimate import long_logs
-simulate.LONG_WALK = long_logs.LONG = 60.0
+from surefoot.scenarios.estimate import file
+simulate.LONG_WALK = file.LONG = 60.0
 found = {}
 for name, arguments in (
     ("simulate", ["simulate", "laps.toml", "-o", "walks"]),
