@@ -115,10 +115,11 @@ class Trajectory:
 
         `warnings`, about what in the log was not plausible, are kept in its metadata.
         """
-        with TrajectoryWriter(path, force, tuple(self._columns()), warnings) as file:
+        with TrajectoryWriter(path, force, tuple(self.columns()), warnings) as file:
             file.write(self)
 
-    def _columns(self) -> dict[str, np.ndarray]:
+    def columns(self) -> dict[str, np.ndarray]:
+        """Values by the names of a file's columns, see `TrajectoryWriter`."""
         columns = {"t": self.t}
         _spread(columns, "q", quaternion_from_matrix(self.R_GI), "wxyz")
         for name, short in _POSE.items():
@@ -236,7 +237,7 @@ class TrajectoryWriter:
 
     def write(self, piece: Trajectory) -> None:
         """Append the next piece."""
-        columns = piece._columns()
+        columns = piece.columns()
         height = max(len(values) for values in columns.values())
         padded = {
             name: np.concatenate([values, np.full(height - len(values), np.nan)])

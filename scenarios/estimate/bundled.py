@@ -76,13 +76,31 @@ LEG_SLIP = (
 )
 
 
-class Coverage:
+class ByObserver:
+    """An estimator with the velocities of an observer, used as `fusion` says."""
+
+    parameters = VELOCITY
+
+    def fusion(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float]
+    ) -> tuple[Observer, Fusion]:
+        """The observer, and how its velocities are used."""
+        raise NotImplementedError
+
+    def start(
+        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+    ) -> ObserverFusion:
+        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+        observer, fusion = self.fusion(robot, learnt, parameters)
+        return ObserverFusion(observer, robot, beginning, fusion, imu_noise(parameters))
+
+
+class Coverage(ByObserver):
     """Set-coverage updates with the bounds of the mse observer."""
 
     name, label, color, line = "coverage", "Coverage", "#D55E00", "-"
     description = "Set-coverage IEKF, bounds of the mse observer."
     needs = Needs(learnt=("observers", "bounds"))
-    parameters = VELOCITY
     proposed = 1
     loss: str | None = None
 
@@ -90,13 +108,10 @@ class Coverage:
         """The observer and the bounds that it uses."""
         return learnt.bounded(self.loss)
 
-    def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
-    ) -> ObserverFusion:
-        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+    def fusion(self, robot, learnt, parameters):
+        """Bounds on each velocity."""
         observer, bounds = self.bounded_by(learnt)
-        fusion = Fusion(bounds.epsilon_at(robot.R_BI), bounds.gamma)
-        return ObserverFusion(observer, robot, beginning, fusion, imu_noise(parameters))
+        return observer, Fusion(bounds.epsilon_at(robot.R_BI), bounds.gamma)
 
 
 class CoverageGml(Coverage):
@@ -108,7 +123,7 @@ class CoverageGml(Coverage):
     loss = "gml"
 
 
-class CoveragePersistent:
+class CoveragePersistent(ByObserver):
     """Set-coverage updates with the persistent error as states."""
 
     name, label = "coverage_persistent", "Coverage, persistent error"
@@ -120,31 +135,24 @@ class CoveragePersistent:
     parameters = PERSISTENT
     variant, proposed = True, 2
 
-    def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
-    ) -> ObserverFusion:
-        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+    def fusion(self, robot, learnt, parameters):
+        """Bounds on the means of windows."""
         observer, bounds = learnt.bounded()
         part = bounds.persistent_at(robot.R_BI)
         model = persistent_error(part, parameters["persistent"])
-        fusion = Fusion(part.epsilon, bounds.gamma)
-        return ObserverFusion(observer, robot, beginning, fusion, imu_noise(parameters), model)
+        return observer, Fusion(part.epsilon, bounds.gamma, model=model)
 
 
-class Velocity:
+class Velocity(ByObserver):
     """Gaussian velocity updates with the covariance that the gml observer predicts."""
 
     name, label, color, line = "velocity", "Velocity IEKF", "#009E73", "-"
     description = "Gaussian-velocity IEKF, covariance predicted by the gml observer."
     needs = Needs(learnt=("observers",))
-    parameters = VELOCITY
 
-    def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
-    ) -> ObserverFusion:
-        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
-        fusion = Fusion(inflation=parameters.get("inflation", 1.0))
-        return ObserverFusion(learnt.gaussian(), robot, beginning, fusion, imu_noise(parameters))
+    def fusion(self, robot, learnt, parameters):
+        """The predicted covariance."""
+        return learnt.gaussian(), Fusion(inflation=parameters.get("inflation", 1.0))
 
 
 class VelocityInflated(Velocity):
@@ -162,7 +170,7 @@ class VelocityInflated(Velocity):
     )
 
 
-class VelocityPersistent:
+class VelocityPersistent(ByObserver):
     """Gaussian velocity updates with the persistent error as states."""
 
     name, label = "velocity_persistent", "Velocity IEKF, persistent error"
@@ -174,15 +182,12 @@ class VelocityPersistent:
     parameters = PERSISTENT
     variant = True
 
-    def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
-    ) -> ObserverFusion:
-        """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
+    def fusion(self, robot, learnt, parameters):
+        """The covariance of the mixing error."""
         observer, bounds = learnt.bounded()
         part = bounds.persistent_at(robot.R_BI)
         model = persistent_error(part, parameters["persistent"])
-        fusion = Fusion(cov=part.within)
-        return ObserverFusion(observer, robot, beginning, fusion, imu_noise(parameters), model)
+        return observer, Fusion(cov=part.within, model=model)
 
 
 class Leg:
@@ -316,13 +321,15 @@ class Fusion(NamedTuple):
     """How an observer's velocity is used.
 
     With bounds epsilon (3,) [m/s] of the joint level gamma, with a covariance cov (3, 3), or with
-    the predicted covariance times `inflation`.
+    the predicted covariance times `inflation`; `model` is that of its persistent error, where that
+    is estimated.
     """
 
     epsilon: np.ndarray | None = None
     gamma: float = 0.0
     cov: np.ndarray | None = None
     inflation: float = 1.0
+    model: PersistentError | None = None
 
     def velocities(self, rows, v_I, predicted, n: int) -> Velocities:
         """The updates at these rows of n."""
@@ -342,7 +349,6 @@ class ObserverFusion(ImuStream):
         beginning: Beginning,
         fusion: Fusion,
         noise: FilterNoise,
-        model: PersistentError | None = None,
     ):
         """Begin at the first sample.
 
@@ -352,9 +358,8 @@ class ObserverFusion(ImuStream):
             beginning: state, covariance, rate and joints.
             fusion: how the velocities are used.
             noise: of the IMU.
-            model: of the observer's persistent error, where that is estimated.
         """
-        super().__init__(beginning, noise, model)
+        super().__init__(beginning, noise, fusion.model)
         self._observer, self._robot, self._beginning = observer, robot, beginning
         self._fusion, self._stream = fusion, None
 

@@ -1,12 +1,14 @@
 """Train both observers on some walks, and calibrate bounds for both."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.training import DEFAULT_SCHEDULE, Schedule, train
+from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.models.registry import LOSSES
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.stages import processes, submitted
@@ -17,11 +19,8 @@ def learn(
     training: Sequence[Log],
     calibration: Log,
     out: Path,
-    seed: int,
-    inputs: str = "q,dq,tau",
-    gamma: float = 0.8,
+    settings: TrainSettings = TRAIN_DEFAULT,
     force: bool = False,
-    schedule: Schedule = DEFAULT_SCHEDULE,
 ) -> Learnt:
     """Train with each loss in parallel, one process each, calibrate, and store all four in `out`.
 
@@ -29,20 +28,19 @@ def learn(
         training: logs to train on.
         calibration: log for the bounds.
         out: folder for observers and bounds.
-        seed: of weights and windows.
-        inputs: columns of the observer, as for `train`.
-        gamma: joint level of the bounds.
+        settings: of the training, apart from the loss.
         force: whether files may be replaced.
-        schedule: length and learning rate of the training.
     """
     with processes(len(LOSSES)) as pool:
         assert pool is not None
-        tasks = [(_train, list(training), loss, seed, inputs, schedule) for loss in LOSSES]
+        tasks = [
+            (train, list(training), None, replace(settings, loss=loss), True) for loss in LOSSES
+        ]
         observers = tuple(job.result() for job in [submitted(pool, task) for task in tasks])
     bounds = []
     for observer in observers:
         observer.save(out / f"observer_{observer.loss}.pt", force)
-        bounds.append(calibrate(observer, calibration, gamma))
+        bounds.append(calibrate(observer, calibration))
         bounds[-1].save(out / f"bounds_{observer.loss}.json", force)
     return Learnt(observers, tuple(bounds))
 
@@ -53,16 +51,3 @@ def learnt_in(out: Path) -> Learnt:
         tuple(Observer.load(out / f"observer_{loss}.pt") for loss in LOSSES),
         tuple(Bounds.load(out / f"bounds_{loss}.json") for loss in LOSSES),
     )
-
-
-def _train(logs: list[Log], loss: str, seed: int, inputs: str, schedule: Schedule) -> Observer:
-    """`train` with positional arguments, for another process.
-
-    Args:
-        logs: to train on.
-        loss: "mse" or "gml".
-        seed: of weights and windows.
-        inputs: columns of the observer, as for `train`.
-        schedule: length and learning rate.
-    """
-    return train(logs, inputs=inputs, loss=loss, seed=seed, progress=True, schedule=schedule)

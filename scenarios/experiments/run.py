@@ -41,7 +41,7 @@ class Estimated:
         gamma: of the bounds, None without bounds.
         inputs: of the observers, None without observers.
         method: of the bounds, None without bounds.
-        facts: metrics, from `surefoot.scenarios.estimate.facts`.
+        facts: metrics, from `surefoot.scenarios.experiments.facts`.
         errors: name of the file with its errors over time.
     """
 
@@ -279,7 +279,6 @@ def _estimates(
             folder,
             walk,
             cell.scenario.name,
-            cell.robot,
             files,
             experiment.filters_of(learning),
             experiment.gammas_of(learning, cell.seed),

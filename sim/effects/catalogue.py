@@ -161,10 +161,9 @@ def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, 
     are known.
     """
     known: Any = robot
-    by_feet = known.limbs.feet_alone
     for one in sorted(effects, key=lambda e: e.uses_loads):
         if one.is_compensated():
-            if by_feet and not one.on_given_feet:
+            if known.limbs.feet_alone and not one.on_given_feet:
                 raise SurefootError(
                     f"effect {one.name}: needs joint angles and a robot model; {log.name} gives "
                     "the feet alone"

@@ -25,7 +25,7 @@ event.register("numba:compile", Count())
 for name, times in count.items():
     print(times, name)
 """
-FILTERS = "from surefoot.scenarios.estimate.first_use import compile_filters\ncompile_filters()"
+FILTERS = "from surefoot.scenarios.first_use import compile_filters\ncompile_filters()"
 ESTIMATES = """
 import numpy as np
 from surefoot.estimator.core.state import NavState

@@ -11,9 +11,11 @@ from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import initial_state
 from surefoot.estimator.run import every_row
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.calibration.settings import CalibrateSettings
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.estimate import long_logs
+from surefoot.scenarios.estimate import file
 from surefoot.scenarios.estimate import radar_velocity as radar
 from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
@@ -33,7 +35,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 
-SHORT = Schedule(steps=30, batch=4, every=20)
+SHORT = TrainSettings(steps=30, batch=4, every=20)
 ARRAYS = ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
 CUTS = (0, 1, 700, 701, 1333, 4000)
 ROUNDING = 2e-4
@@ -55,8 +57,12 @@ def walks(robot) -> list[Log]:
 
 @pytest.fixture(scope="module")
 def learnt(walks) -> Learnt:
-    observers = tuple(train(walks[0], loss=loss, seed=0, schedule=SHORT) for loss in ("mse", "gml"))
-    return Learnt(observers, tuple(calibrate(one, walks[1], K=20) for one in observers))
+    observers = tuple(
+        train(walks[0], settings=replace(SHORT, loss=loss, seed=0)) for loss in ("mse", "gml")
+    )
+    return Learnt(
+        observers, tuple(calibrate(one, walks[1], CalibrateSettings(K=20)) for one in observers)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -181,27 +187,26 @@ def exit_code(arguments) -> int:
 
 def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch, robot, capsys):
     """Four times the log takes no more memory; file and metrics are those of the whole."""
-    monkeypatch.setattr(long_logs, "LOG_PIECE", 10.0)
+    monkeypatch.setattr(file, "LOG_PIECE", 10.0)
     main_run = ["--filter", "imu", "--force", "-o", str(tmp_path / "out.parquet")]
     peaks = {}
     for seconds in (60.0, 240.0):
         path = tmp_path / f"log{seconds:.0f}.parquet"
         standing(seconds).write(path)
-        monkeypatch.setattr(long_logs, "LONG", 0.0)
-        monkeypatch.setattr(long_logs, "JUDGED", 1000)
+        monkeypatch.setattr(file, "LONG", 0.0)
+        monkeypatch.setattr(file, "JUDGED", 1000)
         # In four minutes an IMU alone comes to speeds that no legs have: written, but not trusted.
         assert exit_code(["estimate", str(path), *main_run]) == (3 if seconds > 100 else 0)
         tracemalloc.start()
-        long_logs.estimate_file(
-            "imu", LogReader(path), None, Learnt(), tmp_path / "traced.parquet", True
-        )
+        out = file.TrajectoryFile(tmp_path / "traced.parquet", True)
+        file.estimate_file("imu", LogReader(path), None, Learnt(), out=out)
         peaks[seconds] = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert peaks[240.0] < 1.3 * peaks[60.0]
     assert peaks[240.0] < 0.5 * standing(240.0).frame.memory_usage().sum() + 40e6
     in_pieces = Trajectory.read(tmp_path / "out.parquet")
     lines = (tmp_path / "out.tum").read_text()
-    monkeypatch.setattr(long_logs, "LONG", np.inf)
+    monkeypatch.setattr(file, "LONG", np.inf)
     assert exit_code(["estimate", str(path), *main_run]) == 3
     assert_same(in_pieces, Trajectory.read(tmp_path / "out.parquet"), 0.0)
     assert lines == (tmp_path / "out.tum").read_text()
@@ -212,11 +217,11 @@ def test_the_relative_errors_of_a_long_log_are_of_all_estimates(tmp_path, monkey
     """However few are judged otherwise; only segments that end in another piece are left out."""
     path = tmp_path / "walk.parquet"
     walk(Scenario("long", (Segment(30.0, 0.5),), Ground(0.8)), robot, 0).write(path)
-    whole, _ = long_logs.estimate_file("leg", LogReader(path), None, Learnt(), None)
-    monkeypatch.setattr(long_logs, "LONG", 0.0)
-    monkeypatch.setattr(long_logs, "LOG_PIECE", 20.0)
-    monkeypatch.setattr(long_logs, "JUDGED", 100)
-    pieces, _ = long_logs.estimate_file("leg", LogReader(path), None, Learnt(), None)
+    whole, _ = file.estimate_file("leg", LogReader(path), None, Learnt())
+    monkeypatch.setattr(file, "LONG", 0.0)
+    monkeypatch.setattr(file, "LOG_PIECE", 20.0)
+    monkeypatch.setattr(file, "JUDGED", 100)
+    pieces, _ = file.estimate_file("leg", LogReader(path), None, Learnt())
     assert whole is not None
     assert pieces is not None
     assert pieces.samples <= 102 < 0.8 * whole.segments < pieces.segments < whole.segments

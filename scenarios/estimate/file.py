@@ -1,0 +1,200 @@
+"""Estimate the file of a log, piece by piece: a short log is one piece."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.estimator.evaluation.health import Health
+from surefoot.estimator.evaluation.run_summary import RunSummary, summary_of_run
+from surefoot.estimator.evaluation.trajectory import (
+    Trajectory,
+    TrajectoryError,
+    TrajectoryWriter,
+    reference,
+)
+from surefoot.estimator.metrics import (
+    METRICS_RATE,
+    Metrics,
+    evaluate,
+    matched,
+    relative_errors,
+)
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.estimators import estimator_named
+from surefoot.scenarios.estimate.run import (
+    declared_model,
+    estimated_in_chunks,
+    health_of,
+    joined_trajectory,
+    robot_of,
+)
+from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import whole_file
+from surefoot.sim.log import Log, LogReader
+
+LONG = 1800.0
+"""Length above which a log is estimated in pieces [s]; its trajectory alone would take
+gigabytes.
+"""
+LOG_PIECE = 60.0
+"""Length of a piece [s]."""
+CHECKED = 300.0
+"""Length of the part of a long log that is checked before it is estimated [s]; takes some
+seconds and, at 500 Hz, 600 MB.
+"""
+JUDGED = 40_000
+"""Largest number of estimates for the metrics of a log in pieces, evenly spread: 80 MB. Relative
+errors are of all, within each piece.
+"""
+
+
+@dataclass(frozen=True)
+class TrajectoryFile:
+    """Where an estimate is written.
+
+    Attributes:
+        path: of the trajectory (.parquet), with a .tum beside it.
+        force: whether files may be replaced.
+        warnings: about what in the log was not plausible, kept in the trajectory's metadata.
+    """
+
+    path: Path
+    force: bool = False
+    warnings: tuple[str, ...] = ()
+
+
+def estimate_file(
+    name: str,
+    reader: LogReader,
+    robot_name: str | None,
+    learnt: Learnt,
+    settings: FilterSettings | None = None,
+    out: TrajectoryFile | None = None,
+) -> tuple[Metrics | None, Health]:
+    """Estimate a log with one filter.
+
+    Returns its metrics, None where it has no reference or the filter diverged, and its health. A
+    log longer than LONG is processed in pieces, using the memory of one, unless it declares
+    effects, whose compensation needs the whole log. Raises SurefootError saying what is missing or
+    wrong.
+
+    Args:
+        name: of the filter.
+        reader: of the log.
+        robot_name: name or MJCF file; None for the log's own.
+        learnt: observers and bounds.
+        settings: noise, priors and start.
+        out: file for the trajectory; None to write none.
+    """
+    estimator, whole = estimator_named(name), not is_long(reader) or bool(reader.meta.effects)
+    first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
+    first.require("imu")
+    first, robot = declared_model(first, robot_of(first, robot_name))
+    judge = _Judge(None if whole else reader)
+    parts: list[RunSummary] = []
+    waiting: deque[Log] = deque()  # pieces that were read but not estimated
+
+    def pieces(logs: Iterable[Log]) -> Iterator[Log]:
+        for log in logs:
+            waiting.append(log)
+            yield log
+
+    try:
+        with ExitStack() as files:
+            write: Callable[[Trajectory], None] | None = None
+            chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
+            for part in estimated_in_chunks(estimator, chunks, robot, learnt, None, settings):
+                if out is not None:
+                    write = write or files.enter_context(_opened(out, part if whole else None))
+                    write(part)
+                log = waiting.popleft()
+                parts.append(summary_of_run(part, log))
+                judge.add(log, part)
+    except SurefootError as error:
+        raise SurefootError(f"filter {name}: {error}") from None
+    found = health_of(parts, estimator, robot, first, settings)
+    return (None if parts[-1].diverged else judge.metrics()), found
+
+
+@contextmanager
+def _opened(out: TrajectoryFile, only: Trajectory | None) -> Iterator[Callable[[Trajectory], None]]:
+    """A function that writes the next piece to both files, which are whole or absent; `only` is the
+    one piece, whose columns they have.
+    """
+    columns = None if only is None else tuple(only.columns())
+    with (
+        TrajectoryWriter(out.path, out.force, columns, out.warnings) as table,
+        whole_file(out.path.with_suffix(".tum"), out.force) as path,
+        path.open("w") as lines,
+    ):
+
+        def write(part: Trajectory) -> None:
+            table.write(part)
+            part.append_tum(lines)
+
+        yield write
+
+
+def is_long(reader: LogReader) -> bool:
+    """Whether a log is too long to hold its estimate at once."""
+    return reader.rows / reader.meta.rate > LONG
+
+
+def first_minutes(reader: LogReader) -> Log:
+    """The log, or the first CHECKED seconds of a long one, for checks."""
+    return next(Log.chunks(reader, CHECKED if is_long(reader) else np.inf))
+
+
+class _Judge:
+    """Metrics of an estimate that comes in pieces; `reader` None for one in a single piece."""
+
+    def __init__(self, reader: LogReader | None):
+        self._every = 1
+        if reader is not None:
+            estimates = reader.rows / reader.meta.rate * METRICS_RATE
+            self._every = int(np.ceil(estimates / JUDGED))
+        self._whole = reader is None
+        self._pairs: list[tuple[Trajectory, Trajectory]] = []
+        self._squares, self._segments = np.zeros(2), 0  # sums over the relative errors
+
+    def add(self, log: Log, part: Trajectory) -> None:
+        """Count the estimate of a piece, if a reference was measured during it."""
+        if not log.has("reference"):
+            return
+        if self._whole:
+            self._pairs.append((reference(log), part))
+            return
+        with suppress(TrajectoryError):
+            truth, estimate = matched(reference(log), part)
+            errors = relative_errors(truth, estimate)
+            self._squares += [np.sum(np.square(one)) for one in errors]
+            self._segments += len(errors[0])
+            self._pairs.append((_thinned(truth, self._every), _thinned(estimate, self._every)))
+
+    def metrics(self) -> Metrics | None:
+        """Metrics over all pieces; None without a reference."""
+        if not self._pairs:
+            return None
+        if self._whole:
+            return evaluate(*self._pairs[0])
+        truths, estimates = zip(*self._pairs, strict=True)
+        self._pairs.clear()  # to hold them only once
+        metrics = evaluate(joined_trajectory(truths), joined_trajectory(estimates))
+        n = self._segments
+        trans, rot = np.sqrt(self._squares / n) if n else (np.nan, np.nan)
+        return replace(metrics, rpe_trans=float(trans), rpe_rot=float(rot), segments=n)
+
+
+def _thinned(part: Trajectory, every: int) -> Trajectory:
+    """Keep one in `every` estimates, and as many updates, without holding on to the others."""
+    updates = part.updates
+    if updates is not None:
+        known = {name: value for name, value in vars(updates).items() if value is not None}
+        kept = {name: value[::every].copy() for name, value in known.items()}
+        updates = replace(updates, **kept)
+    return replace(part.rows(np.arange(0, len(part.t), every)), updates=updates)
