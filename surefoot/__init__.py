@@ -51,23 +51,4 @@ __all__ = [
     "walk",
 ]
 
-_HOMES = {
-    "estimator.metrics": ("evaluate",),
-    "models.alignment.alignment": ("align",),
-    "models.calibration.bounds": ("Bounds",),
-    "models.calibration.calibrate": ("calibrate",),
-    "models.calibration.settings": ("CalibrateSettings",),
-    "models.observer.observer": ("Observer",),
-    "models.observer.settings": ("TrainSettings",),
-    "models.observer.training": ("train",),
-    "scenarios.compare": ("compare_log as compare",),
-    "scenarios.estimate.contract": ("Learnt", "Sample"),
-    "scenarios.estimate.run": ("run_filter",),
-    "scenarios.estimate.streaming": ("StreamingEstimator",),
-    "scenarios.trace.run": ("TraceOptions", "trace"),
-    "sim.log": ("Log",),
-    "sim.robot.robot": ("Robot",),
-    "sim.scenario": ("Scenario",),
-    "sim.walk": ("walk",),
-}
-__getattr__, __dir__ = lazy_names(globals(), _HOMES)
+__getattr__, __dir__ = lazy_names(globals())

@@ -1,30 +1,40 @@
 """Names of a module that are imported when they are first used."""
 
-from collections.abc import Callable, Mapping
+import ast
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from typing import Any
 
 
-def lazy_names(
-    module: dict[str, Any], homes: Mapping[str, tuple[str, ...]]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a module.
+def lazy_names(module: dict[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a module for the names that it imports for type checkers, in
+    an `if TYPE_CHECKING:` at its top level.
 
     Args:
         module: its globals.
-        homes: module below `surefoot` -> names that it has; "name as other" renames one.
     """
-    found = {
-        words.rpartition(" ")[2]: (home, words.partition(" ")[0])
-        for home, names in homes.items()
-        for words in names
-    }
+    name_of_module = module["__name__"]
+
+    @cache
+    def homes() -> dict[str, tuple[str, str]]:
+        """Name -> module and attribute."""
+        tree = ast.parse(module["__loader__"].get_source(name_of_module))
+        return {
+            alias.asname or alias.name: (node.module or "", alias.name)
+            for block in tree.body
+            if isinstance(block, ast.If)
+            for node in block.body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
 
     def getattribute(name: str) -> Any:
-        if name not in found:
-            raise AttributeError(f"module '{module['__name__']}' has no attribute {name!r}")
-        home, attribute = found[name]
-        value = module[name] = getattr(import_module(f"surefoot.{home}"), attribute)
+        # Python itself asks for names such as __path__.
+        if name.startswith("__") or name not in homes():
+            raise AttributeError(f"module {name_of_module!r} has no attribute {name!r}")
+        home, attribute = homes()[name]
+        value = module[name] = getattr(import_module(home), attribute)
         return value
 
-    return getattribute, lambda: sorted({*module, *found})
+    return getattribute, lambda: sorted({*module, *homes()})
