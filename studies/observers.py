@@ -15,6 +15,7 @@ import pandas as pd
 
 from studies.command import OutputFolder, run_study
 from surefoot import Log, Robot, TrainSettings, train
+from surefoot.extend import SurefootError
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.registry import ARCHITECTURES
@@ -26,7 +27,6 @@ from surefoot.scenarios.reporting.pages import origin_of, write_page, write_resu
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.settings import SimulateSettings
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.sources import code_digest

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from surefoot.models.attribution.diagnose import diagnose, logs_under_model
+from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose, logs_under_model
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.noise_floor import RunVariation
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
@@ -29,30 +28,16 @@ OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
 @dataclass(frozen=True)
-class TraceOptions:
+class TraceOptions(DiagnosisOptions):
     """What a trace is given besides the logs and the model of the robot.
 
     Attributes:
-        seed: of the noise floor and the bootstraps.
-        declared: effects that belong to the model and are compensated first. With any sequence,
-            even an empty one, the trace looks for what has *changed*: encoder zeros, biases and
-            clocks are fitted to each log separately and are not effects. The same holds for several
-            logs.
-        since: variation between runs of the unchanged machine, from the trace that found
-            `declared`.
-        holdout: logs of the same machine, on which the result is judged and nothing is fitted.
         learnt: observers and bounds for the filters that need them.
-        constants: of the method.
         notes: sentences about the logs, such as implausible values, that come first among the
             trace's own.
     """
 
-    seed: int = 0
-    declared: Sequence[Effect] | None = None
-    since: RunVariation | None = None
-    holdout: Sequence[Log] = ()
     learnt: Learnt = field(default_factory=Learnt)
-    constants: TraceSettings = DEFAULT
     notes: tuple[str, ...] = ()
 
 
@@ -113,10 +98,7 @@ def trace_logs(
     """
     report = progress or (lambda share: None)
     settings, learnt = options.constants, options.learnt
-    found = diagnose(
-        logs, robot, options.seed, lambda share: report(0.88 * share), options.declared, settings,
-        options.holdout, options.since,
-    )  # fmt: skip
+    found = diagnose(logs, robot, options, lambda share: report(0.88 * share))
     stretches: tuple[BeforeAfter, ...] = ()
     unseen: tuple[BeforeAfter, ...] = ()
     if found.attribution is not None:
