@@ -33,30 +33,6 @@ AGREED = 0.4
 _GROW, _ROUNDS = 1.4, 100
 
 
-def ego_velocity(
-    direction: np.ndarray,
-    doppler: np.ndarray,
-    noise: float,
-    angle_noise: tuple[float, float] = (0.0, 0.0),
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Velocity of the sensor from one frame.
-
-    direction (n, 3), unit, in the radar's axes (x along the beam, y left, z up); doppler (n,)
-    [m/s], the range's rate (negative when it closes); noise [m/s] of a Doppler; angle_noise [rad]
-    of azimuth and elevation. Raises SurefootError on wrong shapes, values that are not finite and
-    noise out of range.
-
-    Returns velocity (3,) [m/s] in those axes, its covariance (3, 3) and a mask of the inliers (n,).
-    None if there are fewer than ENOUGH inliers, or fewer than AGREED of all returns, or if they
-    leave a direction undetermined. The covariance scales with the larger of `noise` and the
-    inliers' residuals.
-    """
-    direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
-    v, cov, inlier = np.empty(3), np.empty((3, 3)), np.empty(len(direction), dtype=np.bool_)
-    found = _ego_velocity(direction, doppler, noises, v, cov, inlier)
-    return (v, cov, inlier) if found else None
-
-
 def ego_velocities(
     frame: np.ndarray,
     direction: np.ndarray,
@@ -65,7 +41,10 @@ def ego_velocities(
     noise: float,
     angle_noise: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`ego_velocity` of every frame.
+    """Velocity of the sensor from each frame that has one: at least ENOUGH inliers, AGREED of all
+    returns, and a spread of directions. The covariance scales with the larger of `noise` and the
+    inliers' residuals. Raises SurefootError on wrong shapes, values that are not finite and noise
+    out of range.
 
     Returns the indices (R,) of the frames with a result, their velocities (R, 3) [m/s] in the
     sensor's axes and the covariances (R, 3, 3) [m^2/s^2].

@@ -10,6 +10,7 @@ from surefoot.models.alignment.alignment import Alignment, align, aligned_log
 from surefoot.models.alignment.rotation_guess import rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
+from surefoot.scenarios.settings import AlignSettings
 from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
@@ -21,33 +22,19 @@ _SHOWN = 4.0
 """Length of the section that is plotted [s]: some strides."""
 
 
-def align_file(
-    file: Path,
-    out: Path,
-    map: str | None = None,
-    robot: str | None = None,
-    most: float = 10.0,
-    force: bool = False,
-) -> tuple[Alignment, tuple[str, ...]]:
+def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     """Align a log, or a recording with its map; returns the result and a description.
 
     Raises SurefootError where a file exists (without `force`), IMU or reference are missing or
     overlap too little, or the robot is unknown.
-
-    Args:
-        file: a log (.parquet), or with `map` a recording.
-        out: folder for _OUTPUTS.
-        map: of the recording.
-        robot: in whose base frame the tracked point is reported as well.
-        most: largest clock offset that is searched for [s].
-        force: overwrite such files.
     """
+    out, robot = settings.out, settings.robot
     for name in _OUTPUTS:
-        refuse_overwrite(Path(out) / name, force)
-    log, poses = _read(file, map)
+        refuse_overwrite(out / name, settings.force)
+    log, poses = _read(settings.file, settings.map)
     at = Robot.for_log(log, robot) if robot else None
-    found = align(log, poses, most)
-    with whole_folder(out, force) as folder:
+    found = align(log, poses, settings.most)
+    with whole_folder(out, settings.force) as folder:
         with whole_file(folder / "alignment.json") as temporary:
             temporary.write_text(json.dumps(found.as_dict(), indent=1) + "\n")
         save_png(figure(log, poses, found), folder / "alignment.png")

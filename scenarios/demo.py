@@ -11,6 +11,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.settings import TrainSettings
 from surefoot.scenarios.compare import compare_log, write_comparison
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
@@ -23,7 +24,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.stages import processes, submitted
 from surefoot.scenarios.trace.report import sections as trace_sections
 from surefoot.scenarios.trace.result import Trace
-from surefoot.scenarios.trace.run import trace
+from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import check_space, refuse_full, whole_folder
@@ -81,7 +82,7 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
         hidden = _undeclared(robot, seed, out)
         tracing = submitted(pool, (_trace, robot, seed, out))
         print("training two observers on one walk: mean squared error, Gaussian likelihood")
-        learnt = learn([logs["train"]], logs["calibrate"], out, seed)
+        learnt = learn([logs["train"]], logs["calibrate"], out, TrainSettings(seed=seed))
         print("\nevery filter, on a walk that nothing was trained on")
         comparison = compare_log(logs["walk"], robot, learnt)
         print("\nwaiting for the trace of a walk with an effect that its log does not declare")
@@ -129,7 +130,9 @@ def _undeclared(robot: Robot, seed: int, out: Path) -> Effect:
 
 def _trace(robot: Robot, seed: int, out: Path) -> Trace:
     """Trace that walk from its log alone."""
-    return trace([Log.read(out / "logs" / "undeclared.parquet")], robot, out / "trace", seed)
+    return trace(
+        [Log.read(out / "logs" / "undeclared.parquet")], robot, out / "trace", TraceOptions(seed)
+    )
 
 
 def _in_words(hidden: Effect) -> str:

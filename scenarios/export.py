@@ -48,7 +48,7 @@ def export(file: str | Path, out: str | Path, force: bool = False) -> str:
     """
     file, out = Path(file), Path(out)
     if out.suffix not in FORMATS:
-        raise SurefootError(f"-o {out}: give a file ending in {' or '.join(FORMATS)}")
+        raise SurefootError(f"{out}: give a file ending in {' or '.join(FORMATS)}")
     kept = _read(file)
     if out.suffix == ".tum":
         poses = reference(kept) if isinstance(kept, Log) else kept

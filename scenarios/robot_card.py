@@ -37,11 +37,11 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
     exists (without `force`).
     """
     if picture is not None and picture.suffix != ".png":
-        raise SurefootError(f"-o {picture}: the picture is a .png")
+        raise SurefootError(f"{picture}: the picture is a .png")
     machine = load_machine(name_or_path)
     if machine.legged is None:
         if picture is not None:
-            raise SurefootError(f"-o: {machine.name} is on a fixed base, without a picture")
+            raise SurefootError(f"out: {machine.name} is on a fixed base, without a picture")
         return _card_without_legs(machine)
     if picture is not None:
         save_png(portrait(machine.legged), picture, force)

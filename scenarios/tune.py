@@ -29,6 +29,7 @@ from surefoot.scenarios.estimate.run import declared_model, estimated
 from surefoot.scenarios.estimate.tuned import Parameters, Tuned, read_tuned, tuned, tuned_file
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.stages import processes, stage
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, refuse_overwrite, whole_file, whole_folder
@@ -97,59 +98,35 @@ def price_of(metrics: Metrics) -> float:
     return float(np.log(share) + PRICE * abs(np.log(nees / 3.0)))
 
 
-def tune(
-    paths: Sequence[Path],
-    out: Path,
-    filters: Sequence[str] = (),
-    robot: str | None = None,
-    learnt: Learnt | None = None,
-    budget: int = 16,
-    longest: float = 120.0,
-    workers: int = 1,
-    force: bool = False,
-) -> str:
+def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
     """Search each filter's parameters for each robot; a finished search is not repeated.
 
     Returns the text of tuned.md. Raises SurefootError on bad input.
 
     Args:
         paths: logs with a reference, of one or several robots.
-        out: folder for tuned.toml, tuned.md (before and after) and finished searches.
-        filters: names, by default all that logs and `learnt` allow.
-        robot: name or MJCF file, by default each log's own.
+        settings: filters, amount of work and where to.
         learnt: observers and bounds.
-        budget: runs of each filter over all logs of a robot.
-        longest: length of each log, from its start, on which filters are evaluated [s].
-        workers: parallel searches, one process each.
-        force: overwrite tuned.toml and tuned.md.
     """
-    if budget < 1:
-        raise SurefootError(f"--budget {budget}: at least 1")
-    if not longest > 0.0:
-        raise SurefootError(f"--longest {longest:g}: must be positive")
+    out, filters = settings.out, settings.filter
+    if settings.budget < 1:
+        raise SurefootError(f"budget {settings.budget}: at least 1")
+    if not settings.longest > 0.0:
+        raise SurefootError(f"longest {settings.longest:g}: must be positive")
     for name in filters:
         estimator_named(name)
     for name in ("tuned.toml", "tuned.md"):
-        refuse_overwrite(out / name, force)
+        refuse_overwrite(out / name, settings.force)
     of_robot: dict[str, list[Path]] = {}
     for path in paths:
         log = Log.read(path)
-        of_robot.setdefault(Robot.for_log(log, robot).name, []).append(path)
+        of_robot.setdefault(Robot.for_log(log, settings.robot).name, []).append(path)
     searches = {
-        (known, name): (
-            search_filter,
-            name,
-            own,
-            robot,
-            learnt or Learnt(),
-            budget,
-            longest,
-            out / "searches",
-        )
+        (known, name): (search_filter, name, own, settings, learnt)
         for known, own in of_robot.items()
         for name in filters or ESTIMATORS
     }
-    with processes(workers) as pool:
+    with processes(settings.workers) as pool:
         results = stage(pool, "searches", searches)
     found = {key: result for key, result in results.items() if "left_out" not in result}
     table = [_row(known, name, result) for (known, name), result in found.items()]
@@ -162,11 +139,11 @@ def tune(
     entries = dict(read_tuned(tuned_file()))
     for (known, name), result in found.items():
         before = entries.get(known, entries["default"])
-        reason = f"surefoot tune, budget {budget}, {len(of_robot[known])} logs"
+        reason = f"surefoot tune, budget {settings.budget}, {len(of_robot[known])} logs"
         own = before.filters | {name: result["search"]["best"]}
         entries[known] = replace(before, filters=own, reason=reason)
     text = "\n\n".join(lines) + "\n"
-    with whole_folder(out, force) as folder:
+    with whole_folder(out, settings.force) as folder:
         write_tuned(folder / "tuned.toml", entries)
         with whole_file(folder / "tuned.md") as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -174,35 +151,20 @@ def tune(
 
 
 def search_filter(
-    name: str,
-    paths: Sequence[Path],
-    robot_name: str | None,
-    learnt: Learnt,
-    budget: int,
-    longest: float,
-    folder: Path,
+    name: str, paths: Sequence[Path], settings: TuneSettings, learnt: Learnt
 ) -> dict[str, Any]:
     """One filter's search on one robot's logs, as a finished case.
 
     `search`, and the percentage of the path and NEES on each log `before` and `after`; for a filter
     that the logs or `learnt` do not allow: `left_out`, the reason.
-
-    Args:
-        name: of the filter.
-        paths: of the logs.
-        robot_name: or None for the logs' own.
-        learnt: observers and bounds.
-        budget: runs of the filter over all logs.
-        longest: length of each log, from its start, on which filters are evaluated [s].
-        folder: of the finished searches.
     """
     estimator = estimator_named(name)
     walks, declared = [], []
     for path in paths:
         log = Log.read(path)
-        log = log.rows(log.t - log.t[0] <= longest)
+        log = log.rows(log.t - log.t[0] <= settings.longest)
         declared += declared_effects(log)
-        walks.append(declared_model(log, Robot.for_log(log, robot_name)))
+        walks.append(declared_model(log, Robot.for_log(log, settings.robot)))
     entry = tuned(walks[0][1])
     declared_ones = {each.name for each in estimator.parameters if each.declared}
     every = entry.of(estimator)
@@ -222,7 +184,7 @@ def search_filter(
 
     def make() -> dict[str, Any]:
         before = _errors(judged(start))
-        result = search(price, start, budget)
+        result = search(price, start, settings.budget)
         return {"search": asdict(result), "before": before, "after": _errors(judged(result.best))}
 
     inputs = {
@@ -230,8 +192,8 @@ def search_filter(
         "estimator": estimator_code(name),
         "start": every,
         "mounting": entry.mounting,
-        "budget": budget,
-        "longest": longest,
+        "budget": settings.budget,
+        "longest": settings.longest,
         "logs": [file_digest(path) for path in paths],
         "robots": [robot.digest for _, robot in walks],
         "effects": code_digest(*map(type, declared)),
@@ -240,7 +202,7 @@ def search_filter(
     }
     case = f"{walks[0][1].name}_{name}"
     try:
-        return finished_case(folder, case, inputs, __name__, make)
+        return finished_case(settings.out / "searches", case, inputs, __name__, make)
     except SurefootError as error:
         return {"left_out": str(error)}
 

@@ -6,14 +6,8 @@ installed.
 
 import numpy as np
 
-from surefoot.models.calibration.conformal import conformal_quantile
-from surefoot.models.calibration.regions import (
-    Calibrator,
-    Conformal,
-    Region,
-    mahalanobis,
-    second_moment,
-)
+from surefoot.extend import Calibrator, Region, conformal_quantile
+from surefoot.models.calibration.regions import Conformal, mahalanobis, second_moment
 
 
 class Bonferroni(Conformal):

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.extend import SurefootError
 
 OutputFolder = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 

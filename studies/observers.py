@@ -14,19 +14,19 @@ import numpy as np
 import pandas as pd
 
 from studies.command import OutputFolder, run_study
-from surefoot import Log, Robot, train
+from surefoot import Log, Robot, TrainSettings, train
+from surefoot.extend import SurefootError
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.training import Schedule
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.cache import contents_digest
-from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.errors import SurefootError
+from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.sources import code_digest
@@ -62,7 +62,7 @@ class ObserverStudy:
 
     out: OutputFolder
     seeds: int = 3
-    steps: int = Schedule.steps
+    steps: int = TrainSettings.steps
     """Training steps, the same for all networks."""
     loss: str = "mse"
     inputs: tuple[str, ...] = ("q,dq,tau", "tau,feet")
@@ -134,7 +134,7 @@ def _logs(suite: SuiteWalks, out: Path) -> dict[str, Log]:
     """The suite's logs with declared effects compensated; simulated if they do not exist yet."""
     names = (suite.train, *suite.tests)
     files = [COURSES / suite.folder / f"{name}.toml" for name in names]
-    rows = simulate_all(files, out / "logs")
+    rows = simulate(SimulateSettings(tuple(files), out / "logs"))
     for row in rows:
         if row.falls:
             raise SurefootError(f"{row.scenario}: the robot fell at {row.fell_at:.1f} s")
@@ -163,15 +163,10 @@ def _trained_and_tested(
         options: loss and steps.
     """
     started = process_time()
-    schedule = Schedule(steps=options.steps)
-    observer = train(
-        logs[suite.train],
-        inputs=inputs,
-        loss=options.loss,
-        seed=seed,
-        schedule=schedule,
-        model=model,
+    settings = TrainSettings(
+        inputs=inputs, loss=options.loss, seed=seed, steps=options.steps, model=model
     )
+    observer = train(logs[suite.train], None, settings)
     cpu = process_time() - started
     row: dict[str, object] = {"seed": seed, "parameters": observer.network.size, "cpu": cpu}
     errors = {name: prediction_errors(observer, logs[name])[1] for name in suite.tests}

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     )
     from surefoot.models.calibration.regions import Calibrator, Region
     from surefoot.models.observer.network import Architecture
-    from surefoot.models.observer.training import Schedule
     from surefoot.models.residuals.binning import BIN, bin_mean
     from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
     from surefoot.scenarios.estimate.contract import (
@@ -73,7 +72,6 @@ _HOMES = {
     ),
     "models.calibration.regions": ("Calibrator", "Region"),
     "models.observer.network": ("Architecture",),
-    "models.observer.training": ("Schedule",),
     "models.residuals.binning": ("BIN", "bin_mean"),
     "models.residuals.channel": ("Channel", "Column", "ResidualInputs"),
     "scenarios.estimate.contract": (

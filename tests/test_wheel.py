@@ -104,7 +104,7 @@ def test_wheel_holds_every_file_of_a_room_once_and_no_other(wheel):
     with zipfile.ZipFile(wheel) as archive:
         count = Counter(archive.namelist())
     own = {name: n for name, n in count.items() if ".dist-info/" not in name}
-    package = ["surefoot/__init__.py", "surefoot/__main__.py"]
+    package = [f"surefoot/{path.name}" for path in (CHECKOUT / "surefoot").glob("*.py")]
     assert own == dict.fromkeys([*package, *_tracked()], 1)
 
 

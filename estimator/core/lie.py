@@ -92,12 +92,3 @@ def gammas_of(phi, e, gamma_0, gamma_1, gamma_2):
     _polynomial(phi, 1.0, e[1], e[2], gamma_0)
     _polynomial(phi, 1.0, e[2], e[3], gamma_1)
     _polynomial(phi, 0.5, e[3], e[4], gamma_2)
-
-
-@kernel
-def so3_exp(phi):
-    """Rotation matrix (3, 3) of the rotation vector phi (3,) [rad]: Gamma_0."""
-    _, e1, e2, _, _, _, _ = entire(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
-    out = np.empty((3, 3))
-    _polynomial(phi, 1.0, e1, e2, out)
-    return out

@@ -120,38 +120,56 @@ class Diagnosis:
         return plain(out)
 
 
+@dataclass(frozen=True)
+class DiagnosisOptions:
+    """What a diagnosis is given besides the logs and the model of the robot.
+
+    Attributes:
+        seed: of the noise floor and the bootstraps.
+        declared: effects that belong to the model and are compensated first. With any sequence,
+            even an empty one, the diagnosis looks for what has *changed*: encoder zeros, biases and
+            clocks are fitted to each log separately and are not effects. The same holds for several
+            logs.
+        since: variation between runs of the unchanged machine, from the trace that found
+            `declared`; an effect must stand out from it.
+        holdout: logs of the same machine, on which the result is judged and nothing is fitted.
+        constants: of the method.
+    """
+
+    seed: int = 0
+    declared: Sequence[Effect] | None = None
+    since: RunVariation | None = None
+    holdout: Sequence[Log] = ()
+    constants: TraceSettings = DEFAULT
+
+
+DEFAULT_OPTIONS = DiagnosisOptions()
+
+
 def diagnose(
     logs: Sequence[Log],
     robot: Machine,
-    seed: int = 0,
+    options: DiagnosisOptions = DEFAULT_OPTIONS,
     progress: Callable[[float], None] = lambda share: None,
-    declared: Sequence[Effect] | None = None,
-    settings: TraceSettings = DEFAULT,
-    holdout: Sequence[Log] = (),
-    since: RunVariation | None = None,
 ) -> Diagnosis:
     """Find which effects `robot` lacks as a model of the logs.
 
     Args:
         logs: of one machine. Only time, IMU, joints, feet, reference and rate are read.
         robot: the declared model.
-        seed: of the bootstrap.
+        options: declared effects, held-out logs, seed and the like.
         progress: called with the share that is done.
-        declared: effects that belong to the model and are compensated first. If given, even if
-            empty, zeros and clock offsets count as properties of each log and not as effects.
-        settings: thresholds and constants.
-        holdout: logs of the same machine, on which the result is judged and nothing is fitted.
-        since: variation between runs of the unchanged machine, from the trace that gave `declared`;
-            an effect must stand out from it.
 
     Without a reference, a walk is traced by the relative motion of feet in simultaneous stance and
     by the joints alone; the notes name what only a reference would show.
     """
+    seed, declared = options.seed, options.declared
+    holdout, since = options.holdout, options.since
     check_seed(seed)
     # The logs under the declared model. Zeros and clocks of several logs belong to each log.
     model = declared or ()
     several = len(logs) > 1 or declared is not None
-    settings = replace(settings, per_run_offsets=several)
+    settings = replace(options.constants, per_run_offsets=several)
     cases = logs_under_model(logs, robot, model, settings)
     split = split_of(cases)
     cannot = untraceable_reason(cases, split)

@@ -72,7 +72,7 @@ class Bounds:
     def persistent_at(self, R_BI: np.ndarray) -> BiasModel:
         """The persistent part for another IMU mounting. Raises BoundsError where it is missing."""
         if self.persistent is None:
-            raise BoundsError("--bounds have no persistent part; calibrate again, on a longer log")
+            raise BoundsError("bounds have no persistent part; calibrate again, on a longer log")
         return self.persistent.turned(np.asarray(R_BI).T @ self.R_BI)
 
     def save(self, path: str | Path, force: bool = False) -> None:

@@ -15,7 +15,8 @@ from surefoot.models.calibration.bias_model import estimate_bias_model, long_eno
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import mixing
-from surefoot.models.calibration.regions import CONFIDENCE, Calibrator, Region, calibrator
+from surefoot.models.calibration.regions import Calibrator, Region, calibrator
+from surefoot.models.calibration.settings import CALIBRATE_DEFAULT, CalibrateSettings
 from surefoot.models.calibration.walk_length import errors_needed
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted
@@ -28,11 +29,8 @@ from surefoot.sim.robot import Robot
 def calibrate(
     observer: Observer,
     log: Log,
-    gamma: float = 0.8,
-    method: str = "conformal",
+    settings: CalibrateSettings = CALIBRATE_DEFAULT,
     robot: Mounted | None = None,
-    K: int | None = None,
-    confidence: float = CONFIDENCE,
 ) -> Bounds:
     """Bounds that hold jointly with probability gamma, in the frame of the log's IMU.
 
@@ -42,13 +40,11 @@ def calibrate(
     Args:
         observer: whose errors are bounded.
         log: not used in training, with a reference.
-        gamma: joint level.
-        method: a name of surefoot.models.registry.CALIBRATORS.
+        settings: level and method.
         robot: the log's, by default Robot.for_log.
-        K: steps of 10 ms between errors taken as independent, by default from their mixing curve.
-        confidence: of `scenario` bounds, over calibrations.
     """
-    how = calibrator(method, gamma, confidence)
+    gamma, method, K = settings.gamma, settings.method, settings.K
+    how = calibrator(method, gamma, settings.confidence)
     seen = {part.sha256: part.name for part in observer.logs}
     digest = log_digest(log)
     if digest in seen:

@@ -15,7 +15,7 @@ class BoundsError(SurefootError):
 def level_per_axis(gamma: float) -> float:
     """gamma^(1/3), the level of each axis. Raises BoundsError unless 0 < gamma < 1."""
     if not 0 < gamma < 1:
-        raise BoundsError(f"--gamma {gamma:g}: must lie between 0 and 1")
+        raise BoundsError(f"gamma {gamma:g}: must lie between 0 and 1")
     return gamma ** (1 / 3)
 
 

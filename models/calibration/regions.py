@@ -168,5 +168,5 @@ def mahalanobis(errors: np.ndarray, shape: np.ndarray) -> np.ndarray:
 def calibrator(method: str, gamma: float, confidence: float = CONFIDENCE) -> Calibrator:
     """The method of that name. Raises BoundsError where there is none, or gamma is out of range."""
     if method not in CALIBRATORS:
-        raise BoundsError(f"--method {method}: choose {' | '.join(CALIBRATORS)}")
+        raise BoundsError(f"method {method}: choose {' | '.join(CALIBRATORS)}")
     return CALIBRATORS[method](gamma, confidence)

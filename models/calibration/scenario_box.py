@@ -104,7 +104,7 @@ def least_samples(gamma: float, confidence: float = CONFIDENCE) -> int:
 
 def _check_confidence(confidence: float) -> None:
     if not 0 < confidence < 1:
-        raise BoundsError(f"--confidence {confidence:g}: must lie between 0 and 1")
+        raise BoundsError(f"confidence {confidence:g}: must lie between 0 and 1")
 
 
 @kernel

@@ -19,7 +19,7 @@ def torch_device(name: str) -> torch.device:
     except Exception as error:
         # torch raises many types here, depending on device, build and driver.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ObserverError(f"--device {name}: torch cannot use it here ({reason[:200]})") from None
+        raise ObserverError(f"device {name}: torch cannot use it here ({reason[:200]})") from None
     return device
 
 

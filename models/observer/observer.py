@@ -212,7 +212,7 @@ def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
     names = tuple(inputs.replace(" ", "").split(",")) if isinstance(inputs, str) else tuple(inputs)
     if names not in INPUTS:
         choices = " | ".join(",".join(choice) for choice in INPUTS)
-        raise ObserverError(f"--inputs {','.join(names)}: choose {choices}")
+        raise ObserverError(f"inputs {','.join(names)}: choose {choices}")
     return names
 
 
@@ -238,14 +238,14 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
 def check_loss(loss: str) -> str:
     """Return the loss if it exists. Raises ObserverError otherwise."""
     if loss not in LOSSES:
-        raise ObserverError(f"--loss {loss}: choose {' | '.join(LOSSES)}")
+        raise ObserverError(f"loss {loss}: choose {' | '.join(LOSSES)}")
     return loss
 
 
 def check_model(model: str) -> str:
     """Return the architecture's name if it exists. Raises ObserverError otherwise."""
     if model not in ARCHITECTURES:
-        raise ObserverError(f"--model {model}: choose {' | '.join(ARCHITECTURES)}")
+        raise ObserverError(f"model {model}: choose {' | '.join(ARCHITECTURES)}")
     return model
 
 

@@ -39,7 +39,7 @@ def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
     """
     if not isinstance(robot, Robot) or joints != robot.limbs.joints:
         raise SurefootError(
-            f"--inputs feet: the log's joints are not known as those of {robot.name}, its feet "
+            f"inputs feet: the log's joints are not known as those of {robot.name}, its feet "
             "cannot be computed"
         )
     values = robot.legs._asdict() | {"radius": robot.foot_radius}

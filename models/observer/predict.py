@@ -85,7 +85,7 @@ class Loop:
         if not body.causal:
             raise ObserverError(
                 f"the observer is a {observer.model}, which reads a log from both ends: it serves "
-                "whole logs, not a loop; train one with --model gru"
+                "whole logs, not a loop; train one with model gru"
             )
         self.observer = observer
         self._features = body.stepper()

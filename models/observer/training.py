@@ -13,7 +13,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from surefoot.models.observer.observer import (
     log_digest,
     torch_bytes,
 )
+from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import kept_file
@@ -48,92 +49,50 @@ MEAN_FIRST = 0.4
 """Share of the steps in which only a Gaussian's mean is fitted, by mse. With the likelihood from
 the start, small motions are attributed to the covariance: the vertical error became twice as large.
 """
-MOST_STEPS = 1_000_000
-"""Largest number of steps, and of windows in one."""
+SCHEDULE = ("steps", "batch", "rate", "every", "patience")
+"""Settings of the course of a training."""
 TRAINING_FORMAT = "surefoot training state"
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Length and learning rate of a training.
-
-    Raises ObserverError for invalid values.
-
-    Attributes:
-        steps: of Adam; the rate rises over the first twentieth and then falls to zero along a
-            cosine.
-        batch: windows per step.
-        rate: largest learning rate; None for the architecture's own.
-        every: steps between validations.
-        patience: validations without improvement after which to stop.
-    """
-
-    steps: int = 1200
-    batch: int = 4
-    rate: float | None = None
-    every: int = 25
-    patience: int = 20
-
-    def __post_init__(self):
-        for name in ("steps", "batch", "every", "patience"):
-            if not 0 < getattr(self, name) <= MOST_STEPS:
-                raise ObserverError(f"train: {name} must be within 1 and {MOST_STEPS}")
-        if self.rate is not None and not 0.0 < self.rate <= 1.0:
-            raise ObserverError(f"train: rate must be above 0 and at most 1, is {self.rate:g}")
-
-
-DEFAULT_SCHEDULE = Schedule()
 TrainingProgress = Callable[[int, int, np.ndarray], None]
 
 
 def train(
     logs: Log | Sequence[Log],
     robot: Mounted | None = None,
-    inputs: tuple[str, ...] | str = ("q", "dq", "tau"),
-    loss: str = "mse",
-    seed: int = 0,
+    settings: TrainSettings = TRAIN_DEFAULT,
     progress: bool | TrainingProgress = False,
-    schedule: Schedule = DEFAULT_SCHEDULE,
-    model: str = "gru",
     partial: Path | None = None,
-    width: int | None = None,
-    device: str = "cpu",
 ) -> Observer:
     """Train an observer for the robot of `logs`; deterministic for the same seed and logs.
 
     A single thread is used on any machine, since more threads, like other devices, would sum in
-    another order. Raises ObserverError where a log is too short or lacks an input, where the logs
-    disagree on robot, mounting or joints, or where torch has no such device; LogError where one has
-    no reference.
+    another order. The observer is validated and stored on the CPU, where it will run. Raises
+    ObserverError where a log is too short or lacks an input, where the logs disagree on robot,
+    mounting or joints, or where torch has no such device; LogError where one has no reference.
 
     Args:
         logs: to train on.
         robot: theirs, by default Robot.for_log.
-        inputs: groups of a log's columns, or "q,dq,tau".
-        loss: "mse", or "gml", which also predicts a covariance.
-        seed: of weights and windows.
+        settings: inputs, loss, network and course of the training.
         progress: True shows a bar with the validation RMSE; a function is called with (step, steps,
             rmse (3,) in m/s) after each validation.
-        schedule: length and learning rate.
-        model: a name of surefoot.models.registry.ARCHITECTURES.
         partial: file for the state after each validation, from which an interrupted training
             continues. The caller deletes it once the observer is saved.
-        width: of the network's layers, by default the architecture's own.
-        device: of torch, such as "cuda" or "mps", for the training steps. The observer is validated
-            and stored on the CPU, where it will run.
     """
-    at = torch_device(device)
+    torch_device(settings.device)
     logs = [logs] if isinstance(logs, Log) else list(logs)
-    check_seed(seed)
-    inputs, loss, model = check_inputs(inputs), check_loss(loss), check_model(model)
+    check_seed(settings.seed)
+    inputs = check_inputs(settings.inputs)
+    model, loss = check_model(settings.model), check_loss(settings.loss)
     if not logs:
         raise ObserverError("train: no log given")
-    units: int = ARCHITECTURES[model].width if width is None else width
+    units: int = ARCHITECTURES[model].width if settings.width is None else settings.width
     if not 0 < units <= WIDEST:
         raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {units}")
     dataset = prepare(logs, robot, inputs)
     with _one_thread():
-        fitted = _fit(model, units, loss, dataset, seed, schedule, progress, partial, at)
+        fitted = _fit(dataset, replace(settings, width=units), progress, partial)
         network = fitted.network
         move(network, CPU)
         network.load_state_dict(fitted.best)
@@ -153,7 +112,7 @@ def train(
         R_BI=np.array(dataset.robot.R_BI, dtype=float),
         loss=loss,
         logs=tuple(TrainingLog(log.name, log_digest(log)) for log in logs),
-        seed=seed,
+        seed=settings.seed,
         rate=RATE,
         rmse=fitted.rmse,
         errors=errors,
@@ -254,61 +213,47 @@ def task_digest(logs: Sequence[ScaledLog], **settings: object) -> str:
 
 
 def _fit(
-    model: str,
-    width: int,
-    loss: str,
     dataset: Dataset,
-    seed: int,
-    schedule: Schedule,
+    settings: TrainSettings,
     progress: bool | TrainingProgress,
     partial: Path | None,
-    device: torch.device,
 ) -> Training:
-    """Train until the schedule ends; see `train`.
-
-    Args:
-        model: name of the architecture.
-        width: of its layers.
-        loss: "mse" or "gml".
-        dataset: of training and validation.
-        seed: of weights and windows.
-        schedule: length and learning rate.
-        progress: True shows a bar; a function is called after each validation.
-        partial: file for the state after each validation, or None.
-        device: for the training steps.
-    """
+    """Train until the schedule ends; see `train`. The settings have a width."""
+    device = torch_device(settings.device)
+    loss, model = settings.loss, settings.model
     architecture = ARCHITECTURES[model]
-    rate = schedule.rate or architecture.rate
+    rate = settings.rate or architecture.rate
     unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
-    settings = {"model": model, "loss": loss, "seed": seed, "rate": rate, "width": width}
+    known = {name: getattr(settings, name) for name in ("model", "loss", "seed", "width")}
+    known |= {"rate": rate, "schedule": {name: getattr(settings, name) for name in SCHEDULE}}
     if device.type != CPU.type:  # which sums in another order
-        settings["device"] = device.type
-    task = task_digest(dataset.logs, schedule=asdict(schedule), **settings)
+        known["device"] = device.type
+    task = task_digest(dataset.logs, **known)
     logs = [log.to(device) for log in dataset.logs]
-    now = _begin(model, width, loss, dataset, seed, rate, device)
+    now = _begin(dataset, replace(settings, rate=rate), device)
     if partial:
         now.restore(partial, task)
 
     def stage(step: int) -> str:
-        return "mse" if step <= MEAN_FIRST * schedule.steps else loss
+        return "mse" if step <= MEAN_FIRST * settings.steps else loss
 
     with drawn_bar(
-        total=schedule.steps,
+        total=settings.steps,
         initial=now.step,
         desc=f"train {model} {loss}",
         unit="step",
         disable=progress is not True,
     ) as bar:
-        while now.step < schedule.steps:
-            if now.since >= schedule.patience and stage(now.step) == loss:
+        while now.step < settings.steps:
+            if now.since >= settings.patience and stage(now.step) == loss:
                 break
             now.step += 1
             kind = stage(now.step)
             if kind != stage(now.step - 1):
                 now.score, now.since = np.inf, 0
             for group in now.optimiser.param_groups:
-                group["lr"] = rate * _warm_cosine(now.step / schedule.steps)
-            x, y, trains = draw(logs, schedule.batch, unsettled, now.rng)
+                group["lr"] = rate * _warm_cosine(now.step / settings.steps)
+            x, y, trains = draw(logs, settings.batch, unsettled, now.rng)
             now.optimiser.zero_grad()
             # A sum, since the mean over a batch without a measured reference would be undefined.
             losses = loss_of(kind, now.network(x), y)[trains]
@@ -316,7 +261,7 @@ def _fit(
             torch.nn.utils.clip_grad_norm_(now.network.parameters(), 1.0)
             now.optimiser.step()
             bar.update()
-            if now.step % schedule.every and now.step != schedule.steps:
+            if now.step % settings.every and now.step != settings.steps:
                 continue
             score, rmse = _score(now.network, logs, kind, dataset.y_scale)
             now.judge(score, rmse)
@@ -325,43 +270,28 @@ def _fit(
             said = " ".join(f"{e:.3f}" for e in rmse)
             bar.set_postfix_str(f"validation RMSE {said} m/s", refresh=False)
             if callable(progress):
-                progress(now.step, schedule.steps, rmse)
+                progress(now.step, settings.steps, rmse)
     if not np.isfinite(now.score):
         raise ObserverError("train: the loss did not stay finite; are the inputs of one unit?")
     return now
 
 
-def _begin(
-    model: str,
-    width: int,
-    loss: str,
-    dataset: Dataset,
-    seed: int,
-    rate: float,
-    device: torch.device,
-) -> Training:
+def _begin(dataset: Dataset, settings: TrainSettings, device: torch.device) -> Training:
     """Initialise a training; the weights are drawn on the CPU, so they are the same for every
-    device.
-
-    Args:
-        model: name of the architecture.
-        width: of its layers.
-        loss: "mse" or "gml".
-        dataset: of training and validation, with the units of inputs and outputs.
-        seed: of weights and windows.
-        rate: learning rate of Adam.
-        device: for the training steps.
+    device. The settings have a width and a rate.
     """
-    rng = np.random.default_rng(seed)
+    assert settings.width is not None
+    assert settings.rate is not None
+    rng = np.random.default_rng(settings.seed)
     inputs = len(dataset.x_mean)
     legs = len(dataset.legs["radius"]) if dataset.legs else 0
-    network = Network(model, inputs, LOSS_OUTPUTS[loss], width, legs)
+    network = Network(settings.model, inputs, LOSS_OUTPUTS[settings.loss], settings.width, legs)
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
     if network.odometry is not None:
         network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
     best = _kept_weights(network)
     move(network, device)  # before Adam, which keeps its state where the weights are
-    optimiser = torch.optim.Adam(network.parameters(), lr=rate)
+    optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
     return Training(network, optimiser, rng, best)
 
 

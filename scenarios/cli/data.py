@@ -1,6 +1,6 @@
 """Commands that create, import and show data."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,21 +10,17 @@ from surefoot.scenarios.cli.named import file_there
 from surefoot.scenarios.cli.options import (
     NEEDED,
     OPTIONAL,
-    Cluster,
-    Flag,
     Force,
     Json,
     Logs,
-    OptionalNamed,
-    OptionalOut,
-    OptionalPath,
-    Out,
     RobotName,
     Strict,
+    command,
     not_plausible,
     print_json,
     read_logs,
 )
+from surefoot.scenarios.settings import AlignSettings, SimulateSettings
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
@@ -40,8 +36,8 @@ def _for_observers(_default: str) -> str:
     return f"Walks of {walk_enough():g} s or more suffice to train observers and calibrate bounds."
 
 
-@dataclass(frozen=True)
-class Simulate:
+@command
+class Simulate(SimulateSettings):
     """Simulate walks, one log for each scenario and seed, with an index; an interrupted run is
     resumed.
     """
@@ -50,40 +46,14 @@ class Simulate:
         Positional[tuple[str, ...]],
         arg(help=SCENARIOS, metavar="SCENARIO...", help_behavior_hint=_for_observers),
     ]
-    out: Out
-    """Folder for the logs."""
-    robot: OptionalNamed = None
-    """Name of the robot, or its file (MJCF or URDF); by default the scenario's own."""
-    seeds: Annotated[str, arg(metavar="SEEDS")] = "0"
-    """One seed, or a range such as 0:8, which is 0 to 7."""
-    effects: OptionalPath = None
-    """File of effects (TOML) to inject into the walks."""
-    undeclared: Flag = False
-    """Omit the effects from the logs' metadata, so that no filter compensates them; truth.toml
-    beside the logs lists them.
-    """
-    workers: int = 1
-    """Number of parallel walks on this machine, one thread each."""
-    cluster: Cluster = None
-    force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.datasets.simulate import simulate_all
+        from surefoot.scenarios.datasets.simulate import simulate
 
-        simulate_all(
-            self.scenarios,
-            self.out,
-            self.robot,
-            self.seeds,
-            self.effects,
-            self.undeclared,
-            self.force,
-            self.workers,
-            self.cluster,
-        )
+        simulate(self)
 
 
-@dataclass(frozen=True)
+@command
 class Import:
     """Convert a recording to a log, by a map of its columns.
 
@@ -95,15 +65,15 @@ class Import:
     """The main file, or the folder that contains it, then further files that the map does not name.
     A leading `csv` or `bag` is ignored.
     """
-    map: OptionalNamed = None
+    map: str | None = None
     """Map file (TOML), or the name of a bundled one; needed without --guess."""
-    out: OptionalOut = None
+    out: Path | None = None
     """File for the log (.parquet) or, with --guess, for the map (.toml)."""
-    guess: Flag = False
+    guess: bool = False
     """Draft a map of the files instead of importing them, with a question wherever it is unsure; it
     is printed if there is no -o.
     """
-    robot: OptionalNamed = None
+    robot: str | None = None
     """With --guess: name of the robot, or its file (MJCF or URDF), whose joints the columns are
     assigned to.
     """
@@ -160,13 +130,13 @@ class Import:
         print(f"{self.out}: {what}")
 
 
-@dataclass(frozen=True)
+@command
 class Export:
     """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """A log, or a trajectory from `estimate` (.parquet)."""
-    out: Out
+    out: Path
     """File to write: .tum (poses; of a log, those of its reference), .csv (every column), .mcap
     (ROS 2 and Foxglove messages).
     """
@@ -178,7 +148,7 @@ class Export:
         print(export(self.file, self.out, self.force))
 
 
-@dataclass(frozen=True)
+@command
 class Info:
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
@@ -235,45 +205,33 @@ def _groups(log: "Log") -> list[str]:
     return [group for group in groups if log.has(group)]
 
 
-@dataclass(frozen=True)
-class Align:
+@command
+class Align(AlignSettings):
     """Find clock offset, position and rotation of a reference from IMU and reference alone."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
-    """A log, or with --map a recording, as read by `import`, of which all poses are used."""
-    out: Out
-    """Folder for alignment.json, alignment.png and aligned.parquet."""
-    map: OptionalNamed = None
-    """Map of the recording (TOML), or the name of a bundled one."""
-    robot: OptionalNamed = None
-    """Name of the robot, or its file (MJCF or URDF), in whose base frame the position is given as
-    well.
-    """
-    most: float = 10.0
-    """Largest clock offset that is searched for, in either direction [s]."""
     as_json: Json = False
-    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.align import align_file
 
-        found, lines = align_file(self.file, self.out, self.map, self.robot, self.most, self.force)
+        found, lines = align_file(self)
         print_json(found.as_dict()) if self.as_json else print("\n".join(lines))
 
 
-@dataclass(frozen=True)
+@command
 class View:
     """Open a recording, a log, or a scenario's course before it is walked, in the rerun viewer."""
 
     file: Annotated[Positional[str], arg(metavar="FILE|SCENARIO")]
     """A recording (.rrd), a log (.parquet), or a scenario: its file or bundled name."""
-    web: Flag = False
+    web: bool = False
     """Serve it to a browser on this machine, at 127.0.0.1, instead of opening a window."""
-    robot: OptionalNamed = None
+    robot: str | None = None
     """Name of the robot, or its file (MJCF or URDF); by default that of the log or scenario."""
     seed: int = 0
     """Seed of a scenario's course and ground."""
-    out: OptionalOut = None
+    out: Path | None = None
     """File to write the recording of a log or a scenario to (.rrd), instead of opening it."""
     force: Force = False
 
@@ -310,13 +268,13 @@ class View:
             view(made, self.web)
 
 
-@dataclass(frozen=True)
+@command
 class Robots:
     """List the known robots, or show what is read from one of them or from a file."""
 
     robot: Annotated[Positional[str], arg(metavar="NAME|FILE", help_behavior_hint=OPTIONAL)] = ""
     """Robot (name, MJCF or URDF) of which to show legs, limits, masses, feet, IMU and home pose."""
-    out: OptionalOut = None
+    out: Path | None = None
     """File for a picture of this robot (.png)."""
     as_json: Json = False
     force: Force = False
@@ -346,7 +304,7 @@ class Robots:
         print("`surefoot robots NAME|FILE` shows what is read from one of them")
 
 
-@dataclass(frozen=True)
+@command
 class New:
     """Write a working package of your own: an estimator with its test."""
 
@@ -354,7 +312,7 @@ class New:
     """What to write."""
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """Name of the estimator: lower-case letters, digits and underscores, a letter first."""
-    out: OptionalOut = None
+    out: Path | None = None
     """Folder for the package; by default one called NAME."""
     force: Force = False
 

@@ -1,12 +1,14 @@
 """Commands that train, calibrate and run estimators."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from surefoot.models.calibration.settings import CalibrateSettings
+from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS, LOSSES
 from surefoot.scenarios.cli.options import (
     OPTIONAL,
@@ -15,16 +17,12 @@ from surefoot.scenarios.cli.options import (
     Json,
     Logs,
     Observers,
-    OptionalFloat,
-    OptionalInt,
-    OptionalOut,
-    OptionalPath,
-    Out,
     RobotName,
     SettingLines,
     SettingsFile,
     Strict,
     as_declared,
+    command,
     learnt_from,
     not_plausible,
     one_of,
@@ -56,49 +54,21 @@ def _walk_enough(gamma: str) -> str:
 
 
 InputNames = Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"]
-_INPUTS_HELP = (
-    f"Inputs of the observer, which the log must have: {' | '.join(get_args(InputNames))}. q: "
-    "joint angles, dq: joint velocities, tau: joint torques, feet: leg odometry of the declared "
-    "robot, computed from q and dq."
-)
-
 Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
-@dataclass(frozen=True)
-class Train:
+@command
+class Train(TrainSettings):
     """Train a velocity observer on one or more logs; an interrupted training is resumed."""
 
     logs: Logs
     """Logs with a reference, of at least ten seconds each."""
-    out: Out
+    out: Path
     """File for the observer (.pt)."""
     loss: one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
-    """Loss: mean squared error (mse), or Gaussian maximum likelihood (gml), with which the observer
-    also predicts a covariance.
-    """
-    inputs: Annotated[InputNames, arg(metavar="INPUTS", help=_INPUTS_HELP)] = "q,dq,tau"
+    inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
     model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
-    """Architecture: gru, rnn and lstm are recurrent, mlp and tcn see a window of fixed length;
-    bigru reads a log from both ends, so it works on whole logs only.
-    """
-    steps: int = 1200
-    """Maximum number of training steps; training stops earlier if the validation error no longer
-    improves.
-    """
-    batch: int = 4
-    """Number of ten-second windows in each step."""
-    rate: OptionalFloat = None
-    """Largest learning rate; by default the architecture's own."""
-    width: OptionalInt = None
-    """Number of units in each layer; by default the architecture's own, which gives about 20 000
-    weights.
-    """
-    device: Annotated[str, arg(metavar="DEVICE")] = "cpu"
-    """PyTorch device for the training, such as cuda or mps; the observer itself runs on the CPU."""
     robot: RobotName = None
-    seed: int = 0
-    """Seed of the initial weights and of the order of the windows."""
     strict: Strict = False
     as_json: Json = False
     force: Force = False
@@ -106,20 +76,15 @@ class Train:
     def run(self) -> None:
         from surefoot.models.calibration.walk_length import walk_enough
         from surefoot.models.observer.device import torch_device
-        from surefoot.models.observer.training import Schedule, partial_path, train
+        from surefoot.models.observer.training import partial_path, train
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
         torch_device(self.device)  # before the logs are read
-        schedule = Schedule(self.steps, self.batch, self.rate)
         recorded = read_logs(self.logs, self.robot)
         warnings = not_plausible(recorded, strict=self.strict)
-        logs = as_declared(recorded)
         partial = partial_path(self.out)
-        observer = train(
-            logs, None, self.inputs, self.loss, self.seed, True, schedule, self.model, partial,
-            self.width, self.device,
-        )  # fmt: skip
+        observer = train(as_declared(recorded), None, self, True, partial)
         seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
         observer = replace(observer, logs=tuple(seen))
         observer.save(self.out, self.force)
@@ -136,31 +101,23 @@ class Train:
         )
 
 
-@dataclass(frozen=True)
-class Calibrate:
+@command
+class Calibrate(CalibrateSettings):
     """Calibrate bounds on an observer's velocity errors, from a log it has not seen."""
 
     observer: Annotated[Positional[Path], arg(metavar="OBSERVER")]
     """Observer, a file from `train`."""
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """Log with a reference that the observer was not trained on."""
-    out: Out
+    out: Path
     """File for the bounds (JSON)."""
     gamma: Annotated[float, arg(help_behavior_hint=_walk_enough)] = 0.8
-    """Joint level: probability that the velocity errors of all three axes are within the bounds."""
     method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
-    """Calibration method."""
-    confidence: float = 0.95
-    """Confidence of the bounds of --method scenario, over possible calibration walks."""
-    K: OptionalInt = None
-    """Number of 10 ms steps between errors that are treated as independent; by default from the
-    decay of their dependence.
-    """
-    report: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint=OPTIONAL)] = None
+    report: Path | None = None
     """Folder for a report: decay of dependence, methods, and coverage on the walks of --on."""
     on: Annotated[tuple[Path, ...], arg(metavar="LOG...", help_behavior_hint=OPTIONAL)] = ()
     """Logs on which the report evaluates the bounds; needs --report."""
-    page: OptionalPath = None
+    page: Path | None = None
     """Page of results to write as well, such as docs/results/bounds.md; needs --report."""
     robot: RobotName = None
     strict: Strict = False
@@ -184,15 +141,10 @@ class Calibrate:
         log = recorded[0] if recorded else read_logs((self.log,), self.robot)[0]
         warnings = not_plausible([log], strict=self.strict).get(log.name, ())
         (log,) = as_declared([log])
-        bounds = calibrate(
-            observer, log, self.gamma, self.method, K=self.K, confidence=self.confidence
-        )
-        bounds = replace(bounds, warnings=warnings)
+        bounds = replace(calibrate(observer, log, self), warnings=warnings)
         if self.report:
             with whole_folder(self.report, self.force) as folder:
-                write_calibration_report(
-                    folder, observer, bounds, recorded[0], recorded[1:], page=self.page
-                )
+                write_calibration_report(folder, observer, bounds, recorded, self.page)
                 bounds.save(self.out, self.force)
         else:
             bounds.save(self.out, self.force)
@@ -214,7 +166,7 @@ class Calibrate:
             print(f"report: {self.report / 'report.html'}")
 
 
-@dataclass(frozen=True)
+@command
 class Estimate:
     """Run one filter over a log; prints metrics if the log has a reference.
 
@@ -227,7 +179,7 @@ class Estimate:
     robot: RobotName = None
     observer: Observers = ()
     bounds: BoundsFiles = ()
-    out: OptionalOut = None
+    out: Path | None = None
     """File for the trajectory with covariances (.parquet); its poses are also written beside it as
     a .tum file.
     """
@@ -284,13 +236,13 @@ class Estimate:
         )
 
 
-@dataclass(frozen=True)
+@command
 class NoiseCommand:
     """Estimate the sensor noise of a log in which the robot rests, as settings of the filters."""
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """Log in which the robot rests; the random walks of the biases need a minute or more."""
-    out: OptionalOut = None
+    out: Path | None = None
     """File for the settings (.toml), which --settings reads; the Allan deviations are plotted in a
     .png file beside it.
     """
@@ -306,13 +258,13 @@ class NoiseCommand:
         print_json(found) if self.as_json else print(noise_text(log.name, found))
 
 
-@dataclass(frozen=True)
+@command
 class Compare:
     """Run every filter that the inputs allow on every log: table, figures, report, recordings."""
 
     logs: Logs
     """Logs to compare the filters on; errors are computed for those with a reference."""
-    out: Out
+    out: Path
     """Folder for table.csv, table.md, report.html, figures and recordings."""
     observer: Observers = ()
     bounds: BoundsFiles = ()

@@ -4,9 +4,19 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import NoneType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from tyro.conf import Positional, UseAppendAction, arg
 from tyro.extras import literal_type_from_choices
@@ -15,6 +25,8 @@ from surefoot.sim.common.errors import SurefootError
 
 if TYPE_CHECKING:
     from surefoot.sim.log import Log
+
+C = TypeVar("C")
 
 OPTIONAL = "(optional)"
 NEEDED = "(required)"
@@ -25,17 +37,6 @@ FLAG = ""
 """Text of --help for a flag, instead of tyro's `(default: False)`."""
 
 Logs = Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...", help_behavior_hint=NEEDED)]
-Flag = Annotated[bool, arg(help_behavior_hint=FLAG)]
-# Each has a metavar, since tyro would print `{None}|PATH`.
-OptionalPath = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint=OPTIONAL)]
-OptionalOut = Annotated[
-    Path | None, arg(aliases=["-o"], metavar="PATH", help_behavior_hint=OPTIONAL)
-]
-OptionalNamed = Annotated[str | None, arg(metavar="NAME|FILE", help_behavior_hint=OPTIONAL)]
-OptionalSeeds = Annotated[str | None, arg(metavar="SEEDS", help_behavior_hint=OPTIONAL)]
-OptionalInt = Annotated[int | None, arg(metavar="INT", help_behavior_hint=OPTIONAL)]
-OptionalFloat = Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint=OPTIONAL)]
-Out = Annotated[Path, arg(aliases=["-o"])]
 Force = Annotated[
     bool, arg(help="Replace what an earlier run of this command wrote.", help_behavior_hint=FLAG)
 ]
@@ -94,7 +95,6 @@ SettingLines = Annotated[
         metavar="KEY=VALUE",
     ),
 ]
-Workers = Annotated[int, arg(help="Number of parallel processes on this machine.")]
 Json = Annotated[bool, arg(name="json", help="Print the results as JSON.", help_behavior_hint=FLAG)]
 Strict = Annotated[
     bool,
@@ -103,14 +103,39 @@ Strict = Annotated[
         help_behavior_hint=FLAG,
     ),
 ]
-Cluster = Annotated[
-    str | None,
-    arg(
-        help="Address of a Dask scheduler that runs the work, such as tcp://127.0.0.1:8786.",
-        metavar="ADDRESS",
-        help_behavior_hint=OPTIONAL,
-    ),
-]
+_METAVARS = {
+    "seeds": "SEEDS",
+    "cluster": "ADDRESS",
+    "report": "DIR",
+    "device": "DEVICE",
+} | dict.fromkeys(("robot", "map", "walker"), "NAME|FILE")
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def command(kind: type[C]) -> type[C]:
+    """A dataclass of options, its inherited ones included, with what --help shows of plain types:
+    metavars, and `(optional)` for what may be None. `out` is also `-o`.
+    """
+    made: Any = dataclass(frozen=True, kw_only=True)(kind)
+    hints = get_type_hints(made, include_extras=True)
+    made.__annotations__ = {f.name: _shown(f.name, hints[f.name]) for f in fields(made)}
+    return made
+
+
+def _shown(name: str, kind: Any) -> Any:
+    if get_origin(kind) is Annotated:
+        return kind
+    short: dict[str, Any] = {"aliases": ["-o"]} if name == "out" else {}
+    if kind is bool:
+        return Annotated[bool, arg(help_behavior_hint=FLAG, **short)]
+    if NoneType in get_args(kind):
+        given = next(one for one in get_args(kind) if one is not NoneType)
+        # Otherwise tyro would print `{None}|PATH`.
+        metavar = _METAVARS.get(name, given.__name__.upper())
+        return Annotated[kind, arg(metavar=metavar, help_behavior_hint=OPTIONAL, **short)]
+    if name in _METAVARS:
+        short["metavar"] = _METAVARS[name]
+    return Annotated[kind, arg(**short)] if short else kind
 
 
 def one_of(names: Iterable[str]) -> Any:

@@ -1,6 +1,5 @@
 """Commands that run a whole workflow: the demo, traces and experiments."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,33 +10,29 @@ from surefoot.scenarios.cli.options import (
     NEEDED,
     BoundsFiles,
     Declared,
-    Flag,
     Force,
     Holdout,
     Json,
     Logs,
     Observers,
-    OptionalNamed,
-    OptionalPath,
-    OptionalSeeds,
-    Out,
     RobotName,
     Strict,
-    Workers,
+    command,
     learnt_from,
     not_plausible,
     print_json,
     read_logs,
 )
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
+from surefoot.scenarios.settings import GridSettings, LoopSettings, RealismSettings, TuneSettings
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 
 
-@dataclass(frozen=True)
+@command
 class Demo:
     """Run the whole workflow in minutes: walk, train, calibrate, compare filters, trace."""
 
-    out: Out = Path("out/demo")
+    out: Path = Path("out/demo")
     """Folder for all outputs."""
     seed: int = 0
     """Seed of the walks and of the training."""
@@ -49,13 +44,13 @@ class Demo:
         demo(self.out, self.seed, self.force)
 
 
-@dataclass(frozen=True)
+@command
 class TraceCommand:
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
     logs: Logs
     """Logs of one robot, traced together."""
-    out: Out
+    out: Path
     """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
     robot: RobotName = None
     declared: Declared = None
@@ -68,7 +63,7 @@ class TraceCommand:
     def run(self) -> None:
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
-        from surefoot.scenarios.trace.run import trace, unchanged_beside
+        from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.robot.machine import machine_for_log
@@ -94,39 +89,28 @@ class TraceCommand:
             for k, log in enumerate(first)
             for line in warnings.get(log.name, ())
         )
+        options = TraceOptions(
+            seed=self.seed,
+            declared=declared,
+            since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
+            holdout=held_out,
+            notes=(*notes, *note_on_blocks([*read, *read_holdout])),
+        )
         with percent_bar("trace") as progress:
-            found = trace(
-                logs,
-                robot,
-                self.out,
-                self.seed,
-                progress,
-                self.force,
-                declared=declared,
-                holdout=held_out,
-                warnings=(*notes, *note_on_blocks([*read, *read_holdout])),
-                since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
-            )
+            found = trace(logs, robot, self.out, options, progress, self.force)
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
-@dataclass(frozen=True)
-class LoopCommand:
+@command
+class LoopCommand(LoopSettings):
     """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles and reference."""
-    out: Out
-    """Folder for all outputs; an interrupted run is resumed from it."""
     robot: RobotName = None
     declared: Declared = None
     holdout: Holdout = ()
-    seed: int = 0
-    """Seed of the walks, the training and the intervals."""
-    page: OptionalPath = None
-    """Page of results to write as well, such as docs/results/loop.md."""
-    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.reporting.tables import to_markdown
@@ -139,47 +123,26 @@ class LoopCommand:
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         held_out = read_logs(self.holdout) if self.holdout else []
-        table, _ = loop(
-            log,
-            robot,
-            self.out,
-            self.seed,
-            self.force,
-            declared=declared,
-            holdout=held_out,
-            page=self.page,
-        )
+        table, _ = loop(log, robot, self, declared, held_out)
         print("\n" + to_markdown(table))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
-@dataclass(frozen=True)
-class Realism:
+@command
+class Realism(RealismSettings):
     """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride
     period and posture.
     """
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles, contacts and reference."""
-    out: Out
-    """Folder for realism.json, realism.csv, drift.csv, table.md and report.html."""
     robot: RobotName = None
-    effects: OptionalPath = None
+    effects: Path | None = None
     """File of effects (TOML) for the simulated robot."""
-    as_walked: Flag = False
-    """Also compare walks with the gait, sensors and effects measured on a real robot. Effects given
-    with --effects replace the measured ones.
-    """
-    walker: OptionalNamed = None
+    walker: str | None = None
     """Robot to simulate instead of the log's; measured values are scaled to it."""
-    seed: int = 0
-    """Seed of the walks and the intervals."""
-    page: OptionalPath = None
-    """Page of results to write as well, such as docs/results/realism.md."""
-    force: Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.experiments.as_walked import load_as_walked
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.scenarios.trace.realism import card_table, realism
@@ -190,19 +153,9 @@ class Realism:
         log = Log.read(self.log)
         robot = Robot.for_log(log, self.robot)
         effects = load_effects(self.effects) if self.effects else ()
+        walker = Robot.load(self.walker) if self.walker else None
         with percent_bar("walking") as bar:
-            found = realism(
-                log,
-                robot,
-                self.out,
-                effects,
-                load_as_walked() if self.as_walked else None,
-                Robot.load(self.walker) if self.walker else None,
-                seed=self.seed,
-                page=self.page,
-                force=self.force,
-                progress=bar,
-            )
+            found = realism(log, robot, self, effects, walker, bar)
         for one in found:
             print(f"\n{one.words}\n\n{to_markdown(card_table(one.card))}")
             for name, why in one.card.missing.items():
@@ -210,50 +163,8 @@ class Realism:
         print(f"\nreport: {self.out / 'report.html'}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class GridOptions:
-    """Options shared by `experiment` and `suite`."""
-
-    out: Out
-    """Folder for tables, report.html and recordings."""
-    workers: Workers = 1
-    seeds: OptionalSeeds = None
-    """One seed, or a range such as 0:8, which is 0 to 7; by default the file's (0 to 2 in a
-    suite).
-    """
-    cache: OptionalPath = None
-    """Folder of walks, observers, bounds and estimates, which later runs reuse; by default `cache`
-    in the output.
-    """
-    recordings: Flag = True
-    """Write no rerun recordings of the sequences; by default there is one of each."""
-    page: OptionalPath = None
-    """Page of results to write as well, such as docs/results/suite_spot.md."""
-    data: OptionalPath = None
-    """Folder of finished rows, one for each walk, which later runs reuse, such as
-    docs/data/suite_spot; by default none are stored.
-    """
-    force: Flag = False
-    """Write tables and report again; what is in the cache is reused."""
-
-    def experiment(self, file: str) -> None:
-        from surefoot.scenarios.experiments.report import experiment
-
-        experiment(
-            file,
-            self.out,
-            self.workers,
-            self.seeds,
-            self.cache,
-            self.recordings,
-            self.force,
-            self.page,
-            self.data,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExperimentCommand(GridOptions):
+@command
+class ExperimentCommand(GridSettings):
     """Run a grid of scenarios, robots, conditions, gammas, filters and seeds: one tidy table."""
 
     file: Annotated[Positional[str], arg(metavar="FILE")]
@@ -261,11 +172,13 @@ class ExperimentCommand(GridOptions):
 
     def run(self) -> None:
         experiment_file(self.file)  # before anything heavy is imported
-        self.experiment(self.file)
+        from surefoot.scenarios.experiments.report import experiment
+
+        experiment(self.file, self)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Suite(GridOptions):
+@command
+class Suite(GridSettings):
     """Reproduce the paper's two tables on the simulated suites, from simulation to table.
 
     Conditions: as drawn (each robot equals its model), as built (with errors drawn within
@@ -280,11 +193,13 @@ class Suite(GridOptions):
         if self.name not in SUITES:
             known = f"known: {', '.join(SUITES)}{did_you_mean(self.name, SUITES)}"
             raise SurefootError(f"unknown suite '{self.name}'; {known}")
-        self.experiment(self.name)
+        from surefoot.scenarios.experiments.report import experiment
+
+        experiment(self.name, self)
 
 
-@dataclass(frozen=True)
-class Tune:
+@command
+class Tune(TuneSettings):
     """Search the best parameters of filters, with the same budget for each; an interrupted run is
     resumed.
 
@@ -294,41 +209,20 @@ class Tune:
 
     logs: Logs
     """Logs with a reference, not used to train observers or calibrate bounds."""
-    out: Out
-    """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
     filter: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
-    """Filter to tune; by default all that the inputs allow."""
-    robot: RobotName = None
     observer: Observers = ()
     bounds: BoundsFiles = ()
-    budget: int = 16
-    """Number of runs of each filter over all logs of a robot."""
-    longest: float = 120.0
-    """Part of each log, from its start, on which filters are evaluated [s]."""
-    workers: Workers = 1
-    force: Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.tune import tune
 
         if not self.logs:
             raise SurefootError("give at least one log")
-        text = tune(
-            self.logs,
-            self.out,
-            self.filter,
-            self.robot,
-            learnt_from(self.observer, self.bounds),
-            self.budget,
-            self.longest,
-            self.workers,
-            self.force,
-        )
-        print(text)
+        print(tune(self.logs, self, learnt_from(self.observer, self.bounds)))
         print(f"parameters: {self.out / 'tuned.toml'}")
 
 
-@dataclass(frozen=True)
+@command
 class PlanCommand:
     """Plan which motion reveals each effect, how long it takes, and which effect could mask it."""
 

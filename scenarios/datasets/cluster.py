@@ -65,7 +65,7 @@ def run_on_cluster(
     try:
         from distributed import Client, as_completed
     except ImportError:
-        raise SurefootError("--cluster: needs the extra, pip install 'surefoot[cluster]'") from None
+        raise SurefootError("cluster: needs the extra, pip install 'surefoot[cluster]'") from None
     with (
         _one_line_errors(address),
         Client(address, timeout=PATIENCE, set_as_default=False) as client,
@@ -111,8 +111,8 @@ def _one_line_errors(address: str) -> Iterator[None]:
         if isinstance(error, SurefootError):
             raise
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SurefootError(f"--cluster {address}: {reason}") from None
+        raise SurefootError(f"cluster {address}: {reason}") from None
     except KilledWorker as error:
-        raise SurefootError(f"--cluster {address}: several workers died on one task") from error
+        raise SurefootError(f"cluster {address}: several workers died on one task") from error
     except FutureCancelledError as error:
-        raise SurefootError(f"--cluster {address}: the scheduler is gone") from error
+        raise SurefootError(f"cluster {address}: the scheduler is gone") from error

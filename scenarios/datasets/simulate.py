@@ -23,6 +23,7 @@ from surefoot.scenarios.datasets.index import (
     write_index,
 )
 from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import (
     check_space,
@@ -54,53 +55,35 @@ half.
 """
 
 
-def simulate_all(
-    scenarios: Sequence[str | Path],
-    out: Path,
-    robot: str | None = None,
-    seeds: str = "0",
-    effects: Path | None = None,
-    undeclared: bool = False,
-    force: bool = False,
-    workers: int = 1,
-    cluster: str | None = None,
-) -> list[IndexRow]:
+def simulate(settings: SimulateSettings) -> list[IndexRow]:
     """Simulate every scenario with every seed into `out`/<scenario>_<seed>.parquet; returns the
-    rows.
+    rows. Logs have the robot in their name too if it is not the scenario's own.
 
     A fall is a row without a file, and its log is in `_dataset/falls`; `_dataset/` contains the
-    index. Raises SurefootError for bad input, logs in `out` from other inputs, or if every walk
-    fell.
-
-    Args:
-        scenarios: files, or names of bundled ones.
-        out: folder; finished walks are kept, so that an interrupted run is resumed.
-        robot: name or MJCF file, part of the logs' names unless it is the scenario's own.
-        seeds: one, or a range such as "0:8".
-        effects: file of effects to inject into the walks.
-        undeclared: write the effects to truth.toml and not to the logs.
-        force: repeat finished walks.
-        workers: threads of this machine.
-        cluster: address of a Dask scheduler, instead of threads.
+    index. Finished walks are kept, so that an interrupted run is resumed. Raises SurefootError for
+    bad input, logs in `out` from other inputs, or if every walk fell.
     """
-    if workers < 1:
-        raise SurefootError(f"--workers {workers}: at least 1")
-    chosen = load_effects(effects) if effects else ()
-    if undeclared and not chosen:
-        raise SurefootError("--undeclared: needs --effects")
-    jobs = _jobs(scenarios, robot, seed_range(seeds), chosen, not undeclared)
+    out, force = settings.out, settings.force
+    if settings.workers < 1:
+        raise SurefootError(f"workers {settings.workers}: at least 1")
+    chosen = load_effects(settings.effects) if settings.effects else ()
+    hidden = chosen if settings.undeclared else ()
+    if settings.undeclared and not chosen:
+        raise SurefootError("undeclared: needs effects")
+    seeds = seed_range(settings.seeds)
+    jobs = _jobs(settings.scenarios, settings.robot, seeds, chosen, not settings.undeclared)
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
             print(_without_imu(name))
     for scenario in {job.scenario.name: job.scenario for job in jobs}.values():
         rough = any(strip.rough for strip in scenario.ground.strips)
-        if len(seed_range(seeds)) > 1 and scenario.ranges == Ranges() and not rough:
+        if len(seeds) > 1 and scenario.ranges == Ranges() and not rough:
             print(
                 f"note: {scenario.name} has no [ranges]: its seeds walk alike, and only the "
                 "sensors' noise differs"
             )
     journal = Journal(out)
-    _guard_truth(out, chosen if undeclared else (), journal, force)
+    _guard_truth(out, hidden, journal, force)
     for name in {log_name(job) for job in jobs} if force else ():
         refuse_overwrite(out / f"{name}.parquet", force)
     todo = jobs if force else [job for job in jobs if not _done(journal, job)]
@@ -110,12 +93,14 @@ def simulate_all(
     clear_debris(p for p in out.glob(".*.tmp") if p.stem.rpartition(".")[0] in names)
     clear_debris((out / INDEX_FOLDER).rglob(".*.tmp"))
     with percent_bar("simulate") as progress:
-        if cluster:
-            rows = walk_on_cluster(cluster, todo, out, force, progress)
+        if settings.cluster:
+            rows = walk_on_cluster(settings.cluster, todo, out, force, progress)
         else:
-            rows = on_threads(
-                todo, lambda job, done: walk_and_save(job, out, force, done), workers, progress
-            )
+
+            def work(job: Job, done: Callable[[float], None]) -> IndexRow:
+                return walk_and_save(job, out, force, done)
+
+            rows = on_threads(todo, work, settings.workers, progress)
         for row in rows:
             journal.add(row)
         progress(1.0)
@@ -213,7 +198,7 @@ def _jobs(
         scenario = Scenario.load(path)
         name = robot or scenario.robot
         if not name:
-            raise SurefootError(f"scenario {path}: names no robot: say which with --robot")
+            raise SurefootError(f"scenario {path}: names no robot: say which")
         known_robot(name)
         jobs += [Job(scenario, name, seed, effects, declared) for seed in seeds]
     for name, count in Counter(map(log_name, jobs)).items():
@@ -279,9 +264,9 @@ def seed_range(text: str) -> range:
         start = int(first)
         end = int(last) if last else start + 1
     except ValueError:
-        raise SurefootError(f"--seeds {text}: give a number, or a range such as 0:8") from None
+        raise SurefootError(f"seeds {text}: give a number, or a range such as 0:8") from None
     if start < 0 or end <= start:
-        raise SurefootError(f"--seeds {text}: the range is empty or negative")
+        raise SurefootError(f"seeds {text}: the range is empty or negative")
     check_seed(end)
-    check_limit("walks", end - start, f"--seeds {text}: walks")
+    check_limit("walks", end - start, f"seeds {text}: walks")
     return range(start, end)

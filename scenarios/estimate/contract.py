@@ -102,25 +102,23 @@ class Learnt:
         if len(found) == 1:
             return found[0]
         if found:
-            raise SurefootError("--observer: two observers were trained with gml; give one")
+            raise SurefootError("observer: two observers were trained with gml; give one")
         if self.observers:
-            raise SurefootError(
-                "--observer: this one was trained with mse; train one with --loss gml"
-            )
-        raise SurefootError("needs --observer, one trained with --loss gml")
+            raise SurefootError("observer: this one was trained with mse; train one with loss gml")
+        raise SurefootError("needs observer, one trained with loss gml")
 
     def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
         """The observer and its bounds; of two, the `mse` one unless `loss` selects another."""
         if not self.observers:
-            raise SurefootError("needs --observer and --bounds")
+            raise SurefootError("needs observer and bounds")
         if not self.bounds:
-            raise SurefootError("needs --bounds: calibrate the observer")
+            raise SurefootError("needs bounds: calibrate the observer")
         pairs = [(o, b) for o in self.observers for b in self.bounds if b.observer == o.hash]
         if not pairs:
-            raise SurefootError("--bounds belong to another observer; calibrate this one")
+            raise SurefootError("bounds belong to another observer; calibrate this one")
         wanted = [pair for pair in pairs if loss is None or pair[0].loss == loss]
         if not wanted:
-            raise SurefootError(f"needs --bounds of an observer trained with --loss {loss}")
+            raise SurefootError(f"needs bounds of an observer trained with loss {loss}")
         return min(wanted, key=lambda pair: pair[0].loss != "mse")
 
 

@@ -39,10 +39,10 @@ def estimator_named(name: str) -> Estimator:
     """The estimator of that name. Raises SurefootError naming the known ones."""
     if name not in ESTIMATORS:
         hint = did_you_mean(name, ESTIMATORS)
-        raise SurefootError(f"--filter {name}: unknown; choose {' | '.join(ESTIMATORS)}{hint}")
+        raise SurefootError(f"filter {name}: unknown; choose {' | '.join(ESTIMATORS)}{hint}")
     found = ESTIMATORS[name]()
     if found.name != name:
-        raise SurefootError(f"--filter {name}: its class calls itself {found.name}")
+        raise SurefootError(f"filter {name}: its class calls itself {found.name}")
     return found
 
 

@@ -148,7 +148,7 @@ def read_settings(path: Path | None, lines: Sequence[str] = ()) -> FilterSetting
     Raises SurefootError, one line naming the file or option, for any fault.
     """
     table = read_toml(path, "settings") if path else {}
-    where = f"settings {path}" if path else "--set"
+    where = f"settings {path}" if path else "set"
     try:
         typed(table, FilterSettings)
     except SurefootError as error:
@@ -159,9 +159,9 @@ def read_settings(path: Path | None, lines: Sequence[str] = ()) -> FilterSetting
             _merge(table, tomllib.loads(line))
             typed(table, FilterSettings)
         except SurefootError as error:
-            raise SurefootError(f"--set {line}: {error}") from None
+            raise SurefootError(f"set {line}: {error}") from None
         except (ValueError, RecursionError):  # of TOML, of too many digits, of arrays too deep
-            raise SurefootError(f"--set {line}: write it as noise.gyro=1e-3") from None
+            raise SurefootError(f"set {line}: write it as noise.gyro=1e-3") from None
     return typed(table, FilterSettings)
 
 

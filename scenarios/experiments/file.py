@@ -9,7 +9,7 @@ from zlib import crc32
 import msgspec
 
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
-from surefoot.models.observer.training import DEFAULT_SCHEDULE
+from surefoot.models.observer.settings import TRAIN_DEFAULT
 from surefoot.models.registry import CALIBRATORS, LOSSES
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
@@ -40,7 +40,7 @@ class Learning:
 
     losses: tuple[str, ...] = LOSSES
     inputs: str = "q,dq,tau"
-    steps: TrainingSteps = DEFAULT_SCHEDULE.steps
+    steps: TrainingSteps = TRAIN_DEFAULT.steps
     model: str = "gru"
     method: str = "conformal"
 

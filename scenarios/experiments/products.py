@@ -11,8 +11,10 @@ from typing import Any
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.datasets.index import recipe, row_of
@@ -116,15 +118,10 @@ def make_observer(
 
     def make(path: Path) -> dict[str, Any]:
         walks = [read_walk(walk, name) for name, walk in logs]
-        observer = train(
-            walks,
-            inputs=learning.inputs,
-            loss=loss,
-            seed=seed,
-            schedule=Schedule(steps=learning.steps),
-            model=learning.model,
-            partial=partial,
+        settings = TrainSettings(
+            inputs=learning.inputs, loss=loss, seed=seed, steps=learning.steps, model=learning.model
         )
+        observer = train(walks, None, settings, partial=partial)
         observer.save(path, force=True)
         partial.unlink(missing_ok=True)
         return {"rmse": observer.rmse.tolist()}
@@ -160,7 +157,11 @@ def make_bounds(
     inputs |= {"gamma": gamma, "method": method_inputs(method)}
 
     def make(path: Path) -> dict[str, Any]:
-        bounds = calibrate(Observer.load(observer.path), read_walk(walk, name), gamma, method)
+        bounds = calibrate(
+            Observer.load(observer.path),
+            read_walk(walk, name),
+            CalibrateSettings(gamma=gamma, method=method),
+        )
         bounds.save(path, force=True)
         return {"epsilon": bounds.epsilon.tolist(), "K": bounds.K, "n": bounds.n}
 
@@ -182,7 +183,6 @@ def make_estimates(
     folder: Path,
     walk: Product,
     name: str,
-    robot_name: str,
     learnt: LearntFiles,
     filters: Sequence[str],
     gammas: Sequence[float],
@@ -197,12 +197,11 @@ def make_estimates(
         folder: of the products.
         walk: its log.
         name: of the log.
-        robot_name: of the robot as declared.
         learnt: files of observers and bounds.
         filters: their names.
         gammas: joint levels of the bounds.
     """
-    known = known_robot(robot_name)
+    known = known_robot(walk.facts["robot"])
     log = cache(lambda: replace(Log.read(walk.path), name=name))
     loaded = cache(learnt.load)
     found: dict[tuple[str, float | None], Product] = {}

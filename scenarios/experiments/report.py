@@ -43,6 +43,7 @@ from surefoot.scenarios.reporting.html import (
 )
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
     clear_debris,
@@ -60,47 +61,26 @@ LEARNT = (
 )
 
 
-def experiment(
-    file: str | Path,
-    out: Path,
-    workers: int = 1,
-    seeds: str | None = None,
-    cache: Path | None = None,
-    recordings: bool = True,
-    force: bool = False,
-    page: Path | None = None,
-    data: Path | None = None,
-) -> pd.DataFrame:
-    """Run the file's grid into `out` and print the averages; returns every row.
+def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
+    """Run the grid of an experiment file, or of a bundled suite ("spot" or "vision60"), and print
+    the averages; returns every row.
 
     An interrupted run continues from its cache, one on another machine from its finished rows.
     Raises SurefootError for bad input, and where `out` contains a finished run without `force`.
-
-    Args:
-        file: experiment file, or the name of a bundled suite, "spot" or "vision60".
-        out: folder for tables, report, figures and recordings.
-        workers: parallel processes.
-        seeds: one, or a range such as "0:8", instead of the file's.
-        cache: folder of intermediate products, by default `cache` in `out`.
-        recordings: write a rerun recording of each sequence.
-        force: write tables and report again.
-        page: page of results (Markdown) to write as well.
-        data: folder of finished rows, one for each walk; by default they are not stored.
     """
+    out, force = settings.out, settings.force
     found = Experiment.load(file)
-    if workers < 1:
-        raise SurefootError(f"--workers {workers}: at least 1")
-    if seeds is not None:
-        found = found.with_seeds(tuple(seed_range(seeds)))
+    if settings.workers < 1:
+        raise SurefootError(f"workers {settings.workers}: at least 1")
+    if settings.seeds is not None:
+        found = found.with_seeds(tuple(seed_range(settings.seeds)))
     if (out / "report.html").exists() and not force:
-        raise SurefootError(
-            f"-o {out}: has a finished run; give {force_option()} to write it again"
-        )
+        raise SurefootError(f"{out}: has a finished run; give {force_option()} to write it again")
     for name in ("results.csv", "results.parquet", "averages.csv", "report.md", "report.html"):
         refuse_overwrite(out / name, force=True)
-    folder = cache or out / "cache"
+    folder = settings.cache or out / "cache"
     clear_debris(folder.glob("*/.*.tmp"))
-    outcome = run(found, folder, workers, recordings, data)
+    outcome = run(found, folder, settings.workers, not settings.no_recordings, settings.data)
     rows = tidy(outcome)
     with whole_folder(out, force=True) as made:
         write_tables(rows, found, made)
@@ -111,11 +91,11 @@ def experiment(
         with whole_file(made / "report.md") as temporary:
             temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
         write_report(made / "report.html", found.title, pages)
-    if page:
+    if settings.page:
         # Dozens of path plots are for the report only.
         kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
-        write_page(page, found.title, kept, origin_of(__name__, command))
+        write_page(settings.page, found.title, kept, origin_of(__name__, command))
     print("\n" + to_markdown(averages(shown_first(rows, found))))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")

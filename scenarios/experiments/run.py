@@ -279,7 +279,6 @@ def _estimates(
             folder,
             walk,
             cell.scenario.name,
-            cell.robot,
             files,
             experiment.filters_of(learning),
             experiment.gammas_of(learning, cell.seed),

@@ -31,12 +31,10 @@ def write_calibration_report(
     out: Path,
     observer: Observer,
     bounds: Bounds,
-    calibration: Log,
     logs: Sequence[Log],
-    force: bool = False,
     page: Path | None = None,
 ) -> list[Section]:
-    """Write report.html, its tables (.md, .csv) and the mixing curve into a folder.
+    """Write report.html, its tables (.md, .csv) and the mixing curve into an empty folder.
 
     Raises SurefootError if a log does not match the observer.
 
@@ -44,13 +42,12 @@ def write_calibration_report(
         out: the folder.
         observer: that was calibrated.
         bounds: its bounds.
-        calibration: log of the bounds.
-        logs: walks, as recorded, to evaluate the bounds on; one without a reference only has the
-            alarm.
-        force: whether files may be replaced.
+        logs: the log of the bounds first, then walks, as recorded, to evaluate the bounds on; one
+            without a reference only has the alarm.
         page: page of results (Markdown) to write as well.
     """
-    with drawn_bar([calibration, *logs], desc="walks", unit=" log") as bar:
+    calibration = logs[0]
+    with drawn_bar(logs, desc="walks", unit=" log") as bar:
         first, *others = [evaluate_walk(observer, bounds, log, log is calibration) for log in bar]
     tables = {
         "methods": methods_table(first, [w for w in others if w.role == "test"]),
@@ -60,13 +57,13 @@ def write_calibration_report(
     pictures = _pictures(bounds)
     for name, table in tables.items():
         if len(table):
-            _write(out / f"{name}.md", to_markdown(table) + "\n", force)
-            _write(out / f"{name}.csv", to_csv(table), force)
+            _write(out / f"{name}.md", to_markdown(table) + "\n")
+            _write(out / f"{name}.csv", to_csv(table))
     for name, picture in pictures.items():
-        save_picture(picture, out / f"{name}.png", force)
+        save_picture(picture, out / f"{name}.png")
     sections = _sections(observer, first, others, tables, pictures)
     title = f"Bounds calibrated on {calibration.name}, and where they hold"
-    write_report(out / "report.html", title, sections, force)
+    write_report(out / "report.html", title, sections)
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
     return sections
@@ -186,6 +183,6 @@ def _only(pictures: dict[str, Picture], name: str) -> tuple[Picture, ...]:
     return (pictures[name],) if name in pictures else ()
 
 
-def _write(path: Path, text: str, force: bool) -> None:
-    with whole_file(path, force) as temporary:
+def _write(path: Path, text: str) -> None:
+    with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

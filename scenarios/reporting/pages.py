@@ -107,7 +107,7 @@ def check_page(path: Path) -> None:
     """Raise SurefootError if the path is that of a file other than a page of results."""
     refuse_input(path)
     if path.exists() and read_origin(path) == Origin():
-        raise SurefootError(f"--page {path}: is no page of results; move it away")
+        raise SurefootError(f"page {path}: is no page of results; move it away")
 
 
 def read_origin(path: Path) -> Origin:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from surefoot.scenarios.experiments.as_walked import load_as_walked
-from surefoot.scenarios.trace.realism import card_table, compare_walks
+from surefoot.scenarios.trace.realism import SimulatedRobot, card_table, compare_walks
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
@@ -61,11 +61,9 @@ def choose_gait(
             compare_walks(
                 log,
                 robot,
-                words,
-                effects,
-                gait,
-                seed=seed,
-                progress=lambda share, k=k: progress(0.5 * (k + share)),
+                SimulatedRobot(words, effects, gait),
+                seed,
+                lambda share, k=k: progress(0.5 * (k + share)),
             )
             for k, (words, gait) in enumerate(gaits.items())
         )

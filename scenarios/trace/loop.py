@@ -12,7 +12,7 @@ walk (`scenarios.trace.training_walks`).
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -23,11 +23,12 @@ from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.models.observer.observer import ObserverError
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.compare import compare_log
-from surefoot.scenarios.estimate.learning import Recipe, learn, learnt_in
+from surefoot.scenarios.estimate.learning import learn, learnt_in
 from surefoot.scenarios.estimate.run import Learnt, declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.pages import check_page
 from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace.gait_choice import GaitChoice, choose_gait
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import (
@@ -35,10 +36,11 @@ from surefoot.scenarios.trace.observer_errors import (
     error_parts,
     learnt_from_measured,
 )
-from surefoot.scenarios.trace.run import trace
+from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,
     TrainingPlan,
+    TrainingWalks,
     rates_as_of,
     simulate_training,
 )
@@ -51,7 +53,7 @@ from surefoot.sim.effects.file import load_effects
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.walking.imitation import WalkingStyle, walking_style
+from surefoot.sim.walking.imitation import walking_style
 
 RECIPE = "recipe.json"
 WORLDS = ("before", "effects", "after")
@@ -63,13 +65,10 @@ _MODULE = "surefoot.scenarios.trace.loop"
 def loop(
     log: Log,
     robot: Robot,
-    out: Path,
-    seed: int = 0,
-    force: bool = False,
-    plan: TrainingPlan = DEFAULT_PLAN,
+    settings: LoopSettings,
     declared: Sequence[Effect] | None = None,
     holdout: Sequence[Log] = (),
-    page: Path | None = None,
+    plan: TrainingPlan = DEFAULT_PLAN,
 ) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
     """Close the loop on one log and write the results into `out`; an interrupted run is resumed.
 
@@ -81,20 +80,18 @@ def loop(
     Args:
         log: the measured log.
         robot: as declared.
-        out: folder.
-        seed: of trace, walks and training.
-        force: whether the files of another loop may be replaced.
-        plan: amount of walks and training.
+        settings: where to, and the seed of trace, walks and training.
         declared: effects that belong to the model, beyond those that the log declares; the trace
             then looks for what has changed since (see `trace`).
         holdout: logs of the same machine, on which the effects found are evaluated and nothing is
             fitted.
-        page: page of results (Markdown) to write too.
+        plan: amount of walks and training.
     """
+    out, seed = settings.out, settings.seed
     check_seed(seed)
     log.require("imu", "q", "reference")
-    if page:
-        check_page(page)
+    if settings.page:
+        check_page(settings.page)
     style = walking_style(*declared_model(log, robot))
     recipe = {
         "log": contents_digest(log),
@@ -106,8 +103,8 @@ def loop(
         "holdout": [contents_digest(one) for one in holdout],
         "lesson": asdict(plan),
     }
-    if force or not _same(out, recipe):
-        refuse_full(out, force)
+    if settings.force or not _same(out, recipe):
+        refuse_full(out, settings.force)
         with whole_file(out / RECIPE, True) as path:
             path.write_text(json.dumps(recipe, indent=2) + "\n", encoding="utf-8")
         for stale in (
@@ -118,7 +115,8 @@ def loop(
         ):
             (out / stale).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
-    found, spread = _traced(log, robot, out / "trace", seed, model or declared, holdout)
+    options = TraceOptions(seed, model or declared, holdout=holdout)
+    found, spread = _traced(log, robot, out / "trace", options)
     choice = _gait(log, robot, (*model, *found), out / "gait.json", seed)
     planned: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
     if found and choice.walked:
@@ -127,15 +125,14 @@ def loop(
         planned["after"] = (*model, *found), choice.gait
     worlds = []
     for name, (effects, gait) in planned.items():
-        learnt, simulated = _learnt(
-            style, log, robot, effects, gait, out / name, seed, plan, spread
-        )
+        walks = TrainingWalks(style, robot, effects, gait, spread)
+        learnt, simulated = _learnt(walks, log, out / name, seed, plan)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
         worlds.append(LoopWorld(name, effects, learnt, comparison, simulated))
     last = worlds[-1].comparison
     assert last.robot is not None
     trained_on_measured = _from_measured(last.log, last.robot, out / "measured.json", seed, plan)
-    table = write_loop(log, robot, worlds, out, choice, trained_on_measured, page)
+    table = write_loop(log, robot, worlds, settings, choice, trained_on_measured)
     return table, tuple(worlds)
 
 
@@ -149,36 +146,14 @@ def inputs_of(log: Log) -> str:
 
 
 def _traced(
-    log: Log,
-    robot: Robot,
-    out: Path,
-    seed: int,
-    declared: Sequence[Effect] | None,
-    holdout: Sequence[Log],
+    log: Log, robot: Robot, out: Path, options: TraceOptions
 ) -> tuple[tuple[Effect, ...], dict[tuple[str, str], float]]:
     """The effects found on the log, and its own zeros and clocks; traced unless already done. Also
     returns the standard deviation of each size that has an interval, by name and target.
-
-    Args:
-        log: the measured log.
-        robot: as declared.
-        out: folder of the trace.
-        seed: of the trace.
-        declared: effects already in the model (see `trace`).
-        holdout: logs on which nothing is fitted.
     """
     if not (out / "trace.json").exists():
         with percent_bar("trace") as progress:
-            found = trace(
-                [log],
-                robot,
-                out,
-                seed,
-                progress,
-                force=True,
-                declared=declared,
-                holdout=holdout,
-            )
+            found = trace([log], robot, out, options, progress, force=True)
         print(summary(found))
         if warned := caution(found.as_dict()):
             print(warned)
@@ -221,41 +196,27 @@ def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log
 
 
 def _learnt(
-    style: WalkingStyle,
-    log: Log,
-    robot: Robot,
-    effects: Sequence[Effect],
-    gait: GaitOptions,
-    out: Path,
-    seed: int,
-    plan: TrainingPlan,
-    spread: Mapping[tuple[str, str], float],
+    walks: TrainingWalks, log: Log, out: Path, seed: int, plan: TrainingPlan
 ) -> tuple[Learnt, ErrorParts]:
-    """Observers and bounds from walks of a robot with the effects; trained unless already done.
+    """Observers and bounds from simulated walks; trained unless already done.
 
     Also returns the parts of the observer's errors on the simulated walk of the calibration.
 
     Args:
-        style: of the measured walk.
+        walks: to simulate.
         log: the measured log, whose columns determine the observers' inputs.
-        robot: as declared.
-        effects: of the simulated robot.
-        gait: of the walks.
         out: folder of this world.
         seed: of walks and training.
         plan: amount of walks and training.
-        spread: standard deviations of sizes, as for `simulate_training`.
     """
     done = out / "done"
     if not done.exists():
         with percent_bar(f"walking: {out.name}") as progress:
-            training, calibration = simulate_training(
-                style, robot, effects, seed, plan, gait, spread, progress
-            )
+            training, calibration = simulate_training(walks, seed, plan, progress)
         training = [rates_as_of(one, log) for one in training]
         calibration = rates_as_of(calibration, log)
-        recipe = Recipe(inputs_of(log), plan.schedule)
-        learnt = learn(training, calibration, out, seed, recipe, force=True)
+        how = replace(plan.training, inputs=inputs_of(log), seed=seed)
+        learnt = learn(training, calibration, out, how, force=True)
         _write(out / "errors.json", error_parts(learnt.observers[0], calibration).rms)
         done.touch()
     simulated = ErrorParts(json.loads((out / "errors.json").read_text(encoding="utf-8")))
@@ -276,7 +237,9 @@ def _from_measured(
     """
     if not kept.exists():
         try:
-            result = learnt_from_measured(log, robot, inputs_of(log), seed, plan.schedule)
+            result = learnt_from_measured(
+                log, robot, replace(plan.training, inputs=inputs_of(log), seed=seed)
+            )
         except ObserverError as error:
             result = str(error)
         _write(kept, result)

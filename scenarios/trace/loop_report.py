@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from surefoot.scenarios.reporting.figures import height_figure, trajectories, ve
 from surefoot.scenarios.reporting.html import Picture, Section, nested, write_report
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace.gait_choice import GaitChoice
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
@@ -74,23 +74,22 @@ def write_loop(
     log: Log,
     robot: Robot,
     worlds: Sequence[LoopWorld],
-    out: Path,
+    settings: LoopSettings,
     gait: GaitChoice,
     trained_on_measured: list[float] | str,
-    page: Path | None = None,
 ) -> pd.DataFrame:
-    """Write table.md, table.csv, loop.json, report.html and loop.rrd; returns the table.
+    """Write table.md, table.csv, loop.json, report.html, loop.rrd and any page; returns the table.
 
     Args:
         log: the measured log.
         robot: as declared.
         worlds: `before` first.
-        out: folder.
+        settings: where to.
         gait: of the last world's walks, and the reason for it.
         trained_on_measured: RMS errors (3,) [m/s] of observers trained on the measured walk itself,
             or why there are none.
-        page: page of results to write too.
     """
+    out = settings.out
     table = pd.DataFrame(_rows(worlds))
     for name, text in (("table.md", to_markdown(table) + "\n"), ("table.csv", to_csv(table))):
         with whole_file(out / name, True) as path:
@@ -117,8 +116,8 @@ def write_loop(
         *_pictures(log, worlds, drawn),
     ]
     write_report(out / "report.html", LOOP_TITLE, sections, True)
-    if page:
-        write_page(page, LOOP_TITLE, sections, origin_of(_MODULE, "surefoot loop"))
+    if settings.page:
+        write_page(settings.page, LOOP_TITLE, sections, origin_of(_MODULE, "surefoot loop"))
     return table
 
 

@@ -10,12 +10,14 @@ import numpy as np
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.calibration.walking_conditions import QUARTERS, stride_phase
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.samples import body_velocity
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.imitation import moving
@@ -136,34 +138,25 @@ def recalibrated(
     """
     half = len(log.t) // 2
     first = log.rows(slice(0, half))
-    new = calibrate(observer, first, bounds.gamma, bounds.method, robot, bounds.K)
+    how = CalibrateSettings(gamma=bounds.gamma, method=bounds.method, K=bounds.K)
+    new = calibrate(observer, first, how, robot)
     rows, errors = prediction_errors(observer, log, robot)
     inside = np.abs(errors[rows >= half]) <= new.epsilon
     return new.epsilon, float(inside.all(axis=1).mean())
 
 
-def learnt_from_measured(
-    log: Log, robot: Robot, inputs: str, seed: int, schedule: Schedule
-) -> list[float]:
+def learnt_from_measured(log: Log, robot: Robot, settings: TrainSettings) -> list[float]:
     """Cross-validated RMS errors (3,) [m/s] of observers trained on the measured walk itself.
 
     One observer is trained on each half of the log and evaluated on the other, while the robot
-    moves: about the accuracy attainable from this amount of real walking.
-
-    Args:
-        log: the measured log.
-        robot: as declared.
-        inputs: of the observers, such as "tau,feet".
-        seed: of their training.
-        schedule: of their training.
-
-    Raises ObserverError where half of the log is too short.
+    moves: about the accuracy attainable from this amount of real walking. Raises ObserverError
+    where half of the log is too short.
     """
     half = len(log.t) // 2
     halves = log.rows(slice(0, half)), log.rows(slice(half, None))
     found = []
     for training, validation in (halves, halves[::-1]):
-        observer = train(training, robot, inputs, "mse", seed, schedule=schedule)
+        observer = train(training, robot, settings)
         rows, errors = prediction_errors(observer, validation, robot)
         found.append(errors[moving(validation)[rows]])
     return root_mean_square(np.concatenate(found))

@@ -2,8 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,9 +10,10 @@ from surefoot.models.attribution.reference_sampling import reference_sampling, r
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
 from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
-from surefoot.scenarios.experiments.as_walked import AsWalked
+from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
+from surefoot.scenarios.settings import RealismSettings
 from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.scenarios.trace.training_walks import beyond_simulated, simulated_robot
 from surefoot.scenarios.trace.walk_comparison import FILTER, WalkComparison, drift_table
@@ -43,50 +43,61 @@ DRIFT_WORDS = (
 )
 
 
+@dataclass(frozen=True)
+class SimulatedRobot:
+    """A robot to simulate, beside a measured log.
+
+    Attributes:
+        words: its name in the report, such as "as drawn".
+        effects: of the robot, by default those of `walked`.
+        walked: gait, sensors and effects measured on a robot's walk; by default the plain ones.
+        walker: another robot than the log's; measured values are scaled to it
+            (`sim.effects.carry`).
+    """
+
+    words: str
+    effects: Sequence[Effect] = ()
+    walked: AsWalked | None = None
+    walker: Robot | None = None
+
+
 def realism(
     log: Log,
     robot: Robot,
-    out: Path | str,
+    settings: RealismSettings,
     effects: Sequence[Effect] = (),
-    walked: AsWalked | None = None,
     walker: Robot | None = None,
-    seed: int = 0,
-    page: Path | None = None,
-    force: bool = False,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[WalkComparison, ...]:
     """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`.
 
-    Compares walks of the robot as drawn and, if effects or `walked` are given, of the robot with
-    these. Raises SurefootError where the log lacks a column or has too few strides, where the
-    simulated robot falls at every pace, and where a file exists and `force` is not given.
+    Compares walks of the robot as drawn and, with effects or `as_walked`, of the robot with these.
+    Raises SurefootError where the log lacks a column or has too few strides, where the simulated
+    robot falls at every pace, and where a file exists and `force` is not given.
 
     Args:
         log: the measured log, with IMU, joint angles, contacts and reference.
         robot: as declared.
-        out: folder.
-        effects: of the simulated robot, by default those of `walked`.
-        walked: gait, sensors and effects measured on a robot's walk.
-        walker: another robot to simulate; measured values are scaled to it (`sim.effects.carry`).
-        seed: of the walks and of the intervals.
-        page: page of results (Markdown) to write as well.
-        force: overwrite the files.
+        settings: where to, and the seed.
+        effects: of the simulated robot, by default those measured on a walk.
+        walker: another robot to simulate (see `SimulatedRobot`).
         progress: called with the share done, 0 to 1.
     """
-    out = Path(out)
+    out, seed, force = settings.out, settings.seed, settings.force
     check_seed(seed)
     for name in REALISM_FILES:
         refuse_overwrite(out / name, force)
-    report = progress or (lambda share: None)
-    found = [
-        compare_walks(log, robot, "as drawn", (), None, walker, seed, lambda s: report(0.5 * s))
-    ]
-    if effects or walked:
+    compared = [SimulatedRobot("as drawn", walker=walker)]
+    if effects or settings.as_walked:
+        walked = load_as_walked() if settings.as_walked else None
+        compared.append(SimulatedRobot("as walked", effects, walked, walker))
+    found = []
+    for k, one in enumerate(compared):
 
-        def second(share: float) -> None:
-            report(0.5 + 0.5 * share)
+        def report(share: float, k: int = k) -> None:
+            progress(0.5 * (k + share))
 
-        found.append(compare_walks(log, robot, "as walked", effects, walked, walker, seed, second))
+        found.append(compare_walks(log, robot, one, seed, report))
     parts = card_sections(found)
     drifts = drift_table(found)
     parts.insert(0, Section(f"Drift of the `{FILTER}` filter", DRIFT_WORDS, drifts))
@@ -99,18 +110,15 @@ def realism(
         with whole_file(folder / "realism.json") as temporary:
             text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
             temporary.write_text(text + "\n", encoding="utf-8")
-    if page:
-        write_page(page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
+    if settings.page:
+        write_page(settings.page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
     return tuple(found)
 
 
 def compare_walks(
     log: Log,
     robot: Robot,
-    words: str,
-    effects: Sequence[Effect] = (),
-    walked: AsWalked | None = None,
-    walker: Robot | None = None,
+    simulating: SimulatedRobot,
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> WalkComparison:
@@ -119,13 +127,11 @@ def compare_walks(
     Args:
         log: the measured log.
         robot: as declared.
-        words: name of the simulated robot in the report, such as "as drawn".
-        effects: of the simulated robot, by default those of `walked`.
-        walked: measured gait and sensors; by default the plain ones.
-        walker: another robot to simulate; measured values are scaled to it.
+        simulating: the robot to simulate.
         seed: of the walks and of the intervals.
         progress: called with the share done, 0 to 1.
     """
+    effects, walked, walker = simulating.effects, simulating.walked, simulating.walker
     measured = WalkView(log, robot)
     style = walking_style(log, robot)
     simulated, declared = simulated_robot(robot), robot
@@ -148,11 +154,11 @@ def compare_walks(
         added = added or walked.effects_on(simulated)
     logs, pace = _walks(scenario, poised, added, seed, progress)
     walks = tuple(
-        WalkView(seen_as(replace(one, name=f"{words} {k}"), log, [seed, k]), declared)
+        WalkView(seen_as(replace(one, name=f"{simulating.words} {k}"), log, [seed, k]), declared)
         for k, one in enumerate(logs)
     )
     card = realism_card(measured, walks, np.random.default_rng(seed), scales)
-    return WalkComparison(words, measured, walks, card, pace)
+    return WalkComparison(simulating.words, measured, walks, card, pace)
 
 
 def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:

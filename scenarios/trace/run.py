@@ -3,14 +3,13 @@ after.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from surefoot.models.attribution.diagnose import diagnose, logs_under_model
+from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose, logs_under_model
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.noise_floor import RunVariation
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
@@ -28,19 +27,27 @@ from surefoot.sim.robot.machine import Machine
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 
 
+@dataclass(frozen=True)
+class TraceOptions(DiagnosisOptions):
+    """What a trace is given besides the logs and the model of the robot.
+
+    Attributes:
+        learnt: observers and bounds for the filters that need them.
+        notes: sentences about the logs, such as implausible values, that come first among the
+            trace's own.
+    """
+
+    learnt: Learnt = field(default_factory=Learnt)
+    notes: tuple[str, ...] = ()
+
+
 def trace(
     logs: Sequence[Log],
     robot: Machine,
     out: Path | str,
-    seed: int = 0,
+    options: TraceOptions = TraceOptions(),
     progress: Callable[[float], None] | None = None,
     force: bool = False,
-    declared: Sequence[Effect] | None = None,
-    learnt: Learnt | None = None,
-    settings: TraceSettings | None = None,
-    holdout: Sequence[Log] = (),
-    warnings: Sequence[str] = (),
-    since: RunVariation | None = None,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
 
@@ -53,19 +60,9 @@ def trace(
         logs: of one machine. Only time, IMU, joints, feet, reference and rate are read.
         robot: the declared model.
         out: folder for trace.json, effects.toml, report.html and trace.rrd.
-        seed: of the bootstrap.
+        options: declared effects, held-out logs, seed and the like.
         progress: called with the share done, 0 to 1.
         force: overwrite these files.
-        declared: effects that belong to the model and are compensated first. With any sequence,
-            even an empty one, the trace looks for what has *changed*: encoder zeros, biases and
-            clocks are fitted to each log separately and are not effects. The same holds for several
-            logs.
-        learnt: observers and bounds for the filters that need them.
-        settings: thresholds and constants, with defaults.
-        holdout: logs of the same machine, on which the result is judged and nothing is fitted.
-        warnings: sentences about the logs, such as implausible values; kept among the notes.
-        since: variation between runs of the unchanged machine, from the trace that found
-            `declared`.
     """
     out = Path(out)
     if not logs:
@@ -75,16 +72,15 @@ def trace(
         if (digest := contents_digest(log)) in seen:
             raise SurefootError(f"{log.name}: the same log is given twice")
         seen.add(digest)
-    for log in holdout:
+    for log in options.holdout:
         if contents_digest(log) in seen:
-            raise SurefootError(f"--holdout {log.name}: is also a log to fit on")
+            raise SurefootError(f"holdout {log.name}: is also a log to fit on")
     for name in OUTPUTS:
         refuse_overwrite(out / name, force)
-    settings = settings or DEFAULT
-    cut, cut_holdout = [in_blocks(log) for log in logs], [in_blocks(log) for log in holdout]
+    cut, cut_holdout = [in_blocks(log) for log in logs], [in_blocks(log) for log in options.holdout]
     fitted, held_out = ([block for own in runs for block in own] for runs in (cut, cut_holdout))
-    found = trace_logs(fitted, robot, seed, progress, declared, learnt, settings, held_out, since)
-    notes = (*warnings, *note_on_blocks([*cut, *cut_holdout]), *found.notes)
+    found = trace_logs(fitted, robot, replace(options, holdout=held_out), progress)
+    notes = (*options.notes, *note_on_blocks([*cut, *cut_holdout]), *found.notes)
     found = replace(found, notes=notes)
     with whole_folder(out, force) as folder:
         write_outputs(found, robot, folder)
@@ -94,38 +90,20 @@ def trace(
 def trace_logs(
     logs: Sequence[Log],
     robot: Machine,
-    seed: int = 0,
+    options: TraceOptions = TraceOptions(),
     progress: Callable[[float], None] | None = None,
-    declared: Sequence[Effect] | None = None,
-    learnt: Learnt | None = None,
-    settings: TraceSettings = DEFAULT,
-    holdout: Sequence[Log] = (),
-    since: RunVariation | None = None,
 ) -> Trace:
-    """`trace` without writing files.
-
-    Args:
-        logs: of one machine.
-        robot: the declared model: a legged robot, a machine on a fixed base, or one that is known
-            by its feet alone.
-        seed: of the noise floor and the bootstraps.
-        progress: called with the share done, 0 to 1.
-        declared: effects already in the model, as in `trace`.
-        learnt: observers and bounds for the filters that need them.
-        settings: thresholds and constants.
-        holdout: logs on which nothing is fitted.
-        since: variation between unchanged runs, as in `trace`.
+    """`trace` without writing files. The robot may be a legged one, a machine on a fixed base, or
+    one that is known by its feet alone.
     """
     report = progress or (lambda share: None)
-    found = diagnose(
-        logs, robot, seed, lambda share: report(0.88 * share), declared, settings, holdout, since
-    )
-    learnt = learnt or Learnt()
+    settings, learnt = options.constants, options.learnt
+    found = diagnose(logs, robot, options, lambda share: report(0.88 * share))
     stretches: tuple[BeforeAfter, ...] = ()
     unseen: tuple[BeforeAfter, ...] = ()
     if found.attribution is not None:
         cases = [run.case for run in found.runs] or logs_under_model(
-            logs, robot, declared or (), settings
+            logs, robot, options.declared or (), settings
         )
         stretches = _filtered(cases, found.effects, learnt, settings.report_share)
         held_out = [run.case for run in found.held_out.runs] if found.held_out else []

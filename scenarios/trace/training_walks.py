@@ -6,13 +6,13 @@ include the influence of errors of the sizes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from surefoot.models.observer.samples import DQ_CAUSAL
-from surefoot.models.observer.training import DEFAULT_SCHEDULE, Schedule
+from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -39,7 +39,7 @@ class TrainingPlan:
     walks: int = 8
     seconds: float = 30.0  # of each walk to train on
     calibration: float = 150.0  # s of the one to calibrate on
-    schedule: Schedule = DEFAULT_SCHEDULE
+    training: TrainSettings = TRAIN_DEFAULT
 
 
 DEFAULT_PLAN = TrainingPlan()
@@ -70,14 +70,30 @@ def beyond_simulated(
     )
 
 
+@dataclass(frozen=True)
+class TrainingWalks:
+    """Walks to simulate in the style of a measured one.
+
+    Attributes:
+        style: of the measured walk.
+        robot: as declared.
+        effects: of the simulated robot.
+        gait: of the walks.
+        spread: standard deviation of an effect's size, in its unit, by name and target; others are
+            as they are.
+    """
+
+    style: WalkingStyle
+    robot: Robot
+    effects: Sequence[Effect] = ()
+    gait: GaitOptions = PLAIN_GAIT
+    spread: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+
 def simulate_training(
-    style: WalkingStyle,
-    robot: Robot,
-    effects: Sequence[Effect],
+    walks: TrainingWalks,
     seed: int,
     plan: TrainingPlan = DEFAULT_PLAN,
-    gait: GaitOptions = PLAIN_GAIT,
-    spread: Mapping[tuple[str, str], float] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[Log], Log]:
     """Logs to train on, and one to calibrate on, of a robot with the effects.
@@ -85,24 +101,19 @@ def simulate_training(
     The effects are compensated in the logs, as they are for the filters afterwards.
 
     Args:
-        style: of the measured walk.
-        robot: as declared.
-        effects: of the simulated robot.
+        walks: robot, effects and gait.
         seed: of the walks.
         plan: number and length of the walks.
-        gait: of the walks.
-        spread: standard deviation of an effect's size, in its unit, by name and target; others are
-            as they are.
         progress: called with the share done, 0 to 1.
     """
-    simulated = simulated_robot(robot)
-    added = beyond_simulated(effects, robot, simulated)
+    simulated = simulated_robot(walks.robot)
+    added = beyond_simulated(walks.effects, walks.robot, simulated)
 
     def drawn(k: int, seconds: float, draw: int) -> _Drawn:
         rng = np.random.default_rng([seed, k, draw])
-        scenario, poised = imitation(style, simulated, f"imitation_{k}", seconds, rng)
-        own = drawn_sizes(added, spread or {}, rng)
-        return replace(scenario, gait=gait), poised, seed + k + draw * (plan.walks + 1), own
+        scenario, poised = imitation(walks.style, simulated, f"imitation_{k}", seconds, rng)
+        own = drawn_sizes(added, walks.spread, rng)
+        return replace(scenario, gait=walks.gait), poised, seed + k + draw * (plan.walks + 1), own
 
     logs = []
     for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
@@ -119,7 +130,7 @@ def drawn_sizes(
 
     Args:
         effects: found.
-        spread: standard deviations, as for `simulate_training`.
+        spread: standard deviations, as in `TrainingWalks`.
         rng: random generator, advanced by one draw for each of `spread`.
     """
     drawn = []

@@ -41,7 +41,7 @@ def write_preview(
     scenario = Scenario.load(source)
     name = robot or scenario.robot
     if not name:
-        raise SurefootError(f"scenario {source}: names no robot: say which with --robot")
+        raise SurefootError(f"scenario {source}: names no robot: say which")
     made = plan(scenario, Robot.load(name), seed)
     walk = RecordedWalk(_course_log(made), made.robot, {}, ground=made.ground)
     write_recording(path, walk, force)

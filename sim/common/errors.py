@@ -14,9 +14,9 @@ class SurefootError(ValueError):
 def check_seed(seed: int) -> None:
     """Raise SurefootError for a seed that generators do not accept."""
     if seed < 0:
-        raise SurefootError(f"--seed {seed}: must not be negative")
+        raise SurefootError(f"seed {seed}: must not be negative")
     if seed > LARGEST_WHOLE:
-        raise SurefootError("--seed: must not be beyond 2^53")
+        raise SurefootError("seed: must not be beyond 2^53")
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

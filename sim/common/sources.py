@@ -59,8 +59,8 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
         file: its source, for a script or a test that Python cannot find by name.
 
     Includes imports inside functions, relative imports, the packages that contain a module,
-    compiled modules, "module:attribute" entries of a Registry, and modules that a package imports
-    on request by such an entry of a dictionary. Imports for type checkers only are excluded.
+    compiled modules, "module:attribute" entries of a Registry, and what a module with __getattr__
+    imports for type checkers, as names are requested. Other imports for type checkers are excluded.
     Imports by other strings are not detected.
     """
     found: dict[str, Path] = {}
@@ -86,8 +86,8 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
 
 
 class _Contents(NamedTuple):
-    """Contents of a source: level, module and names of each import; dictionaries of key -> module;
-    lines of code.
+    """Contents of a source: level, module and names of each import; name -> module of those that
+    it imports on request; lines of code.
     """
 
     imports: tuple[tuple[int, str, tuple[str, ...]], ...]
@@ -126,6 +126,7 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
     source = path.read_bytes()
     tree = ast.parse(source)
     texts: list[ast.expr | ast.Expr] = []
+    typed: list[ast.ImportFrom] = []
     waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
@@ -138,6 +139,7 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
             texts.append(node)
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
             waiting += node.orelse
+            typed += [one for one in node.body if isinstance(one, ast.ImportFrom)]
             continue
         waiting += ast.iter_child_nodes(node)
         if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Registry"):
@@ -150,12 +152,8 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
                 imports.append((0, bound, ("*",)))
         elif isinstance(node, ast.ImportFrom):
             imports.append((node.level, node.module or "", tuple(a.name for a in node.names)))
-    for node in tree.body:
-        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict):
-            for key, value in zip(node.value.keys, node.value.values, strict=True):
-                module = _member(value)
-                if module and isinstance(key, ast.Constant):
-                    late[str(key.value)] = module
+    if b"__getattr__" in source:
+        late = {a.asname or a.name: node.module or "" for node in typed for a in node.names}
     return _Contents(tuple(imports), late, _code(source, texts))
 
 

@@ -43,9 +43,7 @@ def robot_of_log(log: "Log") -> str | Path | None:
         return path
     if text is None or path.suffix not in SUFFIXES:
         what = "has changed since" if is_file(path) else "is not there"
-        raise SurefootError(
-            f"{log.name}: the model of its robot, {path}, {what}: say which with --robot"
-        )
+        raise SurefootError(f"{log.name}: the model of its robot, {path}, {what}: say which")
     content = text.encode()
     if hashlib.sha256(content).hexdigest() != digest:
         raise SurefootError(f"{log.name}: the model of its robot does not match its digest")

@@ -26,7 +26,7 @@ from surefoot.sim.robot.model_of_log import robot_of_log
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
 _OF_LEGS = ("foot_radius", "sole", "foot_places")
-NO_ROBOT = "the log names no robot: say which with --robot"
+NO_ROBOT = "the log names no robot: say which"
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from studies.bench.ratio import SAMPLES, Progress, Ratio, in_turn, part_of
 from studies.montecarlo.qmc import ordinary_boxes, qmc_moments, tensor_moments
 from surefoot.estimator.box import box_moments_kernel
-from surefoot.sim.common.kernels import kernel
+from surefoot.extend import kernel
 
 _BOXES = 100
 Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

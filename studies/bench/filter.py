@@ -12,15 +12,13 @@ from studies.montecarlo.trials import make_trials, true_motion
 from surefoot import Observer
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.propagation import propagate
-from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
-from surefoot.estimator.filter import InvariantFilter
+from surefoot.estimator.core.state import EXTRA
 from surefoot.estimator.updates.coverage import FLOOR, update_coverage
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
+from surefoot.extend import GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
 from surefoot.models.observer.network import Network
 from surefoot.models.observer.predict import Loop
 from surefoot.models.registry import ARCHITECTURES
-from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.common.kernels import kernel
 
 BENCH_GAMMA, FILTER_STEPS = 0.8, 200
 PYTHON_STEPS = 2000

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from surefoot import Robot
-from surefoot.sim.effects.base import AXES, Effect
-from surefoot.sim.sensors.streams import Streams
+from surefoot.extend import Effect, Streams
+from surefoot.sim.effects.base import AXES
 
 ENCODER_CHANNELS = (
     *("leg_velocity", "stance_velocity", "stance_displacement", "foot_height"),

@@ -9,8 +9,9 @@ import numpy as np
 
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot import Robot
+from surefoot.extend import Effect, effect
 from surefoot.sim.common.files import bundled
-from surefoot.sim.effects import CATALOGUE, Effect, effect
+from surefoot.sim.effects import CATALOGUE
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.walking.batch import known_robot
 

@@ -9,13 +9,10 @@ import numpy as np
 
 from studies.blind.plan import PLAN, Case, study_robot
 from surefoot import Log, Scenario, walk
+from surefoot.extend import Effect, Ground, Patch, Segment, SurefootError
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
 from surefoot.models.attribution.settings import DEFAULT
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.toml import read_toml
-from surefoot.sim.effects import Effect
-from surefoot.sim.ground.terrain import Ground, Patch
-from surefoot.sim.scenario import Segment
 
 STANDING_TIME = 20.0
 """Duration of the logs of a standing robot [s], with effects that standing cannot distinguish."""

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from surefoot import Log, Robot, run_filter
-from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.extend import reference
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from studies.hardware.drives import BLOCK, between, ratio_interval
 from studies.hardware.stream_lags import WALKING, Lag
 from surefoot import Learnt, Log, Robot, evaluate
-from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import align_first
+from surefoot.extend import Effect, Trajectory, effect, reference
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
 from surefoot.models.bootstrap import block_bootstrap_counts
@@ -25,7 +25,7 @@ from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
-from surefoot.sim.effects import Effect, compensate_all, effect
+from surefoot.sim.effects import compensate_all
 from surefoot.sim.log import joint_velocity
 from surefoot.sim.sensors.stances import stance_phase
 

@@ -17,9 +17,9 @@ import mujoco
 import numpy as np
 
 from surefoot import Log
-from surefoot.sim.effects import compensate_all, effect, known_effects
+from surefoot.extend import AXES, effect
+from surefoot.sim.effects import compensate_all, known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
-from surefoot.sim.effects.targets import AXES
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Modelled
 

@@ -22,14 +22,14 @@ from studies.hardware import pendulum as pendulum
 from studies.hardware import walks_by_feet as feet
 from studies.hardware.impulses import window_rows
 from studies.hardware.stream_lags import lags
-from surefoot import Log, Robot, trace
+from surefoot import Log, Robot, TraceOptions, trace
+from surefoot.extend import SurefootError
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.trace.words import summary
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.recording import import_log, read_recording
@@ -343,9 +343,9 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
             fitted,
             machine,
             options.out / "so101_trace",
+            TraceOptions(holdout=unseen),
             progress=progress,
             force=options.force,
-            holdout=unseen,
         )
     tables = {
         "Servos fitted to three runs, and their errors in the other three": table,

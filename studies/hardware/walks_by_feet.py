@@ -19,7 +19,7 @@ from studies.hardware.creeping_feet import (
     with_share,
 )
 from surefoot import Log, align, run_filter
-from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.extend import Trajectory, reference
 from surefoot.models.alignment.alignment import Alignment, aligned_log
 from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK

@@ -13,7 +13,7 @@ from studies.montecarlo.settings import MonteCarloStudy
 from studies.montecarlo.study import Setting
 from studies.montecarlo.trials import Trials, Truth
 from surefoot.estimator.core.lie import hat
-from surefoot.sim.common.gravity import GRAVITY
+from surefoot.extend import GRAVITY
 
 g_G = np.array([0.0, 0.0, -GRAVITY])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)

@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 
 from surefoot.estimator.box import box_moments_kernel
-from surefoot.sim.common.kernels import kernel
+from surefoot.extend import kernel
 
 SAMPLE_COUNTS = (100, 500, 1000, 5000, 10000)
 """The paper's N."""

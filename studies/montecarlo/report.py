@@ -25,11 +25,11 @@ from studies.montecarlo.study import (
     run_montecarlo,
 )
 from studies.montecarlo.update import iteration_table, update_illustration
+from surefoot.extend import SurefootError
 from surefoot.models.calibration.bias_model import BOUNDED_MEAN
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_full, whole_folder
 from surefoot.sim.common.limits import check_limit
 

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from surefoot.estimator.initial import InitialStd
-from surefoot.sim.common.errors import SurefootError
+from surefoot.extend import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Count, Level, NonNegative, Positive, read_typed
 

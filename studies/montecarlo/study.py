@@ -34,9 +34,7 @@ from studies.montecarlo.trials import (
     true_motion,
     velocity_errors,
 )
-from surefoot.estimator.core.state import FilterNoise, NavState
-from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
+from surefoot.estimator.filter import CoverageSettings
 from surefoot.estimator.metrics import nees
 from surefoot.estimator.run import (
     bounded_velocities,
@@ -45,8 +43,15 @@ from surefoot.estimator.run import (
     imu_samples,
 )
 from surefoot.estimator.updates.bias_states import PersistentError
+from surefoot.extend import (
+    FilterNoise,
+    InvariantFilter,
+    NavState,
+    PersistentFilter,
+    Trajectory,
+    level_per_axis,
+)
 from surefoot.models.calibration.bias_model import estimate_bias_model
-from surefoot.models.calibration.conformal import level_per_axis
 from surefoot.models.calibration.regions import calibrator, second_moment
 from surefoot.scenarios.datasets.cluster import run_on_cluster
 from surefoot.scenarios.reporting.rows import finished_case

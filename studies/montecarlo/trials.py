@@ -8,10 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from studies.montecarlo.settings import ErrorLaw, MonteCarloStudy, TrotMotion
 from surefoot.estimator.core.lie import gammas
-from surefoot.estimator.core.state import NavState, retract
+from surefoot.estimator.core.state import retract
 from surefoot.estimator.initial import start_covariance
-from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.common.kernels import kernel
+from surefoot.extend import GRAVITY, NavState, kernel
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@
 import numpy as np
 
 from surefoot import Robot, Scenario
-from surefoot.sim.ground.terrain import Ground, Patch, Strip
-from surefoot.sim.scenario import Segment
+from surefoot.extend import Ground, Patch, Segment, Strip
 
 SLOPE = np.tan(np.radians(10.0))
 MU, ICE = 0.8, 0.15

@@ -38,6 +38,13 @@ def se_inverse(X: np.ndarray) -> np.ndarray:
     return out
 
 
+def so3_exp(phi: np.ndarray) -> np.ndarray:
+    """Rotation matrix (3, 3) of the rotation vector phi (3,) [rad]: Gamma_0."""
+    out = np.empty((3, 3))
+    gammas(phi, out, np.empty((3, 3)), np.empty((3, 3)))
+    return out
+
+
 def so3_log(R: np.ndarray) -> np.ndarray:
     """Rotation vector (3,) [rad] of R (3, 3)."""
     return Rotation.from_matrix(R).as_rotvec()

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from lie_group import so3_exp
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 
-from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
@@ -117,7 +117,7 @@ def test_outliers_are_rejected_so_often_in_a_row_and_no_more():
 def test_output_jacobian_by_differences():
     """H = [0 -R^T 0 0 0 | -I]: sign and place, for a state with a persistent error."""
     rng = np.random.default_rng(2)
-    mean = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(1)
+    mean = NavState(so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(1)
     mean[7] = rng.normal(size=3)
     A = rng.normal(size=(18, 18))
     P = A @ A.T
@@ -143,7 +143,7 @@ def test_output_jacobian_by_differences():
 def test_lift_keeps_the_conditional_and_replaces_the_marginal():
     """eqs. lift_mean and lift_cov with a dense H, K and S, as the paper prints them."""
     rng = np.random.default_rng(3)
-    state = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3))
+    state = NavState(so3_exp(rng.normal(size=3)), rng.normal(size=3))
     A = 0.3 * rng.normal(size=(15, 15))
     P = A @ A.T + 1e-3 * np.eye(15)
     one = InvariantFilter(state, P)
@@ -206,7 +206,7 @@ def test_what_is_noted_of_a_velocity_is_what_its_update_uses():
     rng = np.random.default_rng(7)
     for extras, contacts in ((0, 0), (1, 0), (2, 2)):
         n = 15 + 3 * extras
-        mean = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(extras)
+        mean = NavState(so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(extras)
         mean[7:] = rng.normal(size=(extras, 3))
         A, v_I, R = rng.normal(size=(n, n)), rng.normal(size=3), np.diag([0.1, 0.2, 0.3])
         PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)

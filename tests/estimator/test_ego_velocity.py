@@ -5,8 +5,16 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from surefoot.estimator.ego_velocity import _solve, ego_velocities, ego_velocity
+from surefoot.estimator.ego_velocity import _checked, _ego_velocity, _solve, ego_velocities
 from surefoot.sim.common.errors import SurefootError
+
+
+def ego_velocity(direction, doppler, noise, angle_noise=(0.0, 0.0)):
+    """Velocity, covariance and mask of the inliers of one frame, or None."""
+    direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
+    v, cov, inlier = np.empty(3), np.empty((3, 3)), np.empty(len(direction), dtype=np.bool_)
+    found = _ego_velocity(direction, doppler, noises, v, cov, inlier)
+    return (v, cov, inlier) if found else None
 
 
 def directions(azimuth, elevation):

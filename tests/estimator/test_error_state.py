@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lie_group import se_log, wedge
+from lie_group import se_log, so3_exp, wedge
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
 from surefoot.estimator.box import box_moments
-from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.initial import InitialStd, start_covariance
 from surefoot.estimator.updates.coverage import update_coverage
@@ -39,7 +38,7 @@ def rng():
 @pytest.fixture
 def state(rng):
     x = rng.normal(size=(5, 3))
-    return NavState(lie.so3_exp(x[0]), x[1], 5 * x[2], 0.1 * x[3], 0.1 * x[4])
+    return NavState(so3_exp(x[0]), x[1], 5 * x[2], 0.1 * x[3], 0.1 * x[4])
 
 
 def test_a_state_is_packed_in_the_papers_order(state):

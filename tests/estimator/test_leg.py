@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from lie_group import se_inverse, se_log
+from lie_group import se_inverse, se_log, so3_exp
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
 from whole_runs import run_leg
 
-from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
 from surefoot.estimator.metrics import evaluate, nees
@@ -75,7 +74,7 @@ def error(estimate, truth):
 @pytest.fixture
 def contacts():
     rng = np.random.default_rng(4)
-    state = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=3))
+    state = NavState(so3_exp(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=3))
     mean = state.pack(2)
     mean[7:] = rng.normal(size=(2, 3))
     return mean, rng

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from lie_group import so3_exp
 from numpy.testing import assert_allclose
 
-from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.updates.velocity import update_velocity
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
@@ -14,7 +14,7 @@ from surefoot.estimator.updates.velocity_output import lift, velocity_output
 def case():
     """A state, its covariance, a measured velocity, and a covariance (3, 3) to go with it."""
     rng = np.random.default_rng(4)
-    state = NavState(lie.so3_exp(rng.normal(size=3)), *rng.normal(size=(2, 3)))
+    state = NavState(so3_exp(rng.normal(size=3)), *rng.normal(size=(2, 3)))
     A, B = 0.3 * rng.normal(size=(15, 15)), 0.2 * rng.normal(size=(3, 3))
     return state, A @ A.T + 1e-3 * np.eye(15), state.v_I + np.array([0.3, -0.2, 0.5]), B @ B.T
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from lie_group import so3_exp
 from motions import motion
 from numpy.testing import assert_allclose, assert_array_equal
 from whole_runs import run_coverage, run_velocity
 
-from surefoot.estimator.core import lie
 from surefoot.estimator.core.propagation import propagate
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.filter import InvariantFilter, PersistentFilter
@@ -28,7 +28,7 @@ GRAVITY = np.array([0.0, 0.0, 9.8])
 
 def prior(rng, size=1e-3):
     """A state with a persistent part, and its covariance (24, 24), s at zero."""
-    mean = NavState(lie.so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(EXTRAS)
+    mean = NavState(so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(EXTRAS)
     mean[7] = 0.1 * rng.normal(size=3)
     mean[9] = 0.1 * rng.normal(size=3)
     A = rng.normal(size=(21, 21)) * size

@@ -22,7 +22,8 @@ from pyarrow import parquet
 from synthetic import synthetic_walk
 
 from surefoot.models.observer.observer import Observer
-from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.scenarios.datasets.simulate import simulate
+from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.files import MANIFEST
 from surefoot.sim.log import Log
 
@@ -95,7 +96,7 @@ def inputs(tmp_path_factory) -> Path:
     resting(walk).write(folder / "rest.parquet")
     observer = Observer.load(FILES / "observer_q_dq_gml.pt")
     replace(observer, robot="spot_class").save(folder / "observer.pt")
-    simulate_all([folder / "a.toml"], folder / "walks")
+    simulate(SimulateSettings([folder / "a.toml"], folder / "walks"))
     (folder / "walks" / "a_0.parquet").rename(folder / "a.parquet")
     rmtree(folder / "walks")
     return folder

@@ -1,12 +1,15 @@
 """One small observer a loss, trained once for all tests of this folder."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from synthetic import Body, synthetic_walk
 
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 
-QUICK = Schedule(steps=120, batch=4, rate=1e-2, every=40)
+QUICK = TrainSettings(steps=120, batch=4, rate=1e-2, every=40)
 
 
 @pytest.fixture(autouse=True)
@@ -25,9 +28,9 @@ def walks():
 
 @pytest.fixture(scope="session")
 def mse_observer(walks):
-    return train(walks["fit"], Body(), ("q", "dq"), "mse", seed=1, schedule=QUICK)
+    return train(walks["fit"], Body(), replace(QUICK, inputs=("q", "dq"), loss="mse", seed=1))
 
 
 @pytest.fixture(scope="session")
 def gml_observer(walks):
-    return train(walks["fit"], Body(), ("q", "dq"), "gml", seed=1, schedule=QUICK)
+    return train(walks["fit"], Body(), replace(QUICK, inputs=("q", "dq"), loss="gml", seed=1))

@@ -12,12 +12,13 @@ from surefoot.models.observer.network import LOSS_OUTPUTS, Network
 from surefoot.models.observer.observer import Observer, ObserverError
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
 from surefoot.models.observer.samples import observer_samples
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES, LOSSES
 
 MODELS = list(ARCHITECTURES)
 CAUSAL = [name for name in MODELS if ARCHITECTURES[name].causal]
-TINY = Schedule(steps=6, batch=2, every=3)
+TINY = TrainSettings(steps=6, batch=2, every=3)
 
 
 def network_of(model: str, inputs: int = 7) -> Network:
@@ -81,8 +82,8 @@ def test_both_ways_is_torchs_bidirectional_gru():
 
 @pytest.mark.parametrize("model", [m for m in MODELS if m != "gru"])
 def test_every_model_learns_and_comes_back_from_disk(model, walks, tmp_path):
-    plan = Schedule(steps=60, batch=2, every=60)
-    observer = train(walks["fit"], Body(), "q,dq", model=model, schedule=plan)
+    plan = TrainSettings(steps=60, batch=2, every=60)
+    observer = train(walks["fit"], Body(), replace(plan, inputs="q,dq", model=model))
     _, errors = prediction_errors(observer, walks["test"], Body())
     spread = walks["test"].ref_v.std(axis=0)
     assert np.sqrt((errors**2).mean(axis=0))[0] < 0.6 * spread[0]
@@ -105,15 +106,16 @@ def test_every_model_learns_and_comes_back_from_disk(model, walks, tmp_path):
 @pytest.mark.parametrize("model", ["mlp", "bigru"])
 def test_the_same_seed_gives_the_same_model(model, loss, walks):
     first, again = (
-        train(walks["fit"], Body(), "q", loss, seed=4, schedule=TINY, model=model) for _ in range(2)
+        train(walks["fit"], Body(), replace(TINY, inputs="q", loss=loss, seed=4, model=model))
+        for _ in range(2)
     )
     assert first.hash == again.hash
     assert first.network.head.out_features == LOSS_OUTPUTS[loss]
 
 
 def test_an_unknown_model_is_refused(walks, mse_observer, tmp_path):
-    with pytest.raises(ObserverError, match=r"--model transformer: choose gru \| mlp"):
-        train(walks["fit"], Body(), model="transformer")
+    with pytest.raises(ObserverError, match=r"model transformer: choose gru \| mlp"):
+        train(walks["fit"], Body(), TrainSettings(model="transformer"))
     replace(mse_observer, model="lstm").save(tmp_path / "o.pt")
     with pytest.raises(ObserverError, match="not a whole"):
         Observer.load(tmp_path / "o.pt")

@@ -28,6 +28,7 @@ from surefoot.models.calibration.empirical_coverage import (
 )
 from surefoot.models.calibration.mixing import LONGEST_LAG
 from surefoot.models.calibration.regions import calibrator
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.calibration.walk_length import ERROR_STEP, walk_enough
 from surefoot.models.calibration.walking_conditions import (
     SLIPPERY,
@@ -111,12 +112,12 @@ def test_the_number_needed_is_the_least_that_will_do(gamma):
 
 @pytest.mark.parametrize("gamma", [0.0, 1.0, -0.2, 1.5, float("nan")])
 def test_levels_outside_are_refused(gamma):
-    with pytest.raises(BoundsError, match="--gamma"):
+    with pytest.raises(BoundsError, match="gamma"):
         level_per_axis(gamma)
 
 
 def test_calibration_covers_a_walk_not_seen(mse_observer, walks):
-    bounds = calibrate(mse_observer, walks["calibrate"], 0.8, robot=Body(), K=20)
+    bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(gamma=0.8, K=20), Body())
     assert (bounds.K, bounds.n, bounds.mixing) == (20, 300, None)
     _, errors = prediction_errors(mse_observer, walks["test"], Body())
     found = coverage(errors, bounds)
@@ -141,11 +142,11 @@ def test_what_the_observer_has_seen_cannot_calibrate_it(mse_observer, walks):
 
 def test_a_short_log_and_another_method_are_refused(mse_observer):
     with pytest.raises(BoundsError, match="needs 13"):
-        calibrate(mse_observer, synthetic_walk(8, 2.0), robot=Body(), K=20)
+        calibrate(mse_observer, synthetic_walk(8, 2.0), CalibrateSettings(K=20), Body())
     with pytest.raises(BoundsError, match="needs 13"):
         calibrate(mse_observer, synthetic_walk(8, 0.1), robot=Body())
-    with pytest.raises(BoundsError, match="--method magic"):
-        calibrate(mse_observer, synthetic_walk(8, 2.0), method="magic", robot=Body())
+    with pytest.raises(BoundsError, match="method magic"):
+        calibrate(mse_observer, synthetic_walk(8, 2.0), CalibrateSettings(method="magic"), Body())
 
 
 def test_bounds_come_back_whole(mse_observer, walks, tmp_path):
@@ -181,7 +182,7 @@ def test_bounds_come_back_whole(mse_observer, walks, tmp_path):
 )
 def test_bounds_that_are_none_are_refused(change, mse_observer, walks, tmp_path):
     path = tmp_path / "bounds.json"
-    calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20).save(path)
+    calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body()).save(path)
     write_bounds(path, json.loads(path.read_text()) | change)
     with pytest.raises(BoundsError) as refusal:
         Bounds.load(path)
@@ -193,7 +194,7 @@ def test_bounds_that_are_none_are_refused(change, mse_observer, walks, tmp_path)
 @pytest.mark.parametrize("change", [{"epsilon": [9.0, 9.0, 9.0]}, {"digest": None}])
 def test_bounds_edited_by_hand_are_refused(change, mse_observer, walks, tmp_path):
     path = tmp_path / "bounds.json"
-    calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20).save(path)
+    calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body()).save(path)
     values = json.loads(path.read_text())
     write_bounds(path, values)
     assert Bounds.load(path).K == 20
@@ -212,7 +213,7 @@ def test_files_that_are_no_bounds_are_refused(text, tmp_path):
 
 
 def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20)
+    bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T * bounds.epsilon
     R = Rotation.from_euler("xyz", [0.4, 0.2, -1.0]).as_matrix()
     # A corner touches each side: no smaller box along the new axes would do.
@@ -240,7 +241,7 @@ def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
     frame["ref_p_z"], frame["ref_p_x"], frame["ref_p_y"] = height, t, 0.0
     marked = replace(log, frame=frame)
     rows = np.arange(0, n, 5)
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body(), K=20)
+    bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
     errors = np.zeros((len(rows), 3))
     slips = (t[rows] > 20) & (t[rows] < 30)
     errors[slips, 0] = 2 * bounds.epsilon[0]

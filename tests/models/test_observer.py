@@ -90,7 +90,7 @@ def test_a_field_of_the_wrong_kind_is_refused(mse_observer, tmp_path):
 
 @pytest.mark.parametrize("inputs", ["dq", "q,tau", "", "q,dq,tau,q", ("q", "q")])
 def test_other_inputs_are_refused(inputs):
-    with pytest.raises(ObserverError, match="--inputs"):
+    with pytest.raises(ObserverError, match="inputs"):
         check_inputs(inputs)
 
 

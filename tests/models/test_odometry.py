@@ -14,7 +14,8 @@ from surefoot.models.observer.observer import Observer, ObserverError, observer_
 from surefoot.models.observer.odometry import Kinematics, contact_points, leg_geometry
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
 from surefoot.models.observer.samples import observer_samples
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log import Log
@@ -22,7 +23,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS
 
 ROBOT = Robot.load("spot_class")
-PLAN = Schedule(steps=80, batch=2, every=40)
+PLAN = TrainSettings(steps=80, batch=2, every=40)
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +97,8 @@ def test_an_untrained_network_is_plain_odometry(drawing):
 @pytest.mark.parametrize("loss", ["mse", "gml"])
 def test_the_loop_and_the_disk_give_the_whole_log(model, loss, tmp_path):
     log = walk(3, 12)
-    plan = Schedule(steps=6, batch=2, every=3)
-    observer = train(log, inputs="q,dq,tau,feet", model=model, loss=loss, schedule=plan)
+    plan = TrainSettings(steps=6, batch=2, every=3)
+    observer = train(log, settings=replace(plan, inputs="q,dq,tau,feet", loss=loss, model=model))
     observer.save(tmp_path / "o.pt")
     loaded = Observer.load(tmp_path / "o.pt")
     assert loaded.hash == observer.hash
@@ -117,14 +118,14 @@ def test_it_carries_over_to_another_speed():
     slow, fast = walk(0, 30), walk(1, 30, pace=2.0)
     rms = {}
     for inputs in ("q,dq,tau", "tau,feet"):
-        observer = train(slow, inputs=inputs, model="mlp", schedule=PLAN)
+        observer = train(slow, settings=replace(PLAN, inputs=inputs, model="mlp"))
         rms[inputs] = np.sqrt((prediction_errors(observer, fast)[1] ** 2).sum(axis=1).mean())
     assert rms["tau,feet"] < 0.5 * rms["q,dq,tau"]
 
 
 def test_robots_without_known_feet_are_refused(walks):
     with pytest.raises(SurefootError, match=r"joints are not known as those of analytic"):
-        train(walks["fit"], Body(), "feet", schedule=PLAN)
+        train(walks["fit"], Body(), replace(PLAN, inputs="feet"))
 
 
 def test_a_checkpoint_without_legs_is_one_from_before(mse_observer, tmp_path):
@@ -137,8 +138,8 @@ def test_a_checkpoint_without_legs_is_one_from_before(mse_observer, tmp_path):
 
 @pytest.mark.parametrize("change", ["absent", "short", "nan", "extra"])
 def test_a_damaged_drawing_is_refused(change, tmp_path):
-    plan = Schedule(steps=2, batch=2, every=2)
-    observer = train(walk(3, 12), inputs="feet", model="mlp", schedule=plan)
+    plan = TrainSettings(steps=2, batch=2, every=2)
+    observer = train(walk(3, 12), settings=replace(plan, inputs="feet", model="mlp"))
     legs = dict(observer.legs)
     if change == "absent":
         legs = {}

@@ -19,15 +19,16 @@ from synthetic import Body, synthetic_walk
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
 from surefoot.models.observer.samples import observer_samples
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.products import learning_choices
 
 print(*ARCHITECTURES)
 walk, test = (synthetic_walk(seed, 20, noise=0.1) for seed in (0, 1))
-plan = Schedule(steps=15, batch=2, every=15)
-observer = train(walk, Body(), "q,dq", model="averages", schedule=plan)
+plan = TrainSettings(inputs="q,dq", model="averages", steps=15, batch=2, every=15)
+observer = train(walk, Body(), plan)
 observer.save("observer.pt")
 loaded = Observer.load("observer.pt")
 v_I = predict(loaded, test, Body()).v_I
@@ -45,7 +46,7 @@ def test_an_own_network_is_offered_trained_and_run(tmp_path):
     names, learning = lines_of_script("own_architecture", USE, 'model = "averages"', tmp_path)
     assert names == "gru mlp rnn lstm bigru tcn averages"
     assert learning.startswith("averages ['averages', '")
-    with pytest.raises(ObserverError, match=r"--model averages: choose gru \| mlp"):
+    with pytest.raises(ObserverError, match=r"model averages: choose gru \| mlp"):
         Observer.load(tmp_path / "observer.pt")
 
 

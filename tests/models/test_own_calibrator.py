@@ -8,17 +8,19 @@ from synthetic import Body, synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.reporting.calibration_tables import CalibratedWalk, methods_table
 
 print(*CALIBRATORS)
 fit, log, test = (synthetic_walk(seed, 20, noise=0.1) for seed in range(3))
-observer = train(fit, Body(), "q,dq", schedule=Schedule(steps=10, batch=2, every=10))
-bounds = calibrate(observer, log, method="horizontal", robot=Body(), K=20)
+observer = train(fit, Body(), TrainSettings(inputs="q,dq", steps=10, batch=2, every=10))
+bounds = calibrate(observer, log, CalibrateSettings(method="horizontal", K=20), Body())
 bounds.save("bounds.json")
 loaded = Bounds.load("bounds.json")
 assert loaded.method == "horizontal"

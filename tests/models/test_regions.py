@@ -222,9 +222,9 @@ def test_one_sample_less_than_needed_is_refused(method, gamma, confidence):
 
 def test_what_is_no_method_level_or_confidence_is_refused():
     errors = np.ones((100, 3))
-    with pytest.raises(BoundsError, match="--method magic: choose conformal"):
+    with pytest.raises(BoundsError, match="method magic: choose conformal"):
         calibrator("magic", 0.8)
-    with pytest.raises(BoundsError, match="--gamma 1"):
+    with pytest.raises(BoundsError, match="gamma 1"):
         calibrator("maxnorm", 1.0)
-    with pytest.raises(BoundsError, match="--confidence 0"):
+    with pytest.raises(BoundsError, match="confidence 0"):
         calibrator("scenario", 0.8, 0.0).conformalize(errors)

@@ -14,10 +14,12 @@ from surefoot.models.observer.imu_mounting import move_covariance, move_velocity
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
 from surefoot.models.observer.samples import body_velocity, observer_samples
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LogError
 
-TINY = Schedule(steps=6, batch=2, every=3)
+TINY = TrainSettings(steps=6, batch=2, every=3)
 
 
 def test_a_known_velocity_is_recovered(mse_observer, walks):
@@ -37,7 +39,8 @@ def test_the_predicted_covariance_is_of_the_size_of_the_errors(gml_observer, wal
 
 def test_the_same_seed_gives_the_same_observer(walks):
     first, again, other = (
-        train(walks["fit"], Body(), "q", "gml", seed=s, schedule=TINY) for s in (4, 4, 5)
+        train(walks["fit"], Body(), replace(TINY, inputs="q", loss="gml", seed=s))
+        for s in (4, 4, 5)
     )
     assert first.hash == again.hash
     assert first.hash != other.hash
@@ -45,13 +48,13 @@ def test_the_same_seed_gives_the_same_observer(walks):
 
 def test_progress_is_told(walks):
     told = []
-    train(walks["fit"], Body(), "q", schedule=TINY, progress=lambda *step: told.append(step))
+    train(walks["fit"], Body(), replace(TINY, inputs="q"), progress=lambda *step: told.append(step))
     assert [step[:2] for step in told] == [(3, 6), (6, 6)]
     assert all(np.all(rmse > 0) for _, _, rmse in told)
 
 
 def test_a_quick_training_says_nothing_to_a_pipe(walks, capfd):
-    train(walks["fit"], Body(), "q", schedule=TINY, progress=True)
+    train(walks["fit"], Body(), replace(TINY, inputs="q"), progress=True)
     assert capfd.readouterr().err == ""
 
 
@@ -62,7 +65,9 @@ def test_held_out_labels_do_not_matter(walks):
     held = np.repeat(validation_rows(len(frame) // 5), 5)
     frame.loc[held, "ref_v_x"] += 1.0
     plan = replace(TINY, steps=2, every=2)
-    ours, theirs = (train(x, Body(), "q", schedule=plan) for x in (log, replace(log, frame=frame)))
+    ours, theirs = (
+        train(x, Body(), replace(plan, inputs="q")) for x in (log, replace(log, frame=frame))
+    )
     assert theirs.rmse[0] > ours.rmse[0]
     for name, weight in ours.weights.items():
         assert torch.equal(weight, theirs.weights[name])
@@ -152,7 +157,7 @@ def test_labels_without_a_measured_reference_are_left_alone(walks):
     nonsense = frame.copy()
     nonsense.loc[~measured, "ref_v_x"] = 1e6
     ours, theirs = (
-        train(replace(log, frame=f), Body(), "q", seed=2, schedule=replace(TINY, batch=1))
+        train(replace(log, frame=f), Body(), replace(TINY, inputs="q", seed=2, batch=1))
         for f in (frame, nonsense)
     )
     assert np.all(np.isfinite(ours.rmse))
@@ -163,22 +168,22 @@ def test_labels_without_a_measured_reference_are_left_alone(walks):
 def test_what_cannot_be_trained_on_is_said(walks):
     fit = walks["fit"]
     with pytest.raises(ObserverError, match="10 s at least"):
-        train(fit.rows(slice(0, 5 * WINDOW - 10)), Body(), schedule=TINY)
+        train(fit.rows(slice(0, 5 * WINDOW - 10)), Body(), TINY)
     with pytest.raises(ObserverError, match="lacks tau"):
-        train(without(fit, "tau"), Body(), schedule=TINY)
+        train(without(fit, "tau"), Body(), TINY)
     frame = fit.frame.drop(columns=[c for c in fit.frame if c.startswith("ref_")])
     with pytest.raises(LogError, match="reference"):
-        train(replace(fit, frame=frame), Body(), schedule=TINY)
-    with pytest.raises(ObserverError, match="--loss"):
-        train(fit, Body(), loss="l1", schedule=TINY)
+        train(replace(fit, frame=frame), Body(), TINY)
+    with pytest.raises(ObserverError, match="loss"):
+        train(fit, Body(), replace(TINY, loss="l1"))
     with pytest.raises(ObserverError, match="no log"):
         train([], Body())
-    with pytest.raises(ObserverError, match="steps must be"):
+    with pytest.raises(SurefootError, match="steps must be"):
         replace(TINY, steps=0)
-    with pytest.raises(ObserverError, match="rate must be"):
+    with pytest.raises(SurefootError, match="rate must be"):
         replace(TINY, rate=float("nan"))
     with pytest.raises(ObserverError, match="width must be"):
-        train(fit, Body(), schedule=TINY, width=0)
+        train(fit, Body(), replace(TINY, width=0))
 
 
 def test_labels_are_the_velocity_in_the_imus_frame(walks):

@@ -1,6 +1,8 @@
 """Training on another device than the CPU. None is at hand here: torch's "meta", which has shapes
 and devices but no values, refuses what was left behind on the CPU."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from synthetic import Body, synthetic_walk
@@ -10,9 +12,11 @@ from surefoot.models.observer.device import CPU, TorchGRU, move, torch_device
 from surefoot.models.observer.gru import GRU
 from surefoot.models.observer.network import Network, loss_of
 from surefoot.models.observer.observer import ObserverError, torch_bytes
-from surefoot.models.observer.training import Schedule, _begin, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import _begin, train
 
 META = torch.device("meta")
+BEGUN = TrainSettings(width=8, rate=1e-2)
 BUNDLED = ("gru", "rnn", "lstm", "bigru", "mlp", "tcn")
 
 
@@ -23,7 +27,7 @@ def dataset():
 @pytest.mark.parametrize(("model", "loss"), [*((m, "mse") for m in BUNDLED), ("gru", "gml")])
 def test_a_step_is_taken_where_the_device_is(model, loss):
     data = dataset()
-    training = _begin(model, 8, loss, data, 0, 1e-2, META)
+    training = _begin(data, replace(BEGUN, model=model, loss=loss), META)
     x, y, trains = draw([log.to(META) for log in data.logs], 2, 25, training.rng)
     few = slice(40)  # of a thousand: torch takes recurrent layers there one by one
     loss_of(loss, training.network(x[few]), y[few]).mean().backward()
@@ -56,7 +60,7 @@ def test_a_network_that_comes_back_runs_compiled():
 def test_weights_are_drawn_and_kept_on_the_cpu():
     """The same ones for every device, and the best so far can be written from any."""
     data = dataset()
-    there, here = (_begin("gru", 8, "mse", data, 0, 1e-2, d) for d in (META, CPU))
+    there, here = (_begin(data, BEGUN, d) for d in (META, CPU))
     for name, weight in here.best.items():
         torch.testing.assert_close(there.best[name], weight, rtol=0, atol=0)
     assert torch_bytes(there.best) == torch_bytes(here.best)
@@ -64,14 +68,14 @@ def test_weights_are_drawn_and_kept_on_the_cpu():
 
 @pytest.mark.parametrize("name", ["meta", "gpu", "cuda:99"])
 def test_a_device_that_torch_cannot_use_is_one_line(name):
-    with pytest.raises(ObserverError, match=f"--device {name}: torch cannot use it here") as error:
-        train(synthetic_walk(0, 15, noise=0.1), Body(), "q", device=name)
+    with pytest.raises(ObserverError, match=f"device {name}: torch cannot use it here") as error:
+        train(synthetic_walk(0, 15, noise=0.1), Body(), TrainSettings(inputs="q", device=name))
     assert "\n" not in str(error.value)
 
 
 def test_the_cpu_is_the_default():
     assert torch_device("cpu") == CPU
-    walk, few = synthetic_walk(0, 15, noise=0.1), Schedule(steps=4, every=2)
-    first = train(walk, Body(), "q", schedule=few, model="mlp")
-    again = train(walk, Body(), "q", schedule=few, model="mlp", device="cpu")
+    walk, few = synthetic_walk(0, 15, noise=0.1), TrainSettings(steps=4, every=2)
+    first = train(walk, Body(), replace(few, inputs="q", model="mlp"))
+    again = train(walk, Body(), replace(few, inputs="q", model="mlp", device="cpu"))
     assert first.hash == again.hash

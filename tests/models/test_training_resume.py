@@ -16,9 +16,10 @@ from synthetic import Body, synthetic_walk
 
 from surefoot.models.observer.data import prepare
 from surefoot.models.observer.observer import Observer, ObserverError
-from surefoot.models.observer.training import Schedule, _begin, partial_path, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import _begin, partial_path, train
 
-PLAN = Schedule(steps=24, batch=1, every=2)
+PLAN = TrainSettings(inputs="q", loss="gml", seed=3, steps=24, batch=1, every=2)
 SCRIPT = """
 import sys
 from pathlib import Path
@@ -29,10 +30,9 @@ fit(Path("{partial}"), lambda step, *_: print(step, flush=True)).save("{out}")
 PATHS = [str(Path(__file__).parent), str(Path(synthetic.__file__).parent)]
 
 
-def fit(partial=None, progress: Any = False, loss="gml", **options):
+def fit(partial=None, progress: Any = False, settings=PLAN):
     walk = synthetic_walk(0, duration=15, noise=0.1)
-    options = {"schedule": PLAN, "model": "gru"} | options
-    return train(walk, Body(), "q", loss, 3, progress, partial=partial, **options)
+    return train(walk, Body(), settings, progress, partial)
 
 
 def test_a_real_kill_costs_no_bit(tmp_path):
@@ -67,26 +67,27 @@ def test_a_killed_end_is_only_ended(tmp_path):
 
 def test_an_early_end_stays_an_early_end(tmp_path):
     partial = tmp_path / "o.pt.partial"
-    patient = replace(PLAN, every=1, patience=2, rate=0.5, steps=40)
-    first = fit(partial, loss="mse", schedule=patient)
+    patient = replace(PLAN, loss="mse", every=1, patience=2, rate=0.5, steps=40)
+    first = fit(partial, settings=patient)
     dataset = prepare([synthetic_walk(0, 15, noise=0.1)], Body(), ("q",))
-    fresh = _begin("gru", first.width, "mse", dataset, 3, 0.5, torch.device("cpu"))
+    fresh = _begin(dataset, replace(patient, width=first.width), torch.device("cpu"))
     assert not fresh.restore(partial, "another task")
     assert fresh.step == 0
     told = []
-    again = fit(partial, lambda *step: told.append(step), loss="mse", schedule=patient)
+    again = fit(partial, lambda *step: told.append(step), patient)
     assert again.hash == first.hash
     assert told == []
 
 
 @pytest.mark.parametrize(
     "other",
-    [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"schedule": replace(PLAN, steps=22)}],
+    [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"steps": 22}],
 )
 def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
     partial = tmp_path / "o.pt.partial"
     fit(partial)
-    assert fit(partial, **other).hash == fit(**other).hash
+    changed = replace(PLAN, **other)
+    assert fit(partial, settings=changed).hash == fit(settings=changed).hash
 
 
 @pytest.mark.parametrize("what", ["text", "observer"])

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from studies.bounds import Ellipsoid
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.cli.estimate import Calibrate
 from surefoot.sim.common.errors import SurefootError
@@ -20,6 +21,10 @@ from surefoot.sim.walk import walk
 
 SEGMENTS = (Segment(8.0, 0.5), Segment(6.0, 0.4, turn=0.5))
 COURSE = Scenario("short", SEGMENTS, Ground(0.8), ranges=Ranges(speed=(0.95, 1.05)))
+
+
+def calibration(files, out: Path, **options) -> Calibrate:
+    return Calibrate(observer=files["observer"], log=files["calibrate"], out=out, **options)
 
 
 @pytest.fixture(scope="module")
@@ -43,16 +48,15 @@ def files(tmp_path_factory) -> dict[str, Path]:
     found["bare"] = folder / "bare.parquet"
     Log(bare.frame.drop(columns=truth), bare.meta, "bare").write(found["bare"])
     found["observer"] = folder / "observer.pt"
-    schedule = Schedule(steps=60, batch=4, every=20)
-    train(Log.read(found["learnt"]), seed=0, schedule=schedule).save(found["observer"])
+    schedule = TrainSettings(steps=60, batch=4, every=20)
+    train(Log.read(found["learnt"]), settings=replace(schedule, seed=0)).save(found["observer"])
     return found
 
 
 def test_it_says_where_the_bounds_hold(files, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(CALIBRATORS.bundled, "mine", Ellipsoid)
     on = tuple(files[name] for name in ("learnt", "alike", "loaded", "bare"))
-    Calibrate(
-        files["observer"], files["calibrate"], tmp_path / "bounds.json", K=20,
+    calibration(files, tmp_path / "bounds.json", K=20,
         report=tmp_path / "report", on=on,
     ).run()  # fmt: skip
     assert "report.html" in capsys.readouterr().out
@@ -77,9 +81,8 @@ def read(path: Path, key: str) -> dict[str, dict]:
 
 
 def test_a_method_short_of_errors_says_how_many_it_needs(files, tmp_path):
-    Calibrate(
-        files["observer"],
-        files["calibrate"],
+    calibration(
+        files,
         tmp_path / "bounds.json",
         K=60,
         report=tmp_path / "r",
@@ -92,14 +95,13 @@ def test_a_method_short_of_errors_says_how_many_it_needs(files, tmp_path):
 def test_what_cannot_be_is_one_line_before_any_work(files, tmp_path):
     bounds = tmp_path / "bounds.json"
     with pytest.raises(SurefootError, match="--report"):
-        Calibrate(files["observer"], files["calibrate"], bounds, on=(files["alike"],)).run()
+        calibration(files, bounds, on=(files["alike"],)).run()
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()
     with pytest.raises(SurefootError, match="not empty"):
-        Calibrate(files["observer"], files["calibrate"], bounds, report=tmp_path / "full").run()
+        calibration(files, bounds, report=tmp_path / "full").run()
     with pytest.raises(SurefootError, match="absent"):
-        Calibrate(
-            files["observer"], files["calibrate"], bounds, report=tmp_path / "r",
+        calibration(files, bounds, report=tmp_path / "r",
             on=(tmp_path / "absent.parquet",),
         ).run()  # fmt: skip
     assert not bounds.exists()

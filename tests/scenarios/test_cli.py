@@ -69,22 +69,22 @@ BAD = {
     "joints of something else": ("estimate joints.parquet --filter leg", "joints"),
     "two files of one name": ("estimate log.parquet --filter leg -o new.tum", "new.tum"),
     "unknown filter": ("estimate log.parquet --filter magic", "magic"),
-    "no observer": ("estimate log.parquet --filter coverage", "--observer"),
-    "no gml observer": ("estimate log.parquet --filter velocity", "--observer"),
+    "no observer": ("estimate log.parquet --filter coverage", "needs observer"),
+    "no gml observer": ("estimate log.parquet --filter velocity", "needs observer"),
     "not an observer": ("estimate log.parquet --filter velocity --observer text.toml", "text.toml"),
     "not bounds": ("estimate log.parquet --filter coverage --bounds text.toml", "text.toml"),
     "missing scenario": ("simulate no.toml -o new", "no.toml"),
     "not TOML": ("simulate text.toml -o new", "text.toml"),
     "unknown key": ("simulate typo.toml -o new", "forwards"),
-    "bad seeds": ("simulate short.toml --seeds 3:1 -o new", "--seeds"),
+    "bad seeds": ("simulate short.toml --seeds 3:1 -o new", "seeds"),
     "unknown effect": ("simulate short.toml --effects effects.toml -o new", "ghost"),
-    "nothing to hide": ("simulate short.toml --undeclared -o new", "--effects"),
+    "nothing to hide": ("simulate short.toml --undeclared -o new", "needs effects"),
     "trace unknown robot": ("trace log.parquet --robot unicorn -o new", "unicorn"),
     "trace of two robots": ("trace log.parquet other/log.parquet -o new", "v60_class"),
-    "trace with a bad seed": ("trace log.parquet --seed -1 -o new", "--seed -1"),
-    "demo with a bad seed": ("demo --seed -1 -o new", "--seed -1"),
+    "trace with a bad seed": ("trace log.parquet --seed -1 -o new", "seed -1"),
+    "demo with a bad seed": ("demo --seed -1 -o new", "seed -1"),
     "an experiment of no such name": ("experiment vision -o new", "bundled are spot, vision60"),
-    "train with a bad seed": ("train log.parquet --seed -1 -o new.pt", "--seed -1"),
+    "train with a bad seed": ("train log.parquet --seed -1 -o new.pt", "seed -1"),
     "train too short": ("train log.parquet -o new.pt", "training takes"),
     "train onto a file": ("train log.parquet -o short.toml", "--force"),
     "train onto its log": ("train log.parquet --force -o log.parquet", "is an input"),
@@ -133,7 +133,7 @@ def test_a_log_whose_robot_nobody_names_is_named(line, tmp_path, monkeypatch):
     columns = {f"{group}_{axis}": 0.0 for group in ("gyro", "accel") for axis in "xyz"}
     log = pd.DataFrame({"t": 0.01 * np.arange(200), "q_knee": 0.0, "contact_a": 1.0, **columns})
     Log(log, Meta(rate=100.0)).write("mine.parquet")
-    with pytest.raises(SystemExit, match=r"mine: the log names no robot: say which with --robot"):
+    with pytest.raises(SystemExit, match=r"mine: the log names no robot: say which"):
         main(line.split())
 
 
@@ -160,7 +160,7 @@ def test_compare_says_why_filters_were_left_out(folder, monkeypatch, capsys):
     main("compare log.parquet -o compared".split())
     out = capsys.readouterr().out
     assert "left out on log: coverage, coverage_gml, coverage_persistent" in out
-    assert out.count("(needs --observer and --bounds)") == 1
+    assert out.count("(needs observer and bounds)") == 1
     for name in ("table.md", "table.csv", "report.html", "log.rrd"):
         assert (folder / "compared" / name).stat().st_size > 100
     table = (folder / "compared" / "table.csv").read_text()

@@ -15,7 +15,8 @@ import pandas as pd
 import pytest
 from dataset_index import read_index
 
-from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.scenarios.datasets.simulate import simulate
+from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.errors import SurefootError
 
 distributed = pytest.importorskip("distributed")
@@ -93,12 +94,12 @@ def test_a_worker_dies_half_way_and_no_bit_differs(cluster):
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
     courses = [Path("short.toml"), Path("cliff.toml")]
-    rows = simulate_all(courses, Path("far"), seeds="0:5", cluster=cluster.address)
+    rows = simulate(SimulateSettings(courses, Path("far"), seeds="0:5", cluster=cluster.address))
     killer.join(timeout=1.0)
     assert cluster.workers[0].poll() == -signal.SIGKILL
     assert cluster.workers[1].poll() is None
     assert len(rows) == 10
-    simulate_all(courses, Path("near"), seeds="0:5", workers=2)
+    simulate(SimulateSettings(courses, Path("near"), seeds="0:5", workers=2))
     assert digests("far") == digests("near")
     assert len(digests("far")) == 5
     pd.testing.assert_frame_equal(read_index(Path("far")), read_index(Path("near")))
@@ -113,18 +114,24 @@ def test_a_scheduler_that_dies_is_one_line_and_on_another_the_walks_go_on(cluste
 
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1") as error:
-        simulate_all([Path("short.toml")], Path("far"), seeds="0:6", cluster=cluster.address)
+    with pytest.raises(SurefootError, match=r"cluster tcp://127\.0\.0\.1") as error:
+        simulate(
+            SimulateSettings(
+                [Path("short.toml")], Path("far"), seeds="0:6", cluster=cluster.address
+            )
+        )
     killer.join(timeout=1.0)
     assert "\n" not in str(error.value)
     assert 1 <= len(first := digests("far")) < 6
     again = Cluster(tmp_path / "again", workers=1)
     try:
-        simulate_all([Path("short.toml")], Path("far"), seeds="0:6", cluster=again.address)
+        simulate(
+            SimulateSettings([Path("short.toml")], Path("far"), seeds="0:6", cluster=again.address)
+        )
     finally:
         again.stop()
     assert first.items() <= digests("far").items()
-    simulate_all([Path("short.toml")], Path("near"), seeds="0:6")
+    simulate(SimulateSettings([Path("short.toml")], Path("near"), seeds="0:6"))
     assert digests("far") == digests("near")
 
 
@@ -132,6 +139,6 @@ def test_a_cluster_that_is_not_there_is_one_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("surefoot.scenarios.datasets.cluster.PATIENCE", 0.5)
     (tmp_path / "short.toml").write_text(COURSE)
-    with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
-        simulate_all([Path("short.toml")], Path("far"), cluster="tcp://127.0.0.1:9")
+    with pytest.raises(SurefootError, match=r"cluster tcp://127\.0\.0\.1:9: ") as error:
+        simulate(SimulateSettings([Path("short.toml")], Path("far"), cluster="tcp://127.0.0.1:9"))
     assert "\n" not in str(error.value)

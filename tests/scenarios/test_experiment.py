@@ -22,6 +22,7 @@ from surefoot.scenarios.experiments.tables import (
     sweep,
     with_spread,
 )
+from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false
@@ -100,7 +101,7 @@ def killed(grid) -> dict[str, dict[str, int]]:
 
 @pytest.fixture(scope="module")
 def rows(grid, killed) -> pd.DataFrame:
-    return experiment(grid / "grid.toml", grid / "out")
+    return experiment(grid / "grid.toml", GridSettings(grid / "out"))
 
 
 def test_a_killed_run_goes_on_where_it_stopped(grid, killed, rows):
@@ -155,14 +156,16 @@ def test_the_folder_holds_tables_report_figures_and_recordings(grid, rows):
 
 def test_a_finished_run_is_not_written_over(grid, rows):
     with pytest.raises(SurefootError, match="has a finished run; give force=True"):
-        experiment(grid / "grid.toml", grid / "out")
+        experiment(grid / "grid.toml", GridSettings(grid / "out"))
 
 
 @pytest.mark.long
 def test_a_changed_scenario_makes_only_what_it_decides(grid, rows):
     before = made(grid)
     (grid / "try.toml").write_text(WALK.format(name="try", role="test", seconds=5, speed=0.5))
-    again = experiment(grid / "grid.toml", grid / "out", force=True, recordings=False)
+    again = experiment(
+        grid / "grid.toml", GridSettings(grid / "out", force=True, no_recordings=True)
+    )
     added = {kind: set(files) - set(before[kind]) for kind, files in made(grid).items()}
     assert {kind: len(names) for kind, names in added.items() if names} == {
         "walk": 2, "estimate": 2 * 4,
@@ -179,14 +182,13 @@ def test_finished_rows_need_no_products(grid, rows, tmp_path, capsys):
     (grid / "try.toml").write_text(WALK.format(name="try", role="test", seconds=4, speed=0.5))
     first = experiment(
         grid / "grid.toml",
-        tmp_path / "a",
-        cache=grid / "out" / "cache",
-        recordings=False,
-        data=data,
+        GridSettings(tmp_path / "a", cache=grid / "out" / "cache", no_recordings=True, data=data),
     )
     pd.testing.assert_frame_equal(first, rows)
     assert len(list(data.glob("*.json"))) == 3 * 2
-    again = experiment(grid / "grid.toml", tmp_path / "b", cache=cache, recordings=False, data=data)
+    again = experiment(
+        grid / "grid.toml", GridSettings(tmp_path / "b", cache=cache, no_recordings=True, data=data)
+    )
     pd.testing.assert_frame_equal(again, first)
     assert not list(cache.glob("*/*"))
     # Another walk to calibrate with is another row of each course that has its bounds.
@@ -203,7 +205,7 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
     further = '[further]\ninputs = ["q,dq,tau"]\nmethods = ["maxnorm"]\n[observer]'
     (grid / "further.toml").write_text(GRID.replace("[observer]", further))
     out, cache = tmp_path / "out", grid / "out" / "cache"
-    more = experiment(grid / "further.toml", out, cache=cache, recordings=False)
+    more = experiment(grid / "further.toml", GridSettings(out, cache=cache, no_recordings=True))
     ways = more[more["filter"] == "coverage"].groupby(["inputs", "method"])["gamma"].agg(set)
     # Twenty seconds are too few for some method with some inputs: it is left out there.
     assert ways["q,dq", "conformal"] == {0.6, 0.8}

@@ -156,7 +156,7 @@ def test_what_is_missing_is_one_line(tmp_path, feet):
         run_filter("leg", without, None)
     declared = ({"name": "gyro_bias", "target": "x", "value": 0.01, "unit": "rad/s"},)
     told = replace(feet, meta=replace(feet.meta, effects=declared))
-    with pytest.raises(SurefootError, match="--robot, whose effects it declares"):
+    with pytest.raises(SurefootError, match="which, whose effects it declares"):
         run_filter("leg", told, None)
     path = tmp_path / "feet.parquet"
     names = {f"contact_{name}": f"contact_{leg}" for leg, name in NAMES.items()}

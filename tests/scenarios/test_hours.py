@@ -8,6 +8,7 @@ import pytest
 from dataset_index import read_index
 
 from surefoot.scenarios.datasets import simulate
+from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.log import LogReader
 
 LAP = """robot = "spot_class"
@@ -110,9 +111,9 @@ def test_a_thousand_walks_take_the_memory_of_twenty(tmp_path):
 def test_a_long_walk_has_the_row_of_a_short_one(tmp_path, monkeypatch):
     scenario = tmp_path / "laps.toml"
     scenario.write_text(LAP.format(laps=1).replace("20.0", "4.0").replace("10.0", "3.0"))
-    simulate.simulate_all([scenario], tmp_path / "whole")
+    simulate.simulate(SimulateSettings([scenario], tmp_path / "whole"))
     monkeypatch.setattr(simulate, "LONG_WALK", 1.0)
-    (row,) = simulate.simulate_all([scenario], tmp_path / "pieces")
+    (row,) = simulate.simulate(SimulateSettings([scenario], tmp_path / "pieces"))
     (whole,) = read_index(tmp_path / "whole").to_dict(orient="records")
     # Of less than a minute the facts, too, are those of the whole.
     known = {name: value for name, value in vars(row).items() if value == value}  # not NaN

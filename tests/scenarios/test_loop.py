@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 
 from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
+from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace import gait_choice, training_walks
 from surefoot.scenarios.trace.gait_choice import choose_gait
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, split_errors
 from surefoot.scenarios.trace.training_walks import (
     TrainingPlan,
+    TrainingWalks,
     beyond_simulated,
     drawn_sizes,
     rates_as_of,
@@ -61,14 +64,15 @@ def test_the_simulated_robot_has_the_files_feet_and_the_declared_mounting(robot)
 
 def test_training_walks_have_the_effects_and_are_seen_by_a_model_that_knows_them(robot, log):
     shown = walking_style(log, robot)
-    plain = simulate_training(shown, robot, (), 0, SHORT)
+    plain = simulate_training(TrainingWalks(shown, robot), 0, SHORT)
     offset = effect("encoder_offset", "FR_thigh", 0.05)
-    told = simulate_training(shown, robot, [offset], 0, SHORT)
+    told = simulate_training(TrainingWalks(shown, robot, [offset]), 0, SHORT)
     assert [len(told[0]), len(plain[0])] == [1, 1]
     # An encoder's offset changes readings alone; undone, the walk is the one without it but for the
     # encoder's step.
     np.testing.assert_allclose(told[1].q, plain[1].q, atol=5e-4)
-    longer = simulate_training(shown, robot, [effect("link_length", "FR_thigh", 0.03)], 0, SHORT)
+    stretched = TrainingWalks(shown, robot, [effect("link_length", "FR_thigh", 0.03)])
+    longer = simulate_training(stretched, 0, SHORT)
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
 
 
@@ -82,7 +86,7 @@ def test_after_a_fall_another_walk_is_drawn_before_a_slower_one(robot, log, monk
         return walk(scenario, robot, seed, effects)
 
     monkeypatch.setattr(training_walks, "walk", falls_at_first)
-    simulate_training(walking_style(log, robot), robot, (), 0, replace(SHORT, walks=0))
+    simulate_training(TrainingWalks(walking_style(log, robot), robot), 0, replace(SHORT, walks=0))
     speeds, seeds = np.array(tried).T
     assert list(seeds) == [0, 1, 2, 0, 1]
     np.testing.assert_allclose(speeds[3:], 0.8 * speeds[:2])
@@ -95,8 +99,8 @@ def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
     spread = {("encoder_offset", "FR_thigh"): deviation}
     shown = walking_style(log, robot)
     plan = replace(SHORT, walks=3)
-    as_found = simulate_training(shown, robot, [found], 0, plan)
-    drawn = simulate_training(shown, robot, [found], 0, plan, spread=spread)
+    as_found = simulate_training(TrainingWalks(shown, robot, [found]), 0, plan)
+    drawn = simulate_training(TrainingWalks(shown, robot, [found], spread=spread), 0, plan)
     off = []
     for one, other in zip([*as_found[0], as_found[1]], [*drawn[0], drawn[1]], strict=True):
         difference = other.q - one.q
@@ -114,7 +118,8 @@ def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
 def test_training_walks_say_how_the_imu_is_mounted_that_their_observer_learns_with(robot, log):
     told = replace(robot, p_BI=np.array([0.1, 0.0, 0.02]))
     turned = effect("mounting_rotation", "x", 0.05)
-    _, calibration = simulate_training(walking_style(log, robot), told, [turned], 0, SHORT)
+    walks = TrainingWalks(walking_style(log, robot), told, [turned])
+    _, calibration = simulate_training(walks, 0, SHORT)
     known = Robot.for_log(calibration)
     np.testing.assert_allclose(known.p_BI, told.p_BI)
     np.testing.assert_allclose(known.R_BI, turned.compensate(log, told)[1].R_BI, atol=1e-12)
@@ -164,10 +169,10 @@ def test_what_measured_errors_have_beyond_simulated_ones_is_shared_by_squares():
 def test_the_gait_that_is_more_like_the_logs_is_taken(robot, log, monkeypatch):
     counts = {"the plain gait": (9, 17), "the gait as walked": (12, 3)}
 
-    def compared(log, robot, words, effects, walked, seed, progress):
-        like, unlike = counts[words]
+    def compared(log, robot, simulating, seed, progress):
+        like, unlike = counts[simulating.words]
         rows = SimpleNamespace(counts={"like": like, "unlike": unlike}, rows=())
-        return SimpleNamespace(words=words, card=rows)
+        return SimpleNamespace(words=simulating.words, card=rows)
 
     monkeypatch.setattr(gait_choice, "compare_walks", compared)
     choice = choose_gait(log, robot, (), 0)
@@ -193,10 +198,10 @@ def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
 def test_another_loops_folder_is_left_alone(robot, log, tmp_path):
     (tmp_path / RECIPE).write_text(json.dumps({"log": "another"}))
     with pytest.raises(SurefootError, match="not empty"):
-        loop(log, robot, tmp_path)
+        loop(log, robot, LoopSettings(tmp_path))
     bare = replace(log, frame=log.frame.drop(columns=[c for c in log.frame if "ref" in str(c)]))
     with pytest.raises(SurefootError, match="ref"):
-        loop(bare, robot, tmp_path / "new")
+        loop(bare, robot, LoopSettings(tmp_path / "new"))
 
 
 @pytest.mark.slow
@@ -211,14 +216,16 @@ def test_the_loop_recovers_most_of_what_knowing_the_effect_would_gain(
     hidden = effect(name, target, value)
     measured = walk(course, robot, 11, [hidden], declared=False)
     out = tmp_path / "loop"
-    loop(measured, robot, out)
+    loop(measured, robot, LoopSettings(out))
     sides = json.loads((out / "loop.json").read_text())["sides"]
     rmse = {
         side: np.linalg.norm(sides[side]["observer_errors"]["measured"]["all"]) for side in sides
     }
-    training, _ = simulate_training(walking_style(measured, robot), robot, [hidden], 0)
+    training, _ = simulate_training(
+        TrainingWalks(walking_style(measured, robot), robot, [hidden]), 0
+    )
     told = replace(measured, meta=replace(measured.meta, effects=(hidden.as_dict(),)))
-    taught = train(training, inputs=inputs_of(measured))
+    taught = train(training, settings=TrainSettings(inputs=inputs_of(measured)))
     errors = prediction_errors(taught, *declared_model(told, robot))[1]
     known = np.linalg.norm(np.sqrt((errors**2).mean(axis=0)))
     gain = rmse["before"] - known

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.calibration.settings import CalibrateSettings
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.scenarios.compare import compare_log, table, write_comparison
 from surefoot.scenarios.demo import demo
 from surefoot.scenarios.estimate.run import ESTIMATORS, Learnt, run_filter
@@ -19,7 +21,7 @@ from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 
 SEGMENTS = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5), Segment(3.0, 0.5, turn=-0.5))
-SHORT = Schedule(steps=60, batch=4, every=20)
+SHORT = TrainSettings(steps=60, batch=4, every=20)
 TIMING = "step [us]"
 
 
@@ -37,8 +39,12 @@ def walks(robot) -> list[Log]:
 
 
 def learn(walks: list[Log]) -> Learnt:
-    observers = tuple(train(walks[0], loss=loss, seed=0, schedule=SHORT) for loss in ("mse", "gml"))
-    return Learnt(observers, tuple(calibrate(o, walks[1], K=20) for o in observers))
+    observers = tuple(
+        train(walks[0], settings=replace(SHORT, loss=loss, seed=0)) for loss in ("mse", "gml")
+    )
+    return Learnt(
+        observers, tuple(calibrate(o, walks[1], CalibrateSettings(K=20)) for o in observers)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +86,7 @@ def test_outputs_are_whole_and_never_overwritten(compared, tmp_path):
 
 def test_an_mse_observer_is_refused_where_a_covariance_is_needed(walks, robot, learnt):
     mse = Learnt(learnt.observers[:1], learnt.bounds[:1])
-    with pytest.raises(SurefootError, match="--loss gml"):
+    with pytest.raises(SurefootError, match="loss gml"):
         run_filter("velocity", walks[2], robot, mse)
 
 

@@ -12,7 +12,7 @@ from surefoot.models.realism.card import tolerances
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.trace import realism as module
-from surefoot.scenarios.trace.realism import compare_walks, seen_as
+from surefoot.scenarios.trace.realism import SimulatedRobot, compare_walks, seen_as
 from surefoot.scenarios.trace.walk_comparison import Drift, leg_drifts
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -23,6 +23,8 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walk import walk
+
+DRAWN = SimulatedRobot("as drawn")
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +74,10 @@ def test_the_command_writes_the_card_and_the_pictures(measured, tmp_path, capsys
 
 
 def test_a_robot_that_walks_as_the_measured_one_is_more_like_it(measured, robot):
-    drawn = compare_walks(measured, robot, "as drawn")
+    drawn = compare_walks(measured, robot, DRAWN)
     gait = GaitOptions(duty=0.72, unloading=0.05, period_jitter=0.04)
     walked = replace(load_as_walked(), gait=gait, sensors={}, size=())
-    alike = compare_walks(measured, robot, "as walked", walked=walked)
+    alike = compare_walks(measured, robot, SimulatedRobot("as walked", walked=walked))
     verdicts = [{r.quantity: r.verdict for r in c.card.rows} for c in (drawn, alike)]
     assert verdicts[0]["duty factor"] == "unlike"
     assert verdicts[1]["duty factor"] == "like"
@@ -86,7 +88,7 @@ def test_the_drift_of_the_leg_filter_tells_what_the_legs_lack(measured, robot):
     """By a model with points for feet, and by the file's; on feet that roll less than it says."""
     points = replace(robot, foot_radius=np.zeros(4))
     alike, less = (
-        leg_drifts(compare_walks(measured, points, "simulated", effects))
+        leg_drifts(compare_walks(measured, points, SimulatedRobot("simulated", effects)))
         for effects in ((), (effect("foot_rolling", "all", robot.foot_radius.mean() - 0.01),))
     )
     assert [one.measured for one in alike] == [one.measured for one in less]
@@ -105,8 +107,8 @@ def test_the_drift_of_the_leg_filter_tells_what_the_legs_lack(measured, robot):
 
 def test_another_robot_is_judged_by_what_is_carried_to_its_size(measured, robot):
     walker = Robot.load("v60_class")
-    found = compare_walks(measured, robot, "as drawn", walker=walker)
-    own = compare_walks(measured, robot, "as drawn")
+    found = compare_walks(measured, robot, replace(DRAWN, walker=walker))
+    own = compare_walks(measured, robot, DRAWN)
     assert {one.robot.name for one in found.simulated} == {"v60_class"}
     rows, plain = ({r.quantity: r for r in c.card.rows} for c in (found, own))
     longer = walker.leg_length / robot.leg_length
@@ -138,7 +140,7 @@ def test_a_fall_is_one_clear_line(measured, robot):
     with pytest.raises(
         SurefootError, match="spot_class falls in simulation with the stride"
     ) as caught:
-        compare_walks(measured, robot, "falling", soft, heavy)
+        compare_walks(measured, robot, SimulatedRobot("falling", soft, heavy))
     assert "\n" not in str(caught.value)
 
 

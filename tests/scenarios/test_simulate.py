@@ -16,7 +16,8 @@ from dataset_index import read_index
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets.index import Journal
-from surefoot.scenarios.datasets.simulate import _without_imu, simulate_all
+from surefoot.scenarios.datasets.simulate import _without_imu, simulate
+from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.log import Log
@@ -90,10 +91,14 @@ def test_a_fall_says_where_and_why_and_keeps_its_walk(folder, capsys):
 
 
 def test_another_run_adds_and_makes_nothing_twice(folder, capsys):
-    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), seeds="0:2"))
     assert "[ranges]" not in capsys.readouterr().out
     before = {p: p.stat().st_mtime_ns for p in Path("walks").glob("*.parquet")}
-    simulate_all([Path("short.toml"), Path("cliff.toml")], Path("walks"), seeds="0:3", workers=2)
+    simulate(
+        SimulateSettings(
+            [Path("short.toml"), Path("cliff.toml")], Path("walks"), seeds="0:3", workers=2
+        )
+    )
     assert "note: cliff has no [ranges]: its seeds walk alike" in capsys.readouterr().out
     assert {p: p.stat().st_mtime_ns for p in before} == before
     assert len(read_index(Path("walks"))) == 6
@@ -103,7 +108,7 @@ def test_another_run_adds_and_makes_nothing_twice(folder, capsys):
 
 def test_another_robot_has_logs_of_its_own(folder, capsys):
     for robot in (None, "v60_class"):
-        simulate_all([Path("short.toml")], Path("walks"), robot=robot)
+        simulate(SimulateSettings([Path("short.toml")], Path("walks"), robot=robot))
     assert set(read_index(Path("walks")).file) == {"short_0.parquet", "short_v60_class_0.parquet"}
     assert "no IMU" not in capsys.readouterr().out
 
@@ -112,37 +117,37 @@ def test_a_robot_whose_model_has_no_imu_is_said_to_have_none(folder, capsys):
     text = Robot.load("spot_class").file.read_text()
     bare = re.sub(r'<site name="imu"[^>]*/>|<sensor>.*</sensor>', "", text, flags=re.DOTALL)
     (folder / "blind.xml").write_text(bare)
-    simulate_all([Path("short.toml")], Path("walks"), robot="blind.xml")
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), robot="blind.xml"))
     assert "note: blind.xml: its model has no IMU" in capsys.readouterr().out
     assert "give the base body a site" in _without_imu("blind.xml")
     assert "a URDF has no sites" in _without_imu("blind.urdf")
 
 
 def test_a_changed_scenario_is_not_mixed_with_its_past(folder):
-    simulate_all([Path("short.toml")], Path("walks"))
+    simulate(SimulateSettings([Path("short.toml")], Path("walks")))
     (folder / "short.toml").write_text(COURSE.replace("0.5", "0.6"))
     with pytest.raises(SurefootError, match=r"short_0\.parquet: was made from another"):
-        simulate_all([Path("short.toml")], Path("walks"))
-    simulate_all([Path("short.toml")], Path("walks"), force=True)
+        simulate(SimulateSettings([Path("short.toml")], Path("walks")))
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), force=True))
     assert len(read_index(Path("walks"))) == 1
 
 
 def test_a_strangers_file_is_not_taken_for_a_log_of_ours(folder):
-    simulate_all([Path("short.toml")], Path("walks"), seeds="1")
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), seeds="1"))
     Path("other").mkdir()
     Path("walks/short_1.parquet").rename("other/short_0.parquet")
     with pytest.raises(SurefootError, match=r"short_0\.parquet: exists already"):
-        simulate_all([Path("short.toml")], Path("other"))
+        simulate(SimulateSettings([Path("short.toml")], Path("other")))
 
 
 def test_a_log_that_a_kill_parted_from_its_row_is_kept(folder):
     """Killed between the log and its line in the journal, or within the line."""
-    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), seeds="0:2"))
     index = read_index(Path("walks"))
     journal = Path("walks/_dataset/journal.jsonl")
     journal.write_text(journal.read_text()[:-200])
     before = {p: p.stat().st_mtime_ns for p in Path("walks").glob("*.parquet")}
-    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), seeds="0:2"))
     pd.testing.assert_frame_equal(read_index(Path("walks")), index)
     assert {p: p.stat().st_mtime_ns for p in before} == before
     assert len(Journal(Path("walks")).rows) == 2
@@ -150,9 +155,11 @@ def test_a_log_that_a_kill_parted_from_its_row_is_kept(folder):
 
 def test_undeclared_effects_leave_no_trace_but_the_answer(folder):
     """Against a walk without effects, only the readings differ."""
-    simulate_all([Path("short.toml")], Path("plain"))
-    simulate_all(
-        [Path("short.toml")], Path("hidden"), effects=Path("effects.toml"), undeclared=True
+    simulate(SimulateSettings([Path("short.toml")], Path("plain")))
+    simulate(
+        SimulateSettings(
+            [Path("short.toml")], Path("hidden"), effects=Path("effects.toml"), undeclared=True
+        )
     )
     plain, hidden = (Log.read(f"{name}/short_0.parquet") for name in ("plain", "hidden"))
     assert plain.meta == hidden.meta
@@ -165,15 +172,17 @@ def test_undeclared_effects_leave_no_trace_but_the_answer(folder):
         if path.is_file() and path.name != "truth.toml":
             assert b"gyro_scale" not in path.read_bytes()
     with pytest.raises(SurefootError, match="undeclared effects"):
-        simulate_all([Path("short.toml")], Path("hidden"))
+        simulate(SimulateSettings([Path("short.toml")], Path("hidden")))
     with pytest.raises(SurefootError, match="without undeclared effects"):
-        simulate_all(
-            [Path("short.toml")], Path("plain"), effects=Path("effects.toml"), undeclared=True
+        simulate(
+            SimulateSettings(
+                [Path("short.toml")], Path("plain"), effects=Path("effects.toml"), undeclared=True
+            )
         )
 
 
 def test_declared_effects_stand_in_log_and_index(folder):
-    simulate_all([Path("short.toml")], Path("walks"), effects=Path("effects.toml"))
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), effects=Path("effects.toml")))
     said = json.loads(read_index(Path("walks")).effects[0])
     assert said == list(Log.read("walks/short_0.parquet").meta.effects)
     assert said[0]["name"] == "gyro_scale"
@@ -196,8 +205,8 @@ def test_killed_and_started_again_it_ends_with_the_same_bits(folder):
     assert 2 <= len(left) <= 6
     for name in left:
         Log.read(Path("walks") / name)
-    simulate_all([Path("short.toml")], Path("walks"), seeds="0:6")
-    simulate_all([Path("short.toml")], Path("straight"), seeds="0:6", workers=4)
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), seeds="0:6"))
+    simulate(SimulateSettings([Path("short.toml")], Path("straight"), seeds="0:6", workers=4))
     assert digests(Path("walks")) == digests(Path("straight"))
     assert left.items() <= digests(Path("walks")).items()
     pd.testing.assert_frame_equal(read_index(Path("walks")), read_index(Path("straight")))
@@ -215,7 +224,7 @@ def test_debris_of_a_dead_writer_goes_and_that_of_a_living_one_stays(folder):
     index.parent.mkdir()
     for path in (gone, ours, other, living, index):
         path.write_text("half")
-    simulate_all([Path("short.toml")], Path("walks"), seeds="0:2")
+    simulate(SimulateSettings([Path("short.toml")], Path("walks"), seeds="0:2"))
     assert not gone.exists()
     assert not index.exists()
     assert other.exists()
@@ -225,7 +234,7 @@ def test_debris_of_a_dead_writer_goes_and_that_of_a_living_one_stays(folder):
 def test_names_that_collide_are_refused(folder):
     (folder / "twin.toml").write_text(COURSE)
     with pytest.raises(SurefootError, match=r"short_0\.parquet"):
-        simulate_all([Path("short.toml"), Path("twin.toml")], Path("walks"))
+        simulate(SimulateSettings([Path("short.toml"), Path("twin.toml")], Path("walks")))
 
 
 def test_a_journal_that_is_a_link_is_refused(tmp_path):

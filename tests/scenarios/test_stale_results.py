@@ -14,13 +14,14 @@ from surefoot.models.residuals.registry import BUNDLED_CHANNELS
 from surefoot.scenarios import tune
 from surefoot.scenarios.cache import Product
 from surefoot.scenarios.datasets.index import recipe
-from surefoot.scenarios.datasets.simulate import simulate_all
+from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.tuned import read_tuned
 from surefoot.scenarios.experiments import products
 from surefoot.scenarios.experiments.file import Learning
 from surefoot.scenarios.experiments.products import LearntFiles
+from surefoot.scenarios.settings import LoopSettings, SimulateSettings, TuneSettings
 from surefoot.scenarios.trace import loop
 from surefoot.sim.common import sources
 from surefoot.sim.common.errors import SurefootError
@@ -147,14 +148,16 @@ def test_hidden_effects_of_other_code_are_refused(boots, tmp_path):
         '[[effect]]\nname = "rubber_boots"\ntarget = "all"\nvalue = 0.004\nunit = "m"\n'
     )
 
-    def simulate():
+    def simulated():
         files = [tmp_path / "short.toml"], tmp_path / "walks"
-        return simulate_all(*files, effects=tmp_path / "effects.toml", undeclared=True)
+        return simulate(
+            SimulateSettings(*files, effects=tmp_path / "effects.toml", undeclared=True)
+        )
 
-    assert simulate()[0].sha256 == simulate()[0].sha256
+    assert simulated()[0].sha256 == simulated()[0].sha256
     edited(path)
     with pytest.raises(SurefootError, match="other code of them"):
-        simulate()
+        simulated()
 
 
 class Found(Exception):
@@ -184,7 +187,7 @@ def keys(tmp_path, monkeypatch):
             "walk": inputs_of(products.make_walk, job),
             "observer": inputs_of(products.make_observer, [("a", made)], Learning(), "mse", 0),
             "bounds": inputs_of(products.make_bounds, other, ("a", made), 0.9, "conformal"),
-            "estimate": inputs_of(products.make_estimates, made, "a", robot, *filters, [0.9]),
+            "estimate": inputs_of(products.make_estimates, made, "a", *filters, [0.9]),
             "recording": inputs_of(products.make_recording, made, job, *filters, 0.9),
         }
 
@@ -243,7 +246,8 @@ def test_a_search_depends_on_robot_and_effects(boots, machine, tmp_path, monkeyp
     for change in (None, path, part):
         if change:
             edited(change)
-        tune.search_filter("leg", [tmp_path / "log.parquet"], name, Learnt(), 1, 5.0, tmp_path)
+        settings = TuneSettings(tmp_path, robot=name, budget=1, longest=5.0)
+        tune.search_filter("leg", [tmp_path / "log.parquet"], settings, Learnt())
     assert asked[0] != asked[1] != asked[2] != asked[0]
 
 
@@ -278,10 +282,10 @@ def test_a_loop_depends_on_log_robot_and_code(boots, machine, tmp_path, monkeypa
 
     def recipe_of(log):
         with pytest.raises(Found):
-            loop.loop(log, Robot.load(name), tmp_path / "loop", force=True)
+            loop.loop(log, Robot.load(name), LoopSettings(tmp_path / "loop", force=True))
         found = json.loads((tmp_path / "loop" / loop.RECIPE).read_text())
         with pytest.raises(Found):  # the same folder goes on
-            loop.loop(log, Robot.load(name), tmp_path / "loop")
+            loop.loop(log, Robot.load(name), LoopSettings(tmp_path / "loop"))
         return json.dumps(found)
 
     found = [recipe_of(log)]

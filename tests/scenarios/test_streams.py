@@ -11,7 +11,9 @@ from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import initial_state
 from surefoot.estimator.run import every_row
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.observer.training import Schedule, train
+from surefoot.models.calibration.settings import CalibrateSettings
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate import file
 from surefoot.scenarios.estimate import radar_velocity as radar
@@ -33,7 +35,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 
-SHORT = Schedule(steps=30, batch=4, every=20)
+SHORT = TrainSettings(steps=30, batch=4, every=20)
 ARRAYS = ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
 CUTS = (0, 1, 700, 701, 1333, 4000)
 ROUNDING = 2e-4
@@ -55,8 +57,12 @@ def walks(robot) -> list[Log]:
 
 @pytest.fixture(scope="module")
 def learnt(walks) -> Learnt:
-    observers = tuple(train(walks[0], loss=loss, seed=0, schedule=SHORT) for loss in ("mse", "gml"))
-    return Learnt(observers, tuple(calibrate(one, walks[1], K=20) for one in observers))
+    observers = tuple(
+        train(walks[0], settings=replace(SHORT, loss=loss, seed=0)) for loss in ("mse", "gml")
+    )
+    return Learnt(
+        observers, tuple(calibrate(one, walks[1], CalibrateSettings(K=20)) for one in observers)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from surefoot.models.attribution.data import dead_contacts, readings
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
 from surefoot.scenarios.trace.result import Trace
-from surefoot.scenarios.trace.run import OUTPUTS, trace, trace_logs
+from surefoot.scenarios.trace.run import OUTPUTS, TraceOptions, trace, trace_logs
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -121,7 +121,9 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
 
 def test_a_declared_effect_is_part_of_the_model():
     known = effect("encoder_offset", "RL_thigh", -0.02)
-    found = trace_logs([log_with("encoder_offset", "RL_thigh", -0.02)], ROBOT, declared=[known])
+    found = trace_logs(
+        [log_with("encoder_offset", "RL_thigh", -0.02)], ROBOT, TraceOptions(declared=[known])
+    )
     assert found.verdict == "no_residual"
 
 

@@ -11,7 +11,7 @@ from studies.hardware.walks_by_feet import aligned_walk
 from surefoot.models.attribution.noise_floor import POINT_FEET
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.result import Trace
-from surefoot.scenarios.trace.run import trace_logs
+from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.files import measured_folder
 from surefoot.sim.effects import effect
@@ -172,7 +172,7 @@ def test_no_effect_is_attributed_to_measured_walks_of_five_bar_legs():
         aligned_walk(read_recording(SCALER / "logs" / f"scaler_{k}.csv", "scaler_trot")).log
         for k in ("06", "08", "10")
     ]
-    found = trace_logs(walks[:2], machine_for_log(walks[0]), holdout=walks[2:])
+    found = trace_logs(walks[:2], machine_for_log(walks[0]), TraceOptions(holdout=walks[2:]))
     assert found.verdict == "none_of_these"
     assert found.held_out is not None
     assert {"imu_gyro", "leg_velocity", "contact_timing"} <= set(found.held_out.channels)

@@ -8,7 +8,7 @@ from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.priors import PRIORS, plausible_size
 from surefoot.models.attribution.run_offsets import is_sampling_lag
 from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noise
-from surefoot.scenarios.trace.run import trace_logs
+from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.effects import effect, known_effects
 from surefoot.sim.importing.columns import ColumnEntry, Entries, read_columns
@@ -60,7 +60,7 @@ def test_dry_friction_of_a_slide_is_named_though_it_sticks_at_every_turn(tmp_pat
     assert (one.name, one.target) == ("coulomb_friction", "x")
     assert one.value == pytest.approx(30.0, rel=0.03)
     # Declared, it is part of the model, and nothing has changed.
-    again = trace_logs([log], gantry, declared=found.effects)
+    again = trace_logs([log], gantry, TraceOptions(declared=found.effects))
     assert again.verdict == "no_residual", summary(again)
 
 

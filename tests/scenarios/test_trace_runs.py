@@ -11,7 +11,7 @@ from pendulum import swung
 
 from surefoot.models.attribution.found import Found
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.trace.run import trace, trace_logs, unchanged_beside
+from surefoot.scenarios.trace.run import TraceOptions, trace, trace_logs, unchanged_beside
 from surefoot.scenarios.trace.words import size_in_words, summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -50,7 +50,7 @@ def zeros(found):
 @pytest.fixture(scope="module")
 def of_two_runs():
     logs = [run(0, 0.12, armature=0.03), run(1, -0.09, armature=0.03)]
-    return trace_logs(logs, PENDULUM, holdout=[run(2, 0.06, armature=0.03)])
+    return trace_logs(logs, PENDULUM, TraceOptions(holdout=[run(2, 0.06, armature=0.03)]))
 
 
 def test_two_runs_share_sizes_and_have_zeros_of_their_own(of_two_runs):
@@ -77,7 +77,7 @@ def test_a_held_out_run_agrees_and_has_a_zero_of_its_own(of_two_runs):
 
 
 def test_a_held_out_run_without_the_effect_says_so():
-    found = trace_logs([run(0, armature=0.03)], PENDULUM, holdout=[run(2)])
+    found = trace_logs([run(0, armature=0.03)], PENDULUM, TraceOptions(holdout=[run(2)]))
     assert names(found) == [("armature", "shoulder")]
     assert found.verdict != "attributed"
     assert found.held_out is not None
@@ -97,7 +97,7 @@ def test_a_held_out_run_is_not_evaluated_where_its_joint_sticks():
     stuck = replace(moves, frame=pd.concat([rests, moves.frame], ignore_index=True))
     levels = []
     for log in (moves, stuck):
-        found = trace_logs([run(0, friction=0.4)], PENDULUM, holdout=[log])
+        found = trace_logs([run(0, friction=0.4)], PENDULUM, TraceOptions(holdout=[log]))
         assert names(found) == [("coulomb_friction", "shoulder")]
         assert found.held_out is not None
         assert found.held_out.worsened == ()
@@ -107,14 +107,16 @@ def test_a_held_out_run_is_not_evaluated_where_its_joint_sticks():
 
 @pytest.mark.parametrize("zero", [0.0, 0.1])
 def test_nothing_has_changed_but_a_zero(zero):
-    found = trace_logs([run(3, zero, armature=0.03)], PENDULUM, declared=[ROTOR])
+    found = trace_logs([run(3, zero, armature=0.03)], PENDULUM, TraceOptions(declared=[ROTOR]))
     assert found.effects == ()
     assert found.verdict == "no_residual"
     assert zeros(found)[0].get("encoder_offset", 0.0) == pytest.approx(zero, abs=0.02)
 
 
 def test_what_has_changed_is_named_and_what_was_declared_is_not():
-    found = trace_logs([run(3, armature=0.03, friction=0.3)], PENDULUM, declared=[ROTOR])
+    found = trace_logs(
+        [run(3, armature=0.03, friction=0.3)], PENDULUM, TraceOptions(declared=[ROTOR])
+    )
     assert names(found)[0] == ("coulomb_friction", "shoulder")
     assert "armature" not in [e.name for e in found.effects]
 
@@ -122,12 +124,14 @@ def test_what_has_changed_is_named_and_what_was_declared_is_not():
 def test_less_friction_than_was_declared_is_named_and_less_than_none_is_not():
     had, has = 0.5, 0.3
     declared = [effect("coulomb_friction", "shoulder", had)]
-    found = trace_logs([run(3, friction=has)], PENDULUM, declared=declared)
+    found = trace_logs([run(3, friction=has)], PENDULUM, TraceOptions(declared=declared))
     assert names(found) == [("coulomb_friction", "shoulder")]
     assert found.effects[0].value == pytest.approx(has - had, rel=0.1)
     assert found.verdict == "attributed"
     # Together they are what the drive has.
-    both = trace_logs([run(4, friction=has)], PENDULUM, declared=[*declared, *found.effects])
+    both = trace_logs(
+        [run(4, friction=has)], PENDULUM, TraceOptions(declared=[*declared, *found.effects])
+    )
     assert (both.verdict, names(both)) == ("no_residual", [])
     # Without a declaration there is nothing to lose.
     scaled = trace_logs([run(3, scale=0.9)], PENDULUM)
@@ -173,14 +177,14 @@ def test_a_log_is_given_once(tmp_path):
 
 def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
     with pytest.raises(SurefootError, match="is also a log to fit on"):
-        trace([run(0)], PENDULUM, tmp_path, holdout=[run(0)])
+        trace([run(0)], PENDULUM, tmp_path, TraceOptions(holdout=[run(0)]))
 
 
 def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path, capsys):
     """A rotor seems another in each run: one more such run is no change, friction is one."""
     logs = [run(0, armature=0.01), run(1, armature=0.03), run(2, armature=0.05)]
     out = tmp_path / "calibrated"
-    before = trace(logs, PENDULUM, out, declared=[])
+    before = trace(logs, PENDULUM, out, TraceOptions(declared=[]))
     assert before.run_variation is not None
     declared = load_effects(out / "effects.toml")
     since = unchanged_beside(out / "effects.toml", declared)
@@ -188,15 +192,15 @@ def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path
     assert since == before.run_variation
     assert since.size_spread["armature", "shoulder"] == pytest.approx(0.02, rel=0.5)
     one_more = run(3, armature=0.05)
-    assert names(trace_logs([one_more], PENDULUM, declared=declared)) != []
-    again = trace_logs([one_more], PENDULUM, declared=declared, since=since)
+    assert names(trace_logs([one_more], PENDULUM, TraceOptions(declared=declared))) != []
+    again = trace_logs([one_more], PENDULUM, TraceOptions(declared=declared, since=since))
     assert (again.verdict, names(again)) == ("no_residual", [])
     one_more.write(tmp_path / "new.parquet")
     main(["trace", str(tmp_path / "new.parquet"), "--declared", str(out / "effects.toml"), "-o",
           str(tmp_path / "new")])  # fmt: skip
     assert "3 runs of the unchanged machine" in capsys.readouterr().out
     rubs = run(4, armature=0.03, friction=0.5)
-    changed = trace_logs([rubs], PENDULUM, declared=declared, since=since)
+    changed = trace_logs([rubs], PENDULUM, TraceOptions(declared=declared, since=since))
     assert names(changed)[0] == ("coulomb_friction", "shoulder")
     assert changed.found[0].interval[0] < 0.5 < changed.found[0].interval[1]
 

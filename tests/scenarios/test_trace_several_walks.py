@@ -4,7 +4,7 @@ pushed in one of them."""
 import pytest
 from pushes import pushed
 
-from surefoot.scenarios.trace.run import trace_logs
+from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -32,7 +32,7 @@ def walked(seed):
 
 @pytest.fixture(scope="module")
 def found():
-    return trace_logs([walked(0), walked(1)], ROBOT, holdout=[walked(2)])
+    return trace_logs([walked(0), walked(1)], ROBOT, TraceOptions(holdout=[walked(2)]))
 
 
 def of_run(run, name):

@@ -8,8 +8,10 @@ import pytest
 from surefoot.estimator.metrics import Metrics
 from surefoot.scenarios import tune
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.tuned import read_tuned
+from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.tune import PRICE, price_of, search
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
@@ -96,17 +98,17 @@ def test_the_command_tunes_any_filter_and_its_file_is_what_filters_take(log, tmp
 
 def test_a_search_that_is_done_is_not_run_again(log, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    first = tune.tune([log], out, ["imu"], budget=3)
+    first = tune.tune([log], TuneSettings(out, ("imu",), budget=3), Learnt())
     monkeypatch.setattr(tune, "search", lambda *_: pytest.fail("searched again"))
-    assert tune.tune([log], out, ["imu"], budget=3, force=True) == first
+    assert tune.tune([log], TuneSettings(out, ("imu",), budget=3, force=True), Learnt()) == first
     with pytest.raises(SurefootError, match="exists already"):
-        tune.tune([log], out, ["imu"], budget=3)
+        tune.tune([log], TuneSettings(out, ("imu",), budget=3), Learnt())
 
 
 def test_filters_that_the_inputs_do_not_allow_are_left_out_or_one_line(log, tmp_path):
-    text = tune.tune([log], tmp_path / "all", budget=1)
-    assert "left out for spot_class: coverage (needs --observer" in text
-    with pytest.raises(SurefootError, match="filter velocity, spot_class: needs --observer"):
-        tune.tune([log], tmp_path / "one", ["velocity"], budget=1)
-    with pytest.raises(SurefootError, match="--filter legs: unknown; choose"):
-        tune.tune([log], tmp_path / "none", ["legs"])
+    text = tune.tune([log], TuneSettings(tmp_path / "all", budget=1), Learnt())
+    assert "left out for spot_class: coverage (needs observer" in text
+    with pytest.raises(SurefootError, match="filter velocity, spot_class: needs observer"):
+        tune.tune([log], TuneSettings(tmp_path / "one", ("velocity",), budget=1), Learnt())
+    with pytest.raises(SurefootError, match="filter legs: unknown; choose"):
+        tune.tune([log], TuneSettings(tmp_path / "none", ("legs",)), Learnt())

@@ -163,7 +163,11 @@ def test_a_module_without_a_source_has_another_digest_in_each_process():
     ],
 )
 def test_what_a_package_imports_when_it_is_asked_counts(house, tmp_path, start, added):
-    homes = "_HOMES = {'One': 'late.one:One', 'Two': 'late.two:Two'}\n"
+    homes = (
+        "from typing import TYPE_CHECKING\n"
+        "if TYPE_CHECKING:\n    from late.one import A as One\n    from late.two import Two\n"
+        "def __getattr__(name): ...\n"
+    )
     write(tmp_path, {"late/__init__": homes, "late/one": "", "late/two": "", "asking": start})
     assert set(imported_sources("asking")) == {"asking", "late", *added}
 
@@ -228,3 +232,10 @@ def test_a_kernel_follows_the_kernels_that_it_calls(tmp_path):
     (package / "called.py").write_text(CALLED.format(number=5))
     assert run() == ["10", "0"]
     assert not list(package.glob("__pycache__/*.nb?"))
+
+
+def test_what_surefoot_offers_is_followed_to_its_home(tmp_path):
+    asking = tmp_path / "asking.py"
+    asking.write_text("from surefoot import trace\nfrom surefoot.extend import Calibrator\n")
+    found = imported_sources("asking", str(asking))
+    assert {"surefoot.scenarios.trace.run", "surefoot.models.calibration.regions"} <= set(found)

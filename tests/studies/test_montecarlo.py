@@ -211,7 +211,7 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(study, monkeypatch, tmp_p
 def test_a_cluster_that_is_not_there_is_one_line(study, monkeypatch):
     monkeypatch.setattr("surefoot.scenarios.datasets.cluster.PATIENCE", 0.5)
     pytest.importorskip("distributed")
-    with pytest.raises(SurefootError, match=r"--cluster tcp://127\.0\.0\.1:9: ") as error:
+    with pytest.raises(SurefootError, match=r"cluster tcp://127\.0\.0\.1:9: ") as error:
         run_montecarlo(study, cluster="tcp://127.0.0.1:9")
     assert "\n" not in str(error.value)
 

@@ -1,0 +1,134 @@
+"""Settings of the tasks: each is the argument of a function and the options of its command.
+
+Nothing heavy is imported here, so that `--help` and a mistyped option are answered at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class SimulateSettings:
+    """Walks to simulate, for `scenarios.datasets.simulate.simulate`."""
+
+    scenarios: Sequence[str | Path]
+    """Scenario files (TOML), or names of bundled ones."""
+    out: Path
+    """Folder for the logs."""
+    robot: str | None = None
+    """Name of the robot, or its file (MJCF or URDF); by default the scenario's own."""
+    seeds: str = "0"
+    """One seed, or a range such as 0:8, which is 0 to 7."""
+    effects: Path | None = None
+    """File of effects (TOML) to inject into the walks."""
+    undeclared: bool = False
+    """Omit the effects from the logs' metadata, so that no filter compensates them; truth.toml
+    beside the logs lists them.
+    """
+    workers: int = 1
+    """Number of parallel walks on this machine, one thread each."""
+    cluster: str | None = None
+    """Address of a Dask scheduler that runs the work, such as tcp://127.0.0.1:8786."""
+    force: bool = False
+    """Replace what an earlier run of this command wrote."""
+
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """Files of an alignment, for `scenarios.align.align_file`."""
+
+    file: Path
+    """A log, or with a map a recording, as read by `import`, of which all poses are used."""
+    out: Path
+    """Folder for alignment.json, alignment.png and aligned.parquet."""
+    map: str | None = None
+    """Map of the recording (TOML), or the name of a bundled one."""
+    robot: str | None = None
+    """Name of the robot, or its file (MJCF or URDF), in whose base frame the position is given as
+    well.
+    """
+    most: float = 10.0
+    """Largest clock offset that is searched for, in either direction [s]."""
+    force: bool = False
+    """Replace what an earlier run of this command wrote."""
+
+
+@dataclass(frozen=True)
+class GridSettings:
+    """How a grid is run and where to, for `scenarios.experiments.report.experiment`."""
+
+    out: Path
+    """Folder for tables, report.html and recordings."""
+    workers: int = 1
+    """Number of parallel processes on this machine."""
+    seeds: str | None = None
+    """One seed, or a range such as 0:8, which is 0 to 7; by default the file's (0 to 2 in a
+    suite).
+    """
+    cache: Path | None = None
+    """Folder of walks, observers, bounds and estimates, which later runs reuse; by default `cache`
+    in the output.
+    """
+    no_recordings: bool = False
+    """Write no rerun recordings of the sequences; by default there is one of each."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/suite_spot.md."""
+    data: Path | None = None
+    """Folder of finished rows, one for each walk, which later runs reuse, such as
+    docs/data/suite_spot; by default none are stored.
+    """
+    force: bool = False
+    """Write tables and report again; what is in the cache is reused."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Outputs and seed of a loop, for `scenarios.trace.loop.loop`."""
+
+    out: Path
+    """Folder for all outputs; an interrupted run is resumed from it."""
+    seed: int = 0
+    """Seed of the walks, the training and the intervals."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/loop.md."""
+    force: bool = False
+    """Replace what an earlier run of this command wrote."""
+
+
+@dataclass(frozen=True)
+class RealismSettings:
+    """Outputs and seed of a comparison, for `scenarios.trace.realism.realism`."""
+
+    out: Path
+    """Folder for realism.json, realism.csv, drift.csv, table.md and report.html."""
+    as_walked: bool = False
+    """Also compare walks with the gait, sensors and effects measured on a real robot. Effects that
+    are given replace the measured ones.
+    """
+    seed: int = 0
+    """Seed of the walks and the intervals."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/realism.md."""
+    force: bool = False
+    """Replace what an earlier run of this command wrote."""
+
+
+@dataclass(frozen=True)
+class TuneSettings:
+    """A search of parameters, for `scenarios.tune.tune`."""
+
+    out: Path
+    """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
+    filter: tuple[str, ...] = ()
+    """Filter to tune; by default all that the inputs allow."""
+    robot: str | None = None
+    """Name of the robot, or its file (MJCF or URDF); by default the one named in the log."""
+    budget: int = 16
+    """Number of runs of each filter over all logs of a robot."""
+    longest: float = 120.0
+    """Part of each log, from its start, on which filters are evaluated [s]."""
+    workers: int = 1
+    """Number of parallel processes on this machine."""
+    force: bool = False
+    """Replace what an earlier run of this command wrote."""
