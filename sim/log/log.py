@@ -275,14 +275,14 @@ class MemoisedLog(Log):
         return cls(log.frame, log.meta, log.name)
 
     @property
-    def frame(self) -> pd.DataFrame:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def frame(self) -> pd.DataFrame:
         # Assigned on first use, since most views need none.
         if self._replaced:
             self._frame, self._replaced = self._frame.assign(**self._replaced), {}
         return self._frame
 
     @frame.setter
-    def frame(self, frame: pd.DataFrame) -> None:
+    def frame(self, frame: pd.DataFrame):  # pyright: ignore[reportIncompatibleVariableOverride]
         self._frame, self._replaced = frame, {}
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> MemoisedLog:
