@@ -6,7 +6,7 @@ from surefoot.estimator.core.checks import asymmetry, is_definite
 from surefoot.estimator.moments.box import box_moments_kernel
 from surefoot.sim.common.kernels import kernel
 
-MOST_ASYMMETRY = 1e-10
+COVARIANCE_ASYMMETRY = 1e-10
 """Largest `asymmetry` of a covariance."""
 
 
@@ -73,7 +73,7 @@ def _checked(mean, cov, lower, upper, out_mean, out_cov) -> float:
             return 5.0
         if lower[i] == np.inf or upper[i] == -np.inf:
             return 6.0
-    if asymmetry(cov) > MOST_ASYMMETRY:
+    if asymmetry(cov) > COVARIANCE_ASYMMETRY:
         return 7.0
     if not is_definite(cov):
         return 8.0

@@ -13,7 +13,7 @@ from surefoot.estimator.core.checks import (
     numbers,
     spd,
 )
-from surefoot.estimator.core.propagation import PREDICT, predict, propagate
+from surefoot.estimator.core.propagation import PREDICT, predict_checked, propagate
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
@@ -102,7 +102,7 @@ class _VelocityFilter:
         noise: FilterNoise | None,
         model: PersistentModel,
     ):
-        compiled(predict, PREDICT)
+        compiled(predict_checked, PREDICT)
         n, extras = len(mean), len(mean) - EXTRA
         # What a prediction takes lies in few arrays: each costs 40 ns in a call.
         self._vectors = np.zeros((n + 6 + 3 * extras, 3))
@@ -120,7 +120,7 @@ class _VelocityFilter:
         now.
         """
         try:
-            done = predict(
+            done = predict_checked(
                 self._vectors,
                 self._covariance,
                 self._columns,

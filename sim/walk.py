@@ -24,7 +24,7 @@ from surefoot.sim.log.schema import group_columns
 from surefoot.sim.physics.foot_truth import foot_truth
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
 from surefoot.sim.physics.springs import share_moved_at_once
-from surefoot.sim.physics.stepper import STEPS_PER_TICK, TICK, Fallen, simulate
+from surefoot.sim.physics.stepper import STEPS_PER_TICK, TICK, Fallen, simulate_motion
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
 from surefoot.sim.robot.model_of_log import model_metadata
@@ -42,7 +42,7 @@ from surefoot.sim.sensors.streams import (
 )
 from surefoot.sim.similar_course import course_for
 
-__all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate", "walk"]
+__all__ = ["STEPS_PER_TICK", "Fallen", "Plan", "plan", "record", "simulate_motion", "walk"]
 
 SETTLING_TIME = 3.0  # s of standing before the log begins: a robot is switched on at rest
 BYTES_A_STEP = 3e3
@@ -118,7 +118,7 @@ def walk(
     then.
     """
     made = plan(scenario, robot, seed, effects, declared)
-    return record(made, simulate(made.world, robot, made.gait, made.course, progress))
+    return record(made, simulate_motion(made.world, robot, made.gait, made.course, progress))
 
 
 def plan(

@@ -88,7 +88,9 @@ def gammas(phi, gamma_0, gamma_1, gamma_2):
 
 @kernel(inline="always")
 def gammas_of(phi, e, gamma_0, gamma_1, gamma_2):
-    """`gammas` with e, the values of `entire` at the squared angle."""
+    """`gammas` of phi into gamma_0, gamma_1 and gamma_2, with e, the values of `entire` at the
+    squared angle.
+    """
     _polynomial(phi, 1.0, e[1], e[2], gamma_0)
     _polynomial(phi, 1.0, e[2], e[3], gamma_1)
     _polynomial(phi, 0.5, e[3], e[4], gamma_2)

@@ -101,7 +101,7 @@ def add_cross_columns(x, columns, at: int):
 
 @kernel(inline="always")
 def gamma_derivatives(phi, a, e, d_gamma_1, d_gamma_2):
-    """d(Gamma_1(phi) a)/dphi and d(Gamma_2(phi) a)/dphi, (3, 3) each, into the last two arrays.
+    """d(Gamma_1(phi) a)/dphi into d_gamma_1 and d(Gamma_2(phi) a)/dphi into d_gamma_2, (3, 3) each.
 
     e are the values of `entire` at the squared angle.
 
@@ -224,11 +224,11 @@ def _add_rows(M, columns, rotation_columns, dt: float):
 
 
 PREDICT = types.boolean(OWN_2, OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64)
-"""Signature of `predict`."""
+"""Signature of `predict_checked`."""
 
 
 @kernel
-def predict(vectors, covariance, columns, gyro, accel, dt) -> bool:
+def predict_checked(vectors, covariance, columns, gyro, accel, dt) -> bool:
     """`propagate` for a robot's own loop, of a state without contacts.
 
     A call from Python costs as much as the arithmetic of a step, and checks in Python would cost

@@ -146,7 +146,9 @@ def _lines(name: str, color: str, width: float, alpha: float = 1.0) -> rr.Series
 
 
 def _send(stream, path: str, t: np.ndarray, values: np.ndarray, style: rr.AsComponents) -> None:
-    """Draw values (N,), in the unit of the plot, over times (N,) [s]."""
+    """Draw values (N,), in the unit of the plot, over times t (N,) [s] at a path of the stream, in
+    a style.
+    """
     stream.log(path, style, static=True)
     stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))
 

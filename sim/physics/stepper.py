@@ -146,7 +146,7 @@ def at_rest(world: World, robot: Robot, gait: Gait, data: mujoco.MjData) -> Walk
     return Walker(world, robot, gait, data, standing(), np.full(4, gait.mass * GRAVITY / 4))
 
 
-def simulate(
+def simulate_motion(
     world: World,
     robot: Robot,
     gait: Gait,
@@ -172,15 +172,15 @@ def simulate(
 def simulate_in_pieces(
     world: World, robot: Robot, gait: Gait, pieces: Iterable[Course], seconds: float
 ) -> Iterator[Motion]:
-    """`simulate` along a course that comes in pieces.
+    """`simulate_motion` along a course that comes in pieces.
 
     Yields the motion of each piece, whose first state is the last one of the piece before. The
     motion until a fall is yielded before the error. Raises Fallen, without a motion, if the robot
     falls.
 
     Args:
-        world, robot, gait: as for `simulate`; the gait may not have errors of its estimate, which
-            are drawn for a whole walk.
+        world, robot, gait: as for `simulate_motion`; the gait may not have errors of its estimate,
+            which are drawn for a whole walk.
         pieces: of the course.
         seconds: until its end.
     """

@@ -112,8 +112,9 @@ class PointFeet:
         up: np.ndarray,
         standing: np.ndarray,
     ) -> np.ndarray:
-        """As of `LegFeet`: a foot that does not move over the ground gives v_I = -rate - omega x
-        place.
+        """As of `LegFeet`, for feet that are standing; up is of no use to points.
+
+        A foot that does not move over the ground gives v_I = -rate - omega x place.
         """
         v_I = -rate - np.cross(omega[:, None], place)
         return np.where(standing[..., None], v_I, np.nan)

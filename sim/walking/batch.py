@@ -15,7 +15,7 @@ from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import Fallen, Plan, plan, record, simulate
+from surefoot.sim.walk import Fallen, Plan, plan, record, simulate_motion
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -58,7 +58,7 @@ def plan_of(job: Job) -> Plan:
 def walk_planned(job: Job, made: Plan, progress: Callable[[float], None] | None = None) -> Walked:
     """Simulate the walk of a job along its plan, as `walk_job` does."""
     try:
-        motion = simulate(made.world, made.robot, made.gait, made.course, progress)
+        motion = simulate_motion(made.world, made.robot, made.gait, made.course, progress)
     except Fallen as fall:
         return Walked(job, made, fall)
     return Walked(job, made, record(made, motion))

@@ -13,7 +13,7 @@ from surefoot import Robot, Scenario
 from surefoot.extend import Ground, Patch, Ranges, Segment
 from surefoot.sim.physics.stepper import start
 from surefoot.sim.sensors.streams import Motion
-from surefoot.sim.walk import Plan, plan, simulate
+from surefoot.sim.walk import Plan, plan, simulate_motion
 from surefoot.sim.walking.batch import Job, on_threads, walk_job
 
 COURSE = Scenario(
@@ -90,7 +90,7 @@ def race(robots: int, threads: int, robot: str = "spot_class") -> Race:
     walks = []
     for seed in range(robots):
         made = plan(COURSE, Robot.load(robot), seed)
-        walks.append((made, simulate(made.world, made.robot, made.gait, made.course)))
+        walks.append((made, simulate_motion(made.world, made.robot, made.gait, made.course)))
     jobs = tuple(Job(COURSE, robot, seed) for seed in range(robots))
     made = Race(jobs, threads, Replay.of(walks))
     made.replay()

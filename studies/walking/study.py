@@ -31,7 +31,7 @@ from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import STEPS_PER_TICK
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.sensors.streams import Motion
-from surefoot.sim.walk import SETTLING_TIME, Fallen, Plan, plan, record, simulate
+from surefoot.sim.walk import SETTLING_TIME, Fallen, Plan, plan, record, simulate_motion
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
 
 COURSE_FOLDERS = tuple(
@@ -153,7 +153,7 @@ def walked(job: Job, progress: Callable[[float], None] | None = None) -> WalkRow
     began = thread_time()
     made = plan(job.scenario, robot, job.seed, job.effects)
     try:
-        motion = simulate(made.world, robot, made.gait, made.course, progress)
+        motion = simulate_motion(made.world, robot, made.gait, made.course, progress)
     except Fallen as fall:
         return WalkRow(
             robot.name, job.scenario.name, job.seed, 1, duration=fall.time - SETTLING_TIME

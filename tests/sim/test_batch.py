@@ -12,7 +12,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.physics.stepper import at_time_of_rates, rotation
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
-from surefoot.sim.walk import Fallen, plan, simulate, walk
+from surefoot.sim.walk import Fallen, plan, simulate_motion, walk
 from surefoot.sim.walking.batch import Job, on_threads, walk_job
 
 FLAT = Scenario(
@@ -85,7 +85,7 @@ def test_an_error_stops_the_walks_that_are_on():
 def test_the_recorded_torques_replay_to_the_same_states_in_the_bare_engine():
     """The compiled loop steps MuJoCo and nothing else: `mujoco.rollout` ends in the same bits."""
     made = plan(FLAT, Robot.load("spot_class"), 5)
-    motion = simulate(made.world, made.robot, made.gait, made.course)
+    motion = simulate_motion(made.world, made.robot, made.gait, made.course)
     model, data = made.world.model, mujoco.MjData(made.world.model)
     data.qpos[:] = made.world.start
     first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
@@ -113,7 +113,7 @@ def test_a_walk_that_goes_wrong_numerically_is_a_fall(tmp_path, monkeypatch):
     made = plan(FLAT, Robot.load("spot_class"), 0)
     made.world.start[7] = 1e11
     with pytest.raises(Fallen, match=r"fell at 0\.\d+ s"):
-        simulate(made.world, made.robot, made.gait, made.course)
+        simulate_motion(made.world, made.robot, made.gait, made.course)
 
 
 def test_one_job_alone():

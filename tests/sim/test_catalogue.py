@@ -19,7 +19,7 @@ from surefoot.sim.robot.legs import JOINTS, LEGS
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.contact import swings
 from surefoot.sim.sensors.streams import Sensors
-from surefoot.sim.walk import plan, simulate, walk
+from surefoot.sim.walk import plan, simulate_motion, walk
 
 SPOT = Robot.load("spot_class")
 # Nothing but the effect: sensors without noise, and an IMU of steps that are next to none.
@@ -271,7 +271,7 @@ def missing_torque(world: World, motion) -> tuple[np.ndarray, np.ndarray, np.nda
 def test_drives_take_the_torque_that_the_effect_says(name, value, size):
     without = plan(COURSE, SPOT, 3)
     made = plan(COURSE, SPOT, 3, [effect(name, "RL_calf", value)] if name else [])
-    motion = simulate(made.world, SPOT, made.gait, made.course)
+    motion = simulate_motion(made.world, SPOT, made.gait, made.course)
     torque, rate, acceleration = missing_torque(without.world, motion)
     expected = value * size(rate, acceleration)
     assert len(torque) > 100

@@ -20,7 +20,7 @@ from surefoot.sim.robot.kinematics import last_links
 from surefoot.sim.robot.legs import find_legs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import inside_stances
-from surefoot.sim.walk import SETTLING_TIME, plan, record, simulate
+from surefoot.sim.walk import SETTLING_TIME, plan, record, simulate_motion
 
 GO1 = Robot.load("go1")
 COURSE = Scenario("short", (Segment(3.0, 0.4, turn=0.3),), Ground(0.8), stand=0.3)
@@ -29,7 +29,7 @@ COURSE = Scenario("short", (Segment(3.0, 0.4, turn=0.3),), Ground(0.8), stand=0.
 def walked(*one):
     """The log of a walk with an effect, and the motion behind it, row by row."""
     made = plan(COURSE, GO1, 3, [effect(*one)] if one else [])
-    motion = simulate(made.world, GO1, made.gait, made.course)
+    motion = simulate_motion(made.world, GO1, made.gait, made.course)
     return record(made, motion), motion.after(SETTLING_TIME)
 
 

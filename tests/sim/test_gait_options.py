@@ -22,7 +22,7 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.stances import stances_between_swings
 from surefoot.sim.sensors.streams import Sensors
-from surefoot.sim.walk import Fallen, plan, simulate, walk
+from surefoot.sim.walk import Fallen, plan, simulate_motion, walk
 
 SPOT = Robot.load("spot_class")
 TICKS = np.arange(0.0, 40.0, 0.004)
@@ -36,7 +36,7 @@ def rng():
 def walked(**options):
     """The motion of a walk with these options, and its plan."""
     made = plan(replace(COURSE, gait=GaitOptions(**options)), SPOT, 0)
-    return simulate(made.world, SPOT, made.gait, made.course), made
+    return simulate_motion(made.world, SPOT, made.gait, made.course), made
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from surefoot.sim.gait.patterns import PATTERNS, Pattern, _check
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import plan, record, simulate
+from surefoot.sim.walk import plan, record, simulate_motion
 
 ROBOT = Robot.load("spot_class")
 
@@ -17,7 +17,7 @@ ROBOT = Robot.load("spot_class")
 def walked(gait: GaitOptions, seconds: float = 6.0):
     scenario = Scenario("flat", (Segment(seconds, 0.3),), Ground(0.8), gait=gait)
     made = plan(scenario, ROBOT, 0)
-    return made, record(made, simulate(made.world, ROBOT, made.gait, made.course))
+    return made, record(made, simulate_motion(made.world, ROBOT, made.gait, made.course))
 
 
 @pytest.mark.parametrize("name", ["trot", "walk", "pace"])

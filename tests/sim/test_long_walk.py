@@ -19,7 +19,7 @@ from surefoot.sim.physics.stepper import Fallen
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Sensors, rate_of
-from surefoot.sim.walk import meta_of, plan, record, simulate
+from surefoot.sim.walk import meta_of, plan, record, simulate_motion
 from surefoot.sim.walking import long_walk
 from surefoot.sim.walking.long_walk import needs_whole, walk_in_pieces
 
@@ -36,7 +36,7 @@ def made():
 
 @pytest.fixture(scope="module")
 def whole(made):
-    return record(made, simulate(made.world, ROBOT, made.gait, made.course))
+    return record(made, simulate_motion(made.world, ROBOT, made.gait, made.course))
 
 
 def pieces_of(made, ticks: int) -> list[pd.DataFrame]:
@@ -86,7 +86,7 @@ def test_a_fall_comes_behind_the_rows_before_it():
     cliff = Ground(0.8, (), 30.0, (Strip((-2.0, 0.0), (0.7, 0.0), 3.0, (1.5, 1.5)),))
     made = plan(replace(COURSE, ground=cliff, segments=(Segment(4.0, 0.5),)), ROBOT, 3)
     with pytest.raises(Fallen) as whole:
-        simulate(made.world, ROBOT, made.gait, made.course)
+        simulate_motion(made.world, ROBOT, made.gait, made.course)
     rows: list[pd.DataFrame] = []
     with pytest.raises(Fallen) as fall:
         rows.extend(walk_in_pieces(made, ticks=800))

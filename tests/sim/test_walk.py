@@ -16,7 +16,7 @@ from surefoot.sim.physics.scene import TIMESTEP, build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion
-from surefoot.sim.walk import STEPS_PER_TICK, Fallen, plan, simulate, walk
+from surefoot.sim.walk import STEPS_PER_TICK, Fallen, plan, simulate_motion, walk
 
 SPOT = Robot.load("spot_class")
 # Nothing between the simulation and the log but the rounding of the IMU.
@@ -76,7 +76,7 @@ def test_imu_rows_integrate_back_to_the_reference():
     """Row k carries the state of row k - 1 exactly to that of row k (Hartley et al. 2020)."""
     world = build_world(SPOT, TERRAIN)
     course = whole_course(SCENARIO.segments, TIMESTEP * STEPS_PER_TICK, 1.0)
-    motion = simulate(world, SPOT, gait_for(SPOT, 1.0), course)
+    motion = simulate_motion(world, SPOT, gait_for(SPOT, 1.0), course)
     streams = ideal_streams(motion, SPOT)
     R_GI, p_GI, v_GI = imu_motion(motion, SPOT)
     R, v = R_GI[0], v_GI[0]
@@ -99,7 +99,7 @@ def test_reference_velocity_integrates_to_the_reference_position(perfect):
 def test_positions_are_those_of_the_rates_own_times():
     """MuJoCo's own positions are half a step ahead: the later rate alone leads to them."""
     made = plan(SCENARIO, SPOT, 3)
-    motion = simulate(made.world, SPOT, made.gait, made.course)
+    motion = simulate_motion(made.world, SPOT, made.gait, made.course)
     for position, rate in ((motion.p_GB, motion.v_GB), (motion.q, motion.dq)):
         means = 0.5 * (rate[1:] + rate[:-1])
         np.testing.assert_allclose(np.diff(position, axis=0), TIMESTEP * means, atol=1e-12)
