@@ -337,6 +337,7 @@ def run_trials(study: MonteCarloStudy, truth: Truth, trials: Trials, setting: Se
         if setting.R is not None:
             velocities, levels = gaussian_velocities(rows, v_I, setting.R, len(imu.t)), None
         else:
+            assert setting.gamma is not None
             velocities = bounded_velocities(rows, v_I, setting.epsilon, len(imu.t))
             levels = CoverageSettings(setting.gamma, setting.iterations)
         found = one.run(imu, velocities, every_row(imu.t, study.per_score), levels)
