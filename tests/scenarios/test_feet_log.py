@@ -139,7 +139,7 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
         assert stopped("estimate", str(path), "--filter", name) in (None, NOT_TRUSTED)
     capsys.readouterr()
     assert stopped("compare", str(path), "-o", str(tmp_path / "compared")) is None
-    assert "radar_leg (the log names no robot: say which with --robot)" in capsys.readouterr().out
+    assert "radar_leg (the log names no robot: say which)" in capsys.readouterr().out
     assert "No recording" in (tmp_path / "compared" / "report.html").read_text()
     results, left_out = run_all(feet, None, Learnt())
     assert {result.filter for result in results} == {"leg", "leg_slip", "imu"}

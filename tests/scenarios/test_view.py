@@ -65,5 +65,5 @@ def test_a_viewer_that_fails_is_an_error(tmp_path, monkeypatch):
     path = tmp_path / "walk.rrd"
     path.write_bytes(b"RRF2....")
     monkeypatch.setattr(subprocess, "run", lambda c, check: subprocess.CompletedProcess(c, 3))
-    with pytest.raises(SurefootError, match=r"exit code 3; without a screen, try --web"):
+    with pytest.raises(SurefootError, match=r"exit code 3; without a screen, try web"):
         view(path)
