@@ -12,7 +12,7 @@ from studies.walking.study import WalkingStudy, velocity_error, walking_study
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import plan, simulate
+from surefoot.sim.walk import plan, simulate_motion
 
 COURSE = """
 name = "short"
@@ -53,7 +53,7 @@ def test_a_fall_is_counted_and_the_study_goes_on(course, cliff):
 def test_a_command_that_is_not_followed_shows_as_a_velocity_error():
     """Turning or not, forward or aside: the error is that of what was commanded."""
     made = plan(Scenario("s", (Segment(4.0, 0.4, 0.1, 0.3),), Ground(0.8)), spot(), 0)
-    motion = simulate(made.world, made.robot, made.gait, made.course)
+    motion = simulate_motion(made.world, made.robot, made.gait, made.course)
     assert velocity_error(made, motion) < 0.1
     made.course.velocity[:, 1] += 0.3
     assert velocity_error(made, motion) == pytest.approx(0.3, abs=0.1)
