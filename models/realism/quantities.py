@@ -86,7 +86,7 @@ def period_change(walk: WalkView) -> Values:
 
 def most_feet_down(walk: WalkView) -> Values:
     """Share of each stride in which more than half of the feet stand."""
-    return _by_stride(walk, walk.log.contact.sum(axis=1) > len(walk.strides) / 2)
+    return _by_stride(walk, np.greater(walk.log.contact.sum(axis=1), len(walk.strides) / 2))
 
 
 def all_feet_down(walk: WalkView) -> Values:

@@ -137,12 +137,13 @@ def _dynamics_jacobians(
 
     The last axis holds the torques, then the wrench.
     """
-    steps = parts.inputs.steps
+    steps, dynamics = parts.inputs.steps, robot.dynamics
+    assert dynamics is not None
     m, joints = steps.q.shape
     out = np.zeros((4, joints, m, joints + 6))
     use = np.flatnonzero(dilate(steps.swings.any(axis=1) | steps.steady))
     s = replace(steps, **{name: values[use] for name, values in vars(steps).items()})
-    wrench, torque = robot.dynamics.derivatives(s.q, s.dq, s.ddq, s.base, DIFFERENCE_STEP)
+    wrench, torque = dynamics.derivatives(s.q, s.dq, s.ddq, s.base, DIFFERENCE_STEP)
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
         out[3, j, use, j] = 1.0

@@ -254,14 +254,14 @@ def _write_marker(
     """
     color, thin = [rgba(estimator_color(name))], [_pixels(1.0)]
     top = [0.0, 0.0, height * 0.5 * size[0]]
-    nose = {"origins": [[size[0], 0.0, 0.0]], "vectors": [[0.5 * size[0], 0.0, 0.0]]}
+    start, nose = [[size[0], 0.0, 0.0]], [[0.5 * size[0], 0.0, 0.0]]
     # A changing label would not be drawn if the view shows a range of times.
     label = f"{estimator_label(name)}, {error.distance[-1]:.2f} m at the end"
     parts = {
         "outline": rr.Boxes3D(
             half_sizes=[1.08 * size], colors=color, radii=thin, fill_mode="majorwireframe"
         ),
-        "forward": rr.Arrows3D(**nose, colors=color, radii=[0.03 * size[0]]),
+        "forward": rr.Arrows3D(origins=start, vectors=nose, colors=color, radii=[0.03 * size[0]]),
         "pole": rr.LineStrips3D([[[0.0, 0.0, size[2]], top]], colors=color, radii=thin),
         "flag": _labelled(top, label, color, _pixels(4.0)),
         # Above the trunk, which would hide it from above.

@@ -105,6 +105,7 @@ def write_update(
     """Write the prior mass inside the bounds at each coverage update, which is active below
     gamma.
     """
+    assert record.pi is not None  # Gaussian updates have none
     label, color = estimator_label(name), estimator_color(name)
     root = f"update/{series_part(name)}"
     line = _lines(f"{label}: mass π", color, 1.5)

@@ -26,7 +26,7 @@ from studies.hardware.drives import (
 from surefoot import Log
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.sim.robot.machine import Machine
+from surefoot.sim.robot.machine import Modelled
 
 PENDULUM_WIDTH = 0.04
 """Width of the kernel [s]: short compared with a quarter of a swing, long compared with a row."""
@@ -56,7 +56,7 @@ class HeldOut:
     after: np.ndarray
 
 
-def held_out_runs(logs: Mapping[str, Log], machine: Machine, seed: int = 0) -> tuple[HeldOut, ...]:
+def held_out_runs(logs: Mapping[str, Log], machine: Modelled, seed: int = 0) -> tuple[HeldOut, ...]:
     """Evaluate each run with the terms selected and fitted on the others."""
     rng = np.random.default_rng(seed)
     runs = {name: balance(log, machine, PENDULUM_WIDTH) for name, log in logs.items()}

@@ -433,7 +433,7 @@ def _chapter(name: str, folder: Path, options: HardwareStudy, picture: Path) -> 
 
 def _contacts_as_logged(log: Log) -> Log:
     """The log with the robot's own contacts, which the map imports as x_contact_<leg>."""
-    columns = {f"contact_{leg}": (log.frame[f"x_contact_{leg}"] > 0.5) * 1.0 for leg in log.legs}
+    columns = {f"contact_{leg}": 1.0 * (log.columns[f"x_contact_{leg}"] > 0.5) for leg in log.legs}
     return log.with_columns(columns)
 
 
