@@ -86,12 +86,12 @@ def period_change(walk: WalkView) -> Values:
 
 def most_feet_down(walk: WalkView) -> Values:
     """Share of each stride in which more than half of the feet stand."""
-    return _by_stride(walk, np.greater(walk.log.contact.sum(axis=1), len(walk.strides) / 2))
+    return _by_stride(walk, walk.log.contact.sum(axis=1) > len(walk.strides) / 2)
 
 
 def all_feet_down(walk: WalkView) -> Values:
     """Share of each stride in which all feet stand."""
-    return _by_stride(walk, walk.log.contact.all(axis=1))
+    return _by_stride(walk, np.asarray(walk.log.contact.all(axis=1)))
 
 
 def foothold_change(walk: WalkView, axis: int) -> Values:
