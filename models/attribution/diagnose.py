@@ -237,7 +237,7 @@ def diagnose(
             pushes=pushes,
             pushed_away=gone,
             harmful=result.harmful,
-            limbs=robot.limbs,
+            limbs=cases[0].robot.limbs,
         )
     )
     if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
