@@ -32,7 +32,7 @@ from surefoot.scenarios.reporting.figures import (
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
@@ -175,10 +175,8 @@ def write_comparison(
         force: whether files may be replaced.
     """
     found = table(comparisons)
-    with whole_file(out / "table.md", force) as path:
-        path.write_text(to_markdown(found) + "\n", encoding="utf-8")
-    with whole_file(out / "table.csv", force) as path:
-        path.write_text(to_csv(found), encoding="utf-8")
+    write_whole(out / "table.md", to_markdown(found) + "\n", force)
+    write_whole(out / "table.csv", to_csv(found), force)
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))

@@ -26,6 +26,7 @@ from surefoot.sim.common.files import (
     file_digest,
     json_lines,
     whole_file,
+    write_whole,
 )
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
@@ -228,8 +229,7 @@ def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
     path = folder / INDEX_FOLDER / "index.parquet"
     with whole_file(path, force=True) as temporary:
         frame.to_parquet(temporary, index=False)
-    with whole_file(path.with_name("README.md"), force=True) as temporary:
-        temporary.write_text(card(rows), encoding="utf-8")
+    write_whole(path.with_name("README.md"), card(rows), force=True)
     return path
 
 

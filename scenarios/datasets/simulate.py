@@ -31,6 +31,7 @@ from surefoot.sim.common.files import (
     force_option,
     refuse_overwrite,
     whole_file,
+    write_whole,
 )
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.sources import code_digest
@@ -221,8 +222,7 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
             f"{force_option()}"
         )
     if hidden and (force or not truth.exists()):
-        with whole_file(truth, force) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_whole(truth, text, force)
 
 
 def _done(journal: Journal, job: Job) -> bool:

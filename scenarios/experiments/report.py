@@ -51,6 +51,7 @@ from surefoot.sim.common.files import (
     refuse_overwrite,
     whole_file,
     whole_folder,
+    write_whole,
 )
 
 PATHS = "Paths: "
@@ -88,8 +89,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
         pages = report_sections(rows, outcome, found, made)
-        with whole_file(made / "report.md") as temporary:
-            temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
+        write_whole(made / "report.md", markdown_report(found.title, pages))
         write_report(made / "report.html", found.title, pages)
     if settings.page:
         # Dozens of path plots are for the report only.
@@ -117,11 +117,9 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
         part = main[main["condition"] == condition.name]
         tables[f"sequences_{_slug(condition.name)}"] = per_sequence(part)
     for name, table in tables.items():
-        with whole_file(out / f"{name}.csv") as temporary:
-            temporary.write_text(to_csv(table), encoding="utf-8")
+        write_whole(out / f"{name}.csv", to_csv(table))
         if name != "results" and len(table):
-            with whole_file(out / f"{name}.md") as temporary:
-                temporary.write_text(to_markdown(table) + "\n", encoding="utf-8")
+            write_whole(out / f"{name}.md", to_markdown(table) + "\n")
 
 
 def report_sections(

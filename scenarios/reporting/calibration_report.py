@@ -22,7 +22,7 @@ from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 
@@ -184,5 +184,4 @@ def _only(pictures: dict[str, Picture], name: str) -> tuple[Picture, ...]:
 
 
 def _write(path: Path, text: str) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_whole(path, text)

@@ -46,7 +46,7 @@ from surefoot.scenarios.trace.training_walks import (
 )
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.common.files import refuse_full, whole_file
+from surefoot.sim.common.files import refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.effects import Effect, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
@@ -105,8 +105,7 @@ def loop(
     }
     if settings.force or not _same(out, recipe):
         refuse_full(out, settings.force)
-        with whole_file(out / RECIPE, True) as path:
-            path.write_text(json.dumps(recipe, indent=2) + "\n", encoding="utf-8")
+        write_whole(out / RECIPE, json.dumps(recipe, indent=2) + "\n", force=True)
         for stale in (
             "trace/trace.json",
             "gait.json",
@@ -247,8 +246,7 @@ def _from_measured(
 
 
 def _write(path: Path, value: object) -> None:
-    with whole_file(path, True) as temporary:
-        temporary.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(value, indent=2) + "\n", force=True)
 
 
 def _same(out: Path, recipe: dict[str, object]) -> bool:

@@ -30,7 +30,7 @@ from surefoot.scenarios.trace.observer_errors import (
 )
 from surefoot.scenarios.trace.words import caution
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import whole_file, write_whole
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -102,8 +102,7 @@ def write_loop(
         "taught": trained_on_measured,
         "sides": {s.name: _summary(s, measured[s.name]) for s in worlds},
     }
-    with whole_file(out / "loop.json", True) as path:
-        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_whole(out / "loop.json", json.dumps(summary, indent=2) + "\n", force=True)
     drawn = _trajectories(worlds)
     last = worlds[-1].comparison
     walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)

@@ -21,7 +21,7 @@ from surefoot.scenarios.trace.words import (
     unexplained_in_words,
 )
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot.machine import Machine
 
@@ -52,9 +52,8 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
         write_recording(out / "trace.rrd", RecordedWalk(first.log, robot.legged, estimates))
     write_report(out / "report.html", "Trace: what does the model lack?", sections(found))
     save_effects(out / "effects.toml", effects, limbs=robot.limbs)
-    with whole_file(out / "trace.json") as temporary:
-        text = json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n"
-        temporary.write_text(text, encoding="utf-8")
+    text = json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n"
+    write_whole(out / "trace.json", text)
 
 
 def sections(found: Trace) -> list[Section]:
