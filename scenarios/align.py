@@ -11,7 +11,7 @@ from surefoot.models.alignment.rotation_guess import rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
 from surefoot.scenarios.settings import AlignSettings
-from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
+from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
@@ -35,8 +35,7 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, settings.most)
     with whole_folder(out, settings.force) as folder:
-        with whole_file(folder / "alignment.json") as temporary:
-            temporary.write_text(json.dumps(found.as_dict(), indent=1) + "\n")
+        write_whole(folder / "alignment.json", json.dumps(found.as_dict(), indent=1) + "\n")
         save_png(figure(log, poses, found), folder / "alignment.png")
         aligned_log(log, found, poses).write(folder / "aligned.parquet")
     said = list(found.lines)
@@ -85,16 +84,12 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
 
 
 def _read(file: Path, map: str | None) -> tuple[Log, Poses]:
-    if map is None:
-        log = Log.read(file)
-        log.require("imu", "reference")
-        return log, reference_poses(log)
-    recording = read_recording(file, map)
-    if recording.poses is None:
-        log = recording.log()
-        log.require("imu", "reference")
-        return log, reference_poses(log)
-    return recording.without_reference().log(), recording.poses
+    recording = read_recording(file, map) if map is not None else None
+    if recording is not None and recording.poses is not None:
+        return recording.without_reference().log(), recording.poses
+    log = recording.log() if recording is not None else Log.read(file)
+    log.require("imu", "reference")
+    return log, reference_poses(log)
 
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:

@@ -105,14 +105,10 @@ def loop(
     }
     if settings.force or not _same(out, recipe):
         refuse_full(out, settings.force)
-        write_whole(out / RECIPE, json.dumps(recipe, indent=2) + "\n", force=True)
-        for stale in (
-            "trace/trace.json",
-            "gait.json",
-            "measured.json",
-            *(f"{w}/done" for w in WORLDS),
-        ):
-            (out / stale).unlink(missing_ok=True)
+        _write(out / RECIPE, recipe)
+        stale = "trace/trace.json", "gait.json", "measured.json", *(f"{w}/done" for w in WORLDS)
+        for name in stale:
+            (out / name).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
     options = TraceOptions(seed, model or declared, holdout=holdout)
     found, spread = _traced(log, robot, out / "trace", options)
@@ -236,9 +232,8 @@ def _from_measured(
     """
     if not kept.exists():
         try:
-            result = learnt_from_measured(
-                log, robot, replace(plan.training, inputs=inputs_of(log), seed=seed)
-            )
+            how = replace(plan.training, inputs=inputs_of(log), seed=seed)
+            result = learnt_from_measured(log, robot, how)
         except ObserverError as error:
             result = str(error)
         _write(kept, result)

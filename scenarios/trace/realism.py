@@ -18,7 +18,7 @@ from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.scenarios.trace.training_walks import beyond_simulated, simulated_robot
 from surefoot.scenarios.trace.walk_comparison import FILTER, WalkComparison, drift_table
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
+from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.carry import carried, growth, scale_of
 from surefoot.sim.log import Log
@@ -107,9 +107,8 @@ def realism(
     }
     with whole_folder(out, force) as folder:
         write_results(folder, TITLE, parts, tables)
-        with whole_file(folder / "realism.json") as temporary:
-            text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
-            temporary.write_text(text + "\n", encoding="utf-8")
+        text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
+        write_whole(folder / "realism.json", text + "\n")
     if settings.page:
         write_page(settings.page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
     return tuple(found)
