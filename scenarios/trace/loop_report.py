@@ -28,6 +28,7 @@ from surefoot.scenarios.trace.observer_errors import (
     error_parts,
     recalibrated,
 )
+from surefoot.scenarios.trace.report import channel_row
 from surefoot.scenarios.trace.words import caution
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import write_whole
@@ -194,16 +195,12 @@ def _of_trace(found: dict[str, Any]) -> list[Section]:
         words = "".join(f"{one}.\n\n" for one in held_out["against"])
         words += "Logs that no fit uses."
         parts.append(("Held-out logs", words, held_out["channels"]))
-    of_channels = [Section(title, prose, _channel_rows(c)) for title, prose, c in parts if c]
-    return [whole, *nested(of_channels)]
-
-
-def _channel_rows(channels: dict[str, Any]) -> list[dict[str, Any]]:
-    keys = ("before", "after", "noise_floor", "unit")
-    return [
-        {"channel": name} | {key.replace("_", " "): c[key] for key in keys}
-        for name, c in channels.items()
+    of_channels = [
+        Section(title, prose, [channel_row(name, level) for name, level in levels.items()])
+        for title, prose, levels in parts
+        if levels
     ]
+    return [whole, *nested(of_channels)]
 
 
 def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:

@@ -91,13 +91,10 @@ def realism(
     if effects or settings.as_walked:
         walked = load_as_walked() if settings.as_walked else None
         compared.append(SimulatedRobot("as walked", effects, walked, walker))
-    found = []
-    for k, one in enumerate(compared):
-
-        def report(share: float, k: int = k) -> None:
-            progress(0.5 * (k + share))
-
-        found.append(compare_walks(log, robot, one, seed, report))
+    found = [
+        compare_walks(log, robot, one, seed, lambda share, k=k: progress(0.5 * (k + share)))
+        for k, one in enumerate(compared)
+    ]
     parts = card_sections(found)
     drifts = drift_table(found)
     parts.insert(0, Section(f"Drift of the `{FILTER}` filter", DRIFT_WORDS, drifts))
@@ -169,9 +166,9 @@ def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
     kept = [c for c in log.frame if not str(c).startswith(lacking)]
     reduced = replace(log, frame=log.frame[kept])
     sampling = reference_sampling(measured)
-    return (
-        resample_reference(reduced, sampling, np.random.default_rng(seed)) if sampling else reduced
-    )
+    if not sampling:
+        return reduced
+    return resample_reference(reduced, sampling, np.random.default_rng(seed))
 
 
 def _walks(
