@@ -22,7 +22,6 @@ from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.machine import Machine
 
@@ -151,17 +150,11 @@ def filtered(name: str, log: Log, robot: Machine, learnt: Learnt) -> Trajectory:
 
     Raises SurefootError naming what the log or `learnt` lacks for it.
     """
-    known = _known_to_filters(robot)
+    known = robot.legged  # None where only the feet are known
+    if known is not None:
+        known = replace(known, foot_radius=np.maximum(known.foot_radius, 0.0))
     (found,) = estimated_in_chunks(estimator_named(name), [log], known, learnt)
     return found
-
-
-def _known_to_filters(robot: Machine) -> Robot | None:
-    """The robot that a filter runs with; None where only its feet are known."""
-    known = robot.legged
-    if known is None:
-        return None
-    return replace(known, foot_radius=np.maximum(known.foot_radius, 0.0))
 
 
 def doubts(name: str, log: Log, robot: Machine, estimate: Trajectory) -> str:
