@@ -67,17 +67,15 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
             ax.set_ylabel(f"{axis} [rad/s]")
     lever = fitted.lever @ found.p_IM
     shown = (fitted.t >= begin) & (fitted.t <= at[-1])
-    for column, (rest, color, title) in enumerate(
-        (
-            (fitted.accelerations + lever, OUTSIDE, "Tracked point taken for the IMU"),
-            (fitted.accelerations, AFTER, "Tracked point at its place"),
-        )
-    ):
+    cases = (
+        (fitted.accelerations + lever, OUTSIDE, "Tracked point taken for the IMU"),
+        (fitted.accelerations, AFTER, "Tracked point at its place"),
+    )
+    for column, (rest, color, title) in enumerate(cases):
         ax = axes[3, column]
         set_title(ax, title, 9.0)
         ax.plot(fitted.t[shown], np.linalg.norm(rest[shown], axis=1), color=color, linewidth=1.0)
-        ax.set_ylabel("unexplained [m/s²]")
-        ax.set_xlabel("time [s]")
+        ax.set(xlabel="time [s]", ylabel="unexplained [m/s²]")
         ax.set_ylim(0.0, 1.05 * np.linalg.norm(fitted.accelerations + lever, axis=1)[shown].max())
     legend_below(drawn, axes[0, 1])
     return drawn

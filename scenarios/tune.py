@@ -229,11 +229,9 @@ def _errors(judged: Sequence[Metrics]) -> dict[str, list[float]]:
 def _row(robot: str, name: str, result: Mapping[str, Any]) -> dict[str, str]:
     found = result["search"]
     row = {"robot": robot, "filter": name}
-    for when, values, price in (
-        ("before", found["start"], found["start_price"]),
-        ("after", found["best"], found["price"]),
-    ):
-        errors = result[when]
+    sides = {"before": ("start", "start_price"), "after": ("best", "price")}
+    for when, (parameters, cost) in sides.items():
+        values, price, errors = found[parameters], found[cost], result[when]
         row |= {
             f"parameters {when}": ", ".join(f"{key} {value:g}" for key, value in values.items()),
             f"price {when}": f"{price:.2f}",

@@ -8,14 +8,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from surefoot.estimator.evaluation.run_summary import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import (
-    SEGMENT,
-    Metrics,
-    align_first,
-    evaluate,
-    matched,
-    path_length,
-)
+from surefoot.estimator.metrics import SEGMENT, Metrics, align_first, evaluate, matched, path_length
 from surefoot.models.residuals.binning import at_rows
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of

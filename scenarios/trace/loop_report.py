@@ -189,8 +189,7 @@ def _of_trace(found: dict[str, Any]) -> list[Section]:
     """Sections on the channels of a trace.json."""
     words = "".join(f"Because {why}.\n\n" for why in found["reasons"])
     whole = Section("The trace", f"{words}The full report is trace/report.html.")
-    words = "On the last part of the log, which no fit uses."
-    parts = [("Residuals", words, found["channels"])]
+    parts = [("Residuals", "On the last part of the log, which no fit uses.", found["channels"])]
     if held_out := found.get("holdout"):
         words = "".join(f"{one}.\n\n" for one in held_out["against"])
         words += "Logs that no fit uses."
