@@ -11,7 +11,7 @@ from surefoot.models.alignment.rotation_guess import rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
 from surefoot.scenarios.settings import AlignSettings
-from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
+from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
@@ -35,8 +35,7 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, settings.most)
     with whole_folder(out, settings.force) as folder:
-        with whole_file(folder / "alignment.json") as temporary:
-            temporary.write_text(json.dumps(found.as_dict(), indent=1) + "\n")
+        write_whole(folder / "alignment.json", json.dumps(found.as_dict(), indent=1) + "\n")
         save_png(figure(log, poses, found), folder / "alignment.png")
         aligned_log(log, found, poses).write(folder / "aligned.parquet")
     said = list(found.lines)
@@ -68,33 +67,27 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
             ax.set_ylabel(f"{axis} [rad/s]")
     lever = fitted.lever @ found.p_IM
     shown = (fitted.t >= begin) & (fitted.t <= at[-1])
-    for column, (rest, color, title) in enumerate(
-        (
-            (fitted.accelerations + lever, OUTSIDE, "Tracked point taken for the IMU"),
-            (fitted.accelerations, AFTER, "Tracked point at its place"),
-        )
-    ):
+    cases = (
+        (fitted.accelerations + lever, OUTSIDE, "Tracked point taken for the IMU"),
+        (fitted.accelerations, AFTER, "Tracked point at its place"),
+    )
+    for column, (rest, color, title) in enumerate(cases):
         ax = axes[3, column]
         set_title(ax, title, 9.0)
         ax.plot(fitted.t[shown], np.linalg.norm(rest[shown], axis=1), color=color, linewidth=1.0)
-        ax.set_ylabel("unexplained [m/s²]")
-        ax.set_xlabel("time [s]")
+        ax.set(xlabel="time [s]", ylabel="unexplained [m/s²]")
         ax.set_ylim(0.0, 1.05 * np.linalg.norm(fitted.accelerations + lever, axis=1)[shown].max())
     legend_below(drawn, axes[0, 1])
     return drawn
 
 
 def _read(file: Path, map: str | None) -> tuple[Log, Poses]:
-    if map is None:
-        log = Log.read(file)
-        log.require("imu", "reference")
-        return log, reference_poses(log)
-    recording = read_recording(file, map)
-    if recording.poses is None:
-        log = recording.log()
-        log.require("imu", "reference")
-        return log, reference_poses(log)
-    return recording.without_reference().log(), recording.poses
+    recording = read_recording(file, map) if map is not None else None
+    if recording is not None and recording.poses is not None:
+        return recording.without_reference().log(), recording.poses
+    log = recording.log() if recording is not None else Log.read(file)
+    log.require("imu", "reference")
+    return log, reference_poses(log)
 
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:

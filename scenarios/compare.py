@@ -17,11 +17,7 @@ from surefoot.scenarios.datasets.index import slip_and_creep
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
-from surefoot.scenarios.estimate.run import (
-    Result,
-    declared_model,
-    run_all,
-)
+from surefoot.scenarios.estimate.run import Result, declared_model, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.reporting.figures import (
     height_figure,
@@ -32,7 +28,7 @@ from surefoot.scenarios.reporting.figures import (
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
@@ -142,18 +138,18 @@ def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
         for result in comparison.results:
             values: dict[str, object] = {"step [us]": 1e6 * result.step_time}
             if result.metrics is not None:
-                held = comparison.held.get(result.filter)
-                values |= metrics_row(result.metrics)
-                values["coverage [%]"] = _with_interval(held) if held else None
+                values |= metrics_row(result.metrics) | {"coverage [%]": None}
+                if held := comparison.held.get(result.filter):
+                    low, high = 100 * held.joint_interval
+                    values["coverage [%]"] = f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
             if result.health.lost:
                 values[LOST_FROM] = result.health.since
             row: dict[str, object] = {"log": result.log, "filter": result.filter}
             rows.append(row | {name: values[name] for name in MEANINGS if name in values})
     # The first row may lack columns that later ones have.
     known = {name for row in rows for name in row}
-    return pd.DataFrame(
-        rows, columns=[name for name in ("log", "filter", *MEANINGS) if name in known]
-    )
+    columns = [name for name in ("log", "filter", *MEANINGS) if name in known]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def write_comparison(
@@ -175,42 +171,25 @@ def write_comparison(
         force: whether files may be replaced.
     """
     found = table(comparisons)
-    with whole_file(out / "table.md", force) as path:
-        path.write_text(to_markdown(found) + "\n", encoding="utf-8")
-    with whole_file(out / "table.csv", force) as path:
-        path.write_text(to_csv(found), encoding="utf-8")
+    write_whole(out / "table.md", to_markdown(found) + "\n", force)
+    write_whole(out / "table.csv", to_csv(found), force)
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
         for name, picture in pictures.items():
             save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
-        sections.append(
-            Section(
-                f"The log '{comparison.log.name}'",
-                _walk_prose(comparison),
-                None,
-                tuple(pictures.values()),
-            )
-        )
+        heading, shown = f"The log '{comparison.log.name}'", tuple(pictures.values())
+        sections.append(Section(heading, _walk_prose(comparison), None, shown))
         if (robot := comparison.drawn) is not None:
-            walk = RecordedWalk(
-                comparison.log,
-                robot,
-                {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
-                comparison.prediction,
-                comparison.bounds,
-                ground,
-            )
+            log, results = comparison.log, comparison.results
+            drawn = {r.filter: r.trajectory for r in results if traits(r.filter).drawn}
+            learnt = comparison.prediction, comparison.bounds
+            walk = RecordedWalk(log, robot, drawn, *learnt, ground)
             write_recording(out / f"{comparison.log.name}.rrd", walk, force)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
     write_report(out / "report.html", title, sections, force)
     return found
-
-
-def _with_interval(held: "EmpiricalCoverage") -> str:
-    low, high = 100 * held.joint_interval
-    return f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
@@ -231,13 +210,10 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
+    bold = "\n\n".join(["The best values are in bold.", *left_out])
     return [
         Section("Filters compared", "\n\n".join(first), with_best_marked(found)),
-        Section(
-            "How to read the table",
-            "\n\n".join(["The best values are in bold.", *left_out]),
-            glossary,
-        ),
+        Section("How to read the table", bold, glossary),
     ]
 
 
@@ -273,14 +249,10 @@ def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Pictur
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
+    patches, fields = (ground.patches, ground.fields) if ground else ((), ())
     pictures = {
         "trajectories": Picture(
-            trajectories(
-                comparison.log,
-                errors,
-                ground.patches if ground else (),
-                fields=ground.fields if ground else (),
-            ),
+            trajectories(comparison.log, errors, patches, fields),
             "The walk from above: truth and every estimate, aligned at the start.",
         ),
         "height": Picture(
@@ -360,6 +332,5 @@ def command_line(arguments: Sequence[str]) -> str:
     program, *rest = arguments or [""]
     if not program.endswith(("/surefoot", "/__main__.py")):
         return ""
-    return " ".join(
-        ["surefoot", *(one.rpartition("/")[2] if one[:1] == "/" else one for one in rest)]
-    )
+    named = (one.rpartition("/")[2] if one[:1] == "/" else one for one in rest)
+    return " ".join(["surefoot", *named])

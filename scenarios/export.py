@@ -5,7 +5,7 @@ FrameTransform as in its package foxglove_msgs for ROS 2. The file includes thei
 that it can be read without these packages.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -59,8 +59,11 @@ def export(file: str | Path, out: str | Path, force: bool = False) -> str:
         with whole_file(out, force) as temporary:
             frame.to_csv(temporary, index=False, float_format="%.17g")
         return f"{out}: {len(frame)} rows, {len(frame.columns)} columns"
-    messages = _of_log(kept) if isinstance(kept, Log) else _of_estimate(kept, file.stem)
-    return f"{out}: {_write_mcap(out, messages, force)} messages"
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in _FOXGLOVE.items():
+        store.register(get_types_from_msg(text, name))
+    found = _of_log(store, kept) if isinstance(kept, Log) else _of_estimate(store, kept, file.stem)
+    return f"{out}: {_write_mcap(out, store, found, force)} messages"
 
 
 def _read(file: Path) -> Log | Trajectory:
@@ -70,21 +73,14 @@ def _read(file: Path) -> Log | Trajectory:
         return Log.read(file)
 
 
-def _store() -> Typestore:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in _FOXGLOVE.items():
-        store.register(get_types_from_msg(text, name))
-    return store
-
-
-def _write_mcap(out: Path, messages: Callable[[Typestore], Messages], force: bool) -> int:
+def _write_mcap(out: Path, store: Typestore, messages: Messages, force: bool) -> int:
     """Write a bag of one file: rosbags writes a folder, of which the file is kept."""
-    store, count = _store(), 0
+    count = 0
     with whole_file(out, force) as temporary, TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         connections: dict[str, Any] = {}
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            for topic, kind, t, message in messages(store):
+            for topic, kind, t, message in messages:
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=store)
                 content = store.serialize_cdr(message, kind)
@@ -95,50 +91,44 @@ def _write_mcap(out: Path, messages: Callable[[Typestore], Messages], force: boo
     return count
 
 
-def _of_log(log: Log) -> Callable[[Typestore], Messages]:
-    def messages(store: Typestore) -> Messages:
-        types = store.types
-        header, vector = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Vector3"]
-        imu, joints = types["sensor_msgs/msg/Imu"], types["sensor_msgs/msg/JointState"]
-        quaternion = types["geometry_msgs/msg/Quaternion"]
-        flag = types["std_msgs/msg/Bool"]
-        inertial, moving = log.has("imu"), log.has("q")
-        gyro, accel = (log.gyro, log.accel) if inertial else (None, None)
-        q = log.q if moving else None
-        empty = np.zeros((len(log.t), 0))
-        dq, tau = (getattr(log, name) if log.has(name) else empty for name in ("dq", "tau"))
-        contact = log.contact if log.has("contact") else empty
-        unknown, zero = np.r_[_UNKNOWN, np.zeros(8)], np.zeros(9)
-        for k, t in enumerate(log.t):
-            at = header(_time(store, t), BODY)
-            if gyro is not None and accel is not None:
-                none = quaternion(0.0, 0.0, 0.0, 1.0)
-                reading = imu(at, none, unknown, vector(*gyro[k]), zero, vector(*accel[k]), zero)
-                yield "/imu", "sensor_msgs/msg/Imu", t, reading
-            if q is not None:
-                state = joints(at, list(log.joints), q[k], dq[k], tau[k])
-                yield "/joint_states", "sensor_msgs/msg/JointState", t, state
-            for leg, stands in zip(log.legs, contact[k], strict=False):
-                yield f"/contact/{leg}", "std_msgs/msg/Bool", t, flag(bool(stands))
-        if log.has("reference"):
-            yield from _poses(store, "/reference", log.t, log.ref_p, log.ref_q)
-
-    return messages
+def _of_log(store: Typestore, log: Log) -> Messages:
+    types = store.types
+    header, vector = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Vector3"]
+    imu, joints = types["sensor_msgs/msg/Imu"], types["sensor_msgs/msg/JointState"]
+    quaternion = types["geometry_msgs/msg/Quaternion"]
+    flag = types["std_msgs/msg/Bool"]
+    inertial, moving = log.has("imu"), log.has("q")
+    gyro, accel = (log.gyro, log.accel) if inertial else (None, None)
+    q = log.q if moving else None
+    empty = np.zeros((len(log.t), 0))
+    dq, tau = (getattr(log, name) if log.has(name) else empty for name in ("dq", "tau"))
+    contact = log.contact if log.has("contact") else empty
+    unknown, zero = np.r_[_UNKNOWN, np.zeros(8)], np.zeros(9)
+    for k, t in enumerate(log.t):
+        at = header(_time(store, t), BODY)
+        if gyro is not None and accel is not None:
+            none = quaternion(0.0, 0.0, 0.0, 1.0)
+            reading = imu(at, none, unknown, vector(*gyro[k]), zero, vector(*accel[k]), zero)
+            yield "/imu", "sensor_msgs/msg/Imu", t, reading
+        if q is not None:
+            state = joints(at, list(log.joints), q[k], dq[k], tau[k])
+            yield "/joint_states", "sensor_msgs/msg/JointState", t, state
+        for leg, stands in zip(log.legs, contact[k], strict=False):
+            yield f"/contact/{leg}", "std_msgs/msg/Bool", t, flag(bool(stands))
+    if log.has("reference"):
+        yield from _poses(store, "/reference", log.t, log.ref_p, log.ref_q)
 
 
-def _of_estimate(found: Trajectory, name: str) -> Callable[[Typestore], Messages]:
-    def messages(store: Typestore) -> Messages:
-        q = quaternion_from_matrix(found.R_GI)
-        yield from _poses(store, f"/{name}", found.t, found.p_GI, q)
-        types = store.types
-        stamped, twist = (types[f"geometry_msgs/msg/{n}"] for n in ("TwistStamped", "Twist"))
-        header, vector = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Vector3"]
-        for t, v_I in zip(found.t, found.v_I, strict=True):
-            moving = twist(vector(*v_I), vector(0.0, 0.0, 0.0))
-            message = stamped(header(_time(store, t), BODY), moving)
-            yield f"/{name}/velocity", "geometry_msgs/msg/TwistStamped", t, message
-
-    return messages
+def _of_estimate(store: Typestore, found: Trajectory, name: str) -> Messages:
+    q = quaternion_from_matrix(found.R_GI)
+    yield from _poses(store, f"/{name}", found.t, found.p_GI, q)
+    types = store.types
+    stamped, twist = (types[f"geometry_msgs/msg/{n}"] for n in ("TwistStamped", "Twist"))
+    header, vector = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Vector3"]
+    for t, v_I in zip(found.t, found.v_I, strict=True):
+        moving = twist(vector(*v_I), vector(0.0, 0.0, 0.0))
+        message = stamped(header(_time(store, t), BODY), moving)
+        yield f"/{name}/velocity", "geometry_msgs/msg/TwistStamped", t, message
 
 
 def _poses(store: Typestore, topic: str, t: np.ndarray, p: np.ndarray, q: np.ndarray) -> Messages:
@@ -157,16 +147,10 @@ def _poses(store: Typestore, topic: str, t: np.ndarray, p: np.ndarray, q: np.nda
     in_frame, transform = (types[name] for name in _FOXGLOVE)
     for at, place, turn in zip(t, p, q, strict=True):
         stamp, attitude = _time(store, at), quaternion(*turn[1:], turn[0])
-        yield (
-            topic,
-            *_named("PoseInFrame", at, in_frame(stamp, WORLD, pose(point(*place), attitude))),
-        )
+        posed = in_frame(stamp, WORLD, pose(point(*place), attitude))
+        yield topic, "foxglove_msgs/msg/PoseInFrame", at, posed
         moved = transform(stamp, WORLD, f"{topic[1:]}/{BODY}", vector(*place), attitude)
-        yield "/tf", *_named("FrameTransform", at, moved)
-
-
-def _named(name: str, t: float, message: Any) -> tuple[str, float, Any]:
-    return f"foxglove_msgs/msg/{name}", t, message
+        yield "/tf", "foxglove_msgs/msg/FrameTransform", at, moved
 
 
 def _time(store: Typestore, t: float) -> Any:

@@ -32,7 +32,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.stages import processes, stage
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import file_digest, refuse_overwrite, whole_file, whole_folder
+from surefoot.sim.common.files import file_digest, refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import declared_effects
 from surefoot.sim.log import Log
@@ -145,8 +145,7 @@ def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
     text = "\n\n".join(lines) + "\n"
     with whole_folder(out, settings.force) as folder:
         write_tuned(folder / "tuned.toml", entries)
-        with whole_file(folder / "tuned.md") as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_whole(folder / "tuned.md", text)
     return text
 
 
@@ -207,7 +206,7 @@ def search_filter(
         return {"left_out": str(error)}
 
 
-def write_tuned(path: Path, entries: Mapping[str, Tuned], force: bool = False) -> None:
+def write_tuned(path: Path, entries: Mapping[str, Tuned]) -> None:
     """All robots' entries as TOML."""
     blocks = []
     for robot, entry in entries.items():
@@ -216,8 +215,7 @@ def write_tuned(path: Path, entries: Mapping[str, Tuned], force: bool = False) -
             pairs = ", ".join(f"{key} = {value:g}" for key, value in values.items())
             lines.append(f"{name} = {{ {pairs} }}")
         blocks.append("\n".join(lines))
-    with whole_file(path, force) as temporary:
-        temporary.write_text("\n\n".join(blocks) + "\n", encoding="utf-8")
+    write_whole(path, "\n\n".join(blocks) + "\n")
 
 
 def _errors(judged: Sequence[Metrics]) -> dict[str, list[float]]:
@@ -231,11 +229,9 @@ def _errors(judged: Sequence[Metrics]) -> dict[str, list[float]]:
 def _row(robot: str, name: str, result: Mapping[str, Any]) -> dict[str, str]:
     found = result["search"]
     row = {"robot": robot, "filter": name}
-    for when, values, price in (
-        ("before", found["start"], found["start_price"]),
-        ("after", found["best"], found["price"]),
-    ):
-        errors = result[when]
+    sides = {"before": ("start", "start_price"), "after": ("best", "price")}
+    for when, (parameters, cost) in sides.items():
+        values, price, errors = found[parameters], found[cost], result[when]
         row |= {
             f"parameters {when}": ", ".join(f"{key} {value:g}" for key, value in values.items()),
             f"price {when}": f"{price:.2f}",

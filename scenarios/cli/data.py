@@ -110,15 +110,14 @@ class Import:
             print(line)
 
     def _draft(self, files: tuple[str, ...]) -> None:
-        from surefoot.sim.common.files import whole_file
+        from surefoot.sim.common.files import write_whole
         from surefoot.sim.importing.guess import guess_map
 
         text = guess_map(files, self.robot).text
         if self.out is None:
             print(text, end="")
             return
-        with whole_file(self.out, self.force) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_whole(self.out, text, self.force)
         # Lines "# ?" mark entries below a question; the first line of the text only explains this.
         asked = text.partition("\n")[2].count("# ? ")
         if asked == 0:

@@ -13,12 +13,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 import surefoot
 from surefoot.scenarios.cli.data import Align, Export, Import, Info, New, Robots, Simulate, View
 from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
-from surefoot.scenarios.cli.runs import (
-    guarded,
-    how_to_go_on,
-    one_line,
-    plain_terminals,
-)
+from surefoot.scenarios.cli.runs import guarded, how_to_go_on, one_line, plain_terminals
 from surefoot.scenarios.cli.signals import Interrupted, interruptions
 from surefoot.scenarios.cli.study import (
     Demo,

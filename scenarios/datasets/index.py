@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,6 +25,7 @@ from surefoot.sim.common.files import (
     file_digest,
     json_lines,
     whole_file,
+    write_whole,
 )
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
@@ -228,8 +228,7 @@ def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
     path = folder / INDEX_FOLDER / "index.parquet"
     with whole_file(path, force=True) as temporary:
         frame.to_parquet(temporary, index=False)
-    with whole_file(path.with_name("README.md"), force=True) as temporary:
-        temporary.write_text(card(rows), encoding="utf-8")
+    write_whole(path.with_name("README.md"), card(frame), force=True)
     return path
 
 
@@ -238,18 +237,21 @@ def with_hash(row: IndexRow, path: Path) -> IndexRow:
     return replace(row, sha256=file_digest(path))
 
 
-def card(rows: Sequence[IndexRow]) -> str:
-    """Summary of the folder, in a few lines and one table."""
-    groups: dict[tuple[str, str], list[IndexRow]] = {}
-    for row in rows:
-        groups.setdefault((row.scenario, row.robot), []).append(row)
-    table = [_summary(*key, group) for key, group in groups.items()]
-    whole = [r for r in rows if not r.falls]
+def card(rows: pd.DataFrame) -> str:
+    """Summary of the folder, in a few lines and one table; `rows` as in the index."""
+    whole = rows[rows.falls == 0]
+    table = []
+    for (scenario, robot), part in rows.groupby(["scenario", "robot"], sort=False):
+        columns = ["length", "duration", "slip_share", "creep"]
+        mean = part.loc[part.falls == 0, columns].mean(skipna=False)
+        row = {"scenario": scenario, "robot": robot, "walks": len(part), "falls": part.falls.sum()}
+        row |= {"length [m]": mean.length, "duration [s]": mean.duration}
+        table.append(row | {"slip [%]": 100.0 * mean.slip_share, "creep [mm/s]": 1e3 * mean.creep})
     versions = ", ".join(f"{name} {v}" for name, v in _versions().items())
     return (
         "# Simulated quadruped walks\n\n"
-        f"{len(whole)} logs, {sum(r.duration for r in whole) / 60:.1f} min, "
-        f"{sum(r.length for r in whole):.0f} m; {len(rows) - len(whole)} walks ended in a fall and "
+        f"{len(whole)} logs, {whole.duration.sum() / 60:.1f} min, "
+        f"{whole.length.sum():.0f} m; {len(rows) - len(whole)} walks ended in a fall and "
         f"have no log. Made with {versions}.\n\n"
         f"{to_markdown(table)}\n\n"
         "One Parquet file a walk, sensors at 500 Hz, with the true motion; SI units, quaternions "
@@ -258,20 +260,3 @@ def card(rows: Sequence[IndexRow]) -> str:
         f"Slip: share of the loaded feet's samples faster than {SLIPPING} m/s over the ground. "
         f"Creep: median speed of loaded feet where mu >= {DRY}.\n"
     )
-
-
-def _summary(scenario: str, robot: str, rows: Sequence[IndexRow]) -> dict[str, Any]:
-    def mean(name: str) -> float:
-        values = np.array([getattr(r, name) for r in rows if not r.falls])
-        return float(values.mean()) if len(values) else np.nan
-
-    return {
-        "scenario": scenario,
-        "robot": robot,
-        "walks": len(rows),
-        "falls": sum(r.falls for r in rows),
-        "length [m]": mean("length"),
-        "duration [s]": mean("duration"),
-        "slip [%]": 100.0 * mean("slip_share"),
-        "creep [mm/s]": 1e3 * mean("creep"),
-    }

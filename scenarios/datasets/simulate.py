@@ -5,6 +5,7 @@ resumed.
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from surefoot.scenarios.datasets.cluster import walk_on_cluster
@@ -31,6 +32,7 @@ from surefoot.sim.common.files import (
     force_option,
     refuse_overwrite,
     whole_file,
+    write_whole,
 )
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.sources import code_digest
@@ -39,14 +41,7 @@ from surefoot.sim.effects.file import load_effects, to_toml
 from surefoot.sim.log import Log, LogReader, LogWriter
 from surefoot.sim.scenario import Ranges, Scenario
 from surefoot.sim.walk import Fallen, fallen_log, meta_of
-from surefoot.sim.walking.batch import (
-    Job,
-    Walked,
-    known_robot,
-    on_threads,
-    plan_of,
-    walk_planned,
-)
+from surefoot.sim.walking.batch import Job, Walked, known_robot, on_threads, plan_of, walk_planned
 from surefoot.sim.walking.long_walk import LONG_WALK, needs_whole, walk_in_pieces
 
 BYTES_PER_SECOND = 150e3
@@ -96,10 +91,7 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
         if settings.cluster:
             rows = walk_on_cluster(settings.cluster, todo, out, force, progress)
         else:
-
-            def work(job: Job, done: Callable[[float], None]) -> IndexRow:
-                return walk_and_save(job, out, force, done)
-
+            work = partial(walk_and_save, out, force)
             rows = on_threads(todo, work, settings.workers, progress)
         for row in rows:
             journal.add(row)
@@ -122,14 +114,14 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
 
 
 def walk_and_save(
-    job: Job, folder: Path, force: bool, progress: Callable[[float], None]
+    folder: Path, force: bool, job: Job, progress: Callable[[float], None]
 ) -> IndexRow:
     """Simulate one walk and write its log, a long one in pieces; returns the row.
 
     Args:
-        job: the walk.
         folder: of the dataset.
         force: whether its file may be replaced.
+        job: the walk.
         progress: called with the share done.
     """
     made = plan_of(job)
@@ -155,7 +147,7 @@ def walk_and_save(
     return with_hash(row_with(job, made, facts_of_file(LogReader(path))), path)
 
 
-def save_walk(walked: Walked, folder: Path, force: bool = False) -> IndexRow:
+def save_walk(walked: Walked, folder: Path, force: bool) -> IndexRow:
     """Write the log of a walk, named as in its row, up to a fall if any; returns the row."""
     row = row_of(walked)
     if isinstance(walked.log, Fallen):
@@ -221,8 +213,7 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
             f"{force_option()}"
         )
     if hidden and (force or not truth.exists()):
-        with whole_file(truth, force) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_whole(truth, text, force)
 
 
 def _done(journal: Journal, job: Job) -> bool:

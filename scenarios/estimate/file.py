@@ -16,13 +16,7 @@ from surefoot.estimator.evaluation.trajectory import (
     TrajectoryWriter,
     reference,
 )
-from surefoot.estimator.metrics import (
-    METRICS_RATE,
-    Metrics,
-    evaluate,
-    matched,
-    relative_errors,
-)
+from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import (

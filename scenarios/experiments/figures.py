@@ -15,7 +15,7 @@ from surefoot.scenarios.reporting.palette import (
     TRUTH,
     estimator_color,
     estimator_label,
-    estimator_line,
+    estimator_look,
 )
 from surefoot.scenarios.reporting.plotting import (
     label_decades,
@@ -52,7 +52,7 @@ def by_sequence(
     conditions, names = list(rows["condition"].unique()), list(rows["sequence"].unique())
     filters = list(rows["filter"].unique())
     size = (5.2 * len(conditions) + 1.0, 0.42 * len(names) + 1.9)
-    figure, axes = new_figure(1, len(conditions), size=size)
+    figure, axes = new_figure(1, len(conditions), size=size, title=title)
     half = 0.32 if len(filters) > 1 else 0.0
     offsets = dict(zip(filters, np.linspace(-half, half, len(filters)), strict=True))
     for ax, condition in zip(axes[0], conditions, strict=True):
@@ -79,7 +79,6 @@ def by_sequence(
         ax.set_xlabel(column)
         set_title(ax, f"{condition}", 9.5)
         label_roles(ax, rows, names)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, axes[0, 0], columns=3 * len(conditions))
     return figure
 
@@ -96,7 +95,7 @@ def label_roles(ax, rows: pd.DataFrame, names: Sequence[str]) -> None:
 def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
     """Errors, consistency and active share over gamma, averaged over the test sequences."""
     columns = ("APE_trans [m]", "NEES_pos", "pi<gamma [%]")
-    figure, axes = new_figure(1, len(columns), size=(10.0, 3.6))
+    figure, axes = new_figure(1, len(columns), size=(10.0, 3.6), title=title)
     for ax, column in zip(axes[0], columns, strict=True):
         for (condition, name), part in table.groupby(["condition", "filter"], sort=False):
             conditions = list(table["condition"].unique())
@@ -110,7 +109,6 @@ def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
             label_decades(ax.yaxis)
         else:
             ax.set_ylim(0.0, None)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, axes[0, 0], columns=3)
     return figure
 
@@ -118,14 +116,14 @@ def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
 def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
     """Top view and height of one walk: truth and every estimate, aligned at the start."""
     truth = next(iter(series.values()))
-    figure, axes = new_figure(1, 2, size=(10.0, 4.4))
+    figure, axes = new_figure(1, 2, size=(10.0, 4.4), title=title)
     above, height = axes[0]
     above.plot(truth["ref_x"], truth["ref_y"], color=TRUTH, linewidth=3.5, label="Truth")
     height.plot(truth["t"], truth["ref_z"], color=TRUTH, linewidth=3.0)
     for name, part in series.items():
-        look = {"color": estimator_color(name), "linestyle": estimator_line(name), "linewidth": 1.3}
-        above.plot(part["p_x"], part["p_y"], **look, label=estimator_label(name))
-        height.plot(part["t"], part["p_z"], **look)
+        look = estimator_look(name)
+        above.plot(part["p_x"], part["p_y"], **look, linewidth=1.3)
+        height.plot(part["t"], part["p_z"], **look, linewidth=1.3)
     above.plot(truth["ref_x"][0], truth["ref_y"][0], "o", color=INK, markersize=6)
     above.set(xlabel="x [m]", ylabel="y [m]")
     # Estimates with very large errors must not compress the others.
@@ -136,7 +134,6 @@ def paths(series: Mapping[str, pd.DataFrame], title: str) -> Figure:
     height.set(xlabel="time [s]", ylabel="height z [m]")
     set_title(above, "From above")
     set_title(height, "Height of the IMU")
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, above, columns=5)
     return figure
 
@@ -152,30 +149,26 @@ def _height_limits(series: Mapping[str, pd.DataFrame]) -> tuple[float, float]:
     return z.min() - margin, z.max() + margin
 
 
-def errors_figure(
-    series: Mapping[str, Mapping[str, pd.DataFrame]], title: str, columns: int = 3
-) -> Figure:
+def errors_figure(series: Mapping[str, Mapping[str, pd.DataFrame]], title: str) -> Figure:
     """One panel per sequence: distance from the truth and, dashed, the filter's three sigma."""
-    columns = max(min(columns, len(series)), 1)
+    columns = max(min(3, len(series)), 1)
     lines = -(-len(series) // columns)
-    figure, axes = new_figure(lines, columns, size=(10.0, 2.2 * lines + 0.8))
+    figure, axes = new_figure(lines, columns, size=(10.0, 2.2 * lines + 0.8), title=title)
     for ax in axes.flat[len(series) :]:
         ax.set_visible(False)
     for ax, (name, by_filter) in zip(axes.flat, series.items(), strict=False):
         top = 0.0
         for filter_name, part in by_filter.items():
-            color, label = estimator_color(filter_name), estimator_label(filter_name)
-            line = {"color": color, "linewidth": 1.3, "linestyle": estimator_line(filter_name)}
-            ax.plot(part["t"], part["distance"], **line, label=label)
+            look = estimator_look(filter_name)
+            ax.plot(part["t"], part["distance"], **look, linewidth=1.3)
             top = max(top, float(part["distance"].max()))
             if "sigma" in part:
-                line = {"color": color, "linewidth": 0.8, "linestyle": (0, (4, 2)), "alpha": 0.8}
-                ax.plot(part["t"], 3.0 * part["sigma"], **line)
+                dashed = {"color": look["color"], "linestyle": (0, (4, 2)), "alpha": 0.8}
+                ax.plot(part["t"], 3.0 * part["sigma"], **dashed, linewidth=0.8)
         limit_to_errors(ax, top)
         ax.set_xlabel("time [s]")
         set_title(ax, name, 9.0)
     for ax in axes[:, 0]:
         ax.set_ylabel("error [m]")
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, axes[0, 0], columns=5)
     return figure

@@ -20,22 +20,13 @@ RANKED_BY = "APE_trans [m]"
 
 def findings(rows: pd.DataFrame, experiment: Experiment) -> list[tuple[str, str]]:
     """Heading and paragraphs for each condition, from the rows of one gamma."""
-    return [
-        (
-            condition.name,
-            "\n\n".join(_condition(rows[rows["condition"] == condition.name], condition)),
-        )
-        for condition in experiment.conditions
-        if (rows["condition"] == condition.name).any()
-    ]
+    parts = [(one, rows[rows["condition"] == one.name]) for one in experiment.conditions]
+    return [(one.name, "\n\n".join(_condition(part, one))) for one, part in parts if len(part)]
 
 
 def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
-    paragraphs = (
-        [f"{condition.name[:1].upper()}{condition.name[1:]}: {condition.words}."]
-        if condition.words
-        else []
-    )
+    heading = f"{condition.name[:1].upper()}{condition.name[1:]}"
+    paragraphs = [f"{heading}: {condition.words}."] if condition.words else []
     own = {name: traits(name) for name in dict.fromkeys(rows["filter"])}
     unranked = [name for name in own if own[name].perceptive or own[name].floor]
     ranked = rows[~rows["filter"].isin(unranked)]

@@ -21,7 +21,7 @@ from surefoot.scenarios.experiments.figures import (
     gamma_sweep,
     paths,
 )
-from surefoot.scenarios.experiments.file import Condition, Experiment
+from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
@@ -51,6 +51,7 @@ from surefoot.sim.common.files import (
     refuse_overwrite,
     whole_file,
     whole_folder,
+    write_whole,
 )
 
 PATHS = "Paths: "
@@ -88,8 +89,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
         pages = report_sections(rows, outcome, found, made)
-        with whole_file(made / "report.md") as temporary:
-            temporary.write_text(markdown_report(found.title, pages), encoding="utf-8")
+        write_whole(made / "report.md", markdown_report(found.title, pages))
         write_report(made / "report.html", found.title, pages)
     if settings.page:
         # Dozens of path plots are for the report only.
@@ -117,11 +117,9 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
         part = main[main["condition"] == condition.name]
         tables[f"sequences_{_slug(condition.name)}"] = per_sequence(part)
     for name, table in tables.items():
-        with whole_file(out / f"{name}.csv") as temporary:
-            temporary.write_text(to_csv(table), encoding="utf-8")
+        write_whole(out / f"{name}.csv", to_csv(table))
         if name != "results" and len(table):
-            with whole_file(out / f"{name}.md") as temporary:
-                temporary.write_text(to_markdown(table) + "\n", encoding="utf-8")
+            write_whole(out / f"{name}.md", to_markdown(table) + "\n")
 
 
 def report_sections(
@@ -131,7 +129,8 @@ def report_sections(
     rows.
     """
     main = shown_first(rows, found)
-    shown = _narrow(averages(main))
+    shown = averages(main)
+    shown = shown.drop(columns=[c for c in ("condition", "robot") if shown[c].nunique() == 1])
     pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
     pages += [
         Section(f"Findings: {name}", "\n\n".join(filter(None, (text, falls(outcome, name)))))
@@ -179,26 +178,17 @@ def falls(outcome: Outcome, condition: str) -> str:
     )
 
 
-def _narrow(table: pd.DataFrame) -> pd.DataFrame:
-    """Drop the constant columns of a table."""
-    same = [c for c in ("condition", "robot") if table[c].nunique() == 1]
-    return table.drop(columns=same)
-
-
 def _setting(found: Experiment, rows: pd.DataFrame) -> str:
     roles = rows.drop_duplicates("sequence").groupby("role", sort=False)["sequence"].agg(list)
     learnt = ", ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
-    sized = [one for c in found.conditions for one in (*c.imperfections, *_sizes(c))]
-    sources = sorted({one.source for one in sized})
+    walked = [c.walked for c in found.conditions if c.walked]
+    sized = [*(one for c in found.conditions for one in c.imperfections), *walked]
+    sources = sorted({one.source for one in (*sized, *(s for w in walked for s in w.size))})
     seeds = ", ".join(map(str, found.seeds))
     text = f"{learnt}. Joint level γ = {found.gammas[0]:g}; seeds {seeds}."
     words = "\n\n".join(f"{c.name}: {c.words}." for c in found.conditions if c.words)
     from_where = f"Sizes are from: {'; '.join(sources)}." if sources else ""
     return "\n\n".join([text, words, from_where])
-
-
-def _sizes(condition: Condition) -> tuple:
-    return (condition.walked, *condition.walked.size) if condition.walked else ()
 
 
 def _published(name: str) -> list[Section]:
@@ -286,12 +276,9 @@ def _series(
 
 
 def _glossary(main: pd.DataFrame, outcome: Outcome) -> list[dict[str, str]]:
-    rows = [
-        {"": name, "means": estimator_named(name).description} for name in main["filter"].unique()
-    ]
-    rows += [{"": name, "means": text} for name, text in TABLE_MEANINGS.items()]
-    rows += [{"": f"{name}, left out", "means": why} for name, why in outcome.left_out.items()]
-    return rows
+    means = {name: estimator_named(name).description for name in main["filter"].unique()}
+    means |= TABLE_MEANINGS | {f"{name}, left out": why for name, why in outcome.left_out.items()}
+    return [{"": name, "means": text} for name, text in means.items()]
 
 
 def _slug(name: str) -> str:

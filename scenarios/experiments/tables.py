@@ -93,9 +93,7 @@ def averages(rows: pd.DataFrame) -> pd.DataFrame:
     ):
         by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
         row: dict[str, object] = {"condition": condition, "robot": robot, "filter": name}
-        row |= {column: with_spread(by_seed[column]) for column in [*TABLE_METRICS, SHARE]}
-        row |= {HELD: _held(part), LOST: _lost(part)}
-        found.append(row)
+        found.append(row | _summary(part, by_seed))
     order = ["condition", "robot", "filter", *SHOWN_COLUMNS]
     return _marked(found, order) if found else pd.DataFrame(columns=order)
 
@@ -109,9 +107,7 @@ def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
             "path": f"{part['length [m]'].mean():.0f} m, {part['duration [s]'].mean():.0f} s",
             "filter": filter_name,
         }
-        row |= {column: with_spread(part[column]) for column in [*TABLE_METRICS, SHARE]}
-        row |= {HELD: _held(part), LOST: _lost(part)}
-        found.append(row)
+        found.append(row | _summary(part, part))
     return _marked(found, ["sequence", "path", "filter", *SHOWN_COLUMNS])
 
 
@@ -150,9 +146,7 @@ def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     for values, part in learnt.groupby(keys, sort=False, dropna=False):
         row: dict[str, object] = dict(zip(keys, values, strict=True))
         by_seed = pd.DataFrame(part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean())
-        shown = [name for name in SHOWN_COLUMNS if name in by_seed.columns]
-        row |= {name: with_spread(by_seed[name]) for name in shown}
-        found.append(row | {HELD: _held(part)})
+        found.append(row | _summary(part, by_seed))
     return pd.DataFrame(found, columns=[*keys, *SHOWN_COLUMNS])
 
 
@@ -192,10 +186,13 @@ def _rounded(value: float, scale: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def _lost(part: pd.DataFrame) -> str | None:
-    """Number of these walks on which the filter was lost, as text; None without any."""
+def _summary(part: pd.DataFrame, values: pd.DataFrame) -> dict[str, object]:
+    """Mean and spread of `values`, coverage, and the number of these walks on which the filter was
+    lost, if any, as text.
+    """
+    row: dict[str, object] = {name: with_spread(values[name]) for name in [*TABLE_METRICS, SHARE]}
     lost = int(part[LOST_FROM].notna().sum())
-    return f"{lost} of {len(part)}" if lost else None
+    return row | {HELD: _held(part), LOST: f"{lost} of {len(part)}" if lost else None}
 
 
 def _marked(found: list[dict[str, object]], order: list[str]) -> pd.DataFrame:

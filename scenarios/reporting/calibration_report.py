@@ -10,7 +10,6 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.shift import FALSE_ALARM
 from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.reporting.calibration_tables import (
-    CalibratedWalk,
     case_table,
     evaluate_walk,
     methods_table,
@@ -21,8 +20,7 @@ from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 
@@ -54,70 +52,35 @@ def write_calibration_report(
         "coverage": sequence_table(first, others),
         "cases": case_table(others),
     }
-    pictures = _pictures(bounds)
     for name, table in tables.items():
         if len(table):
-            _write(out / f"{name}.md", to_markdown(table) + "\n")
-            _write(out / f"{name}.csv", to_csv(table))
-    for name, picture in pictures.items():
-        save_picture(picture, out / f"{name}.png")
-    sections = _sections(observer, first, others, tables, pictures)
-    title = f"Bounds calibrated on {calibration.name}, and where they hold"
-    write_report(out / "report.html", title, sections)
-    if page:
-        write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
-    return sections
-
-
-def _pictures(bounds: Bounds) -> dict[str, Picture]:
-    pictures = {}
+            write_whole(out / f"{name}.md", to_markdown(table) + "\n")
+            write_whole(out / f"{name}.csv", to_csv(table))
+    pictures = ()
     if bounds.mixing is not None:
-        pictures["mixing"] = Picture(
-            mixing_curve(bounds.mixing),
-            "Dependence of errors on earlier ones. Peaks that do not decay come from the stride: "
-            "with a gait of fixed period, errors repeat in every stride.",
-        )
-    return pictures
-
-
-def _sections(
-    observer: Observer,
-    calibration: CalibratedWalk,
-    others: Sequence[CalibratedWalk],
-    tables: dict[str, pd.DataFrame],
-    pictures: dict[str, Picture],
-) -> list[Section]:
-    """The report's sections.
-
-    Args:
-        observer: that was calibrated.
-        calibration: walk of the bounds.
-        others: further walks.
-        tables: by name.
-        pictures: by name.
-    """
-    bounds = calibration.bounds
+        pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION),)
+        save_picture(pictures[0], out / "mixing.png")
+    # In the frame of that log's IMU.
+    epsilon = first.bounds.epsilon
     sections = [
-        Section("The bounds", _bounds_prose(bounds)),
-        Section("Spacing of the errors", _mixing_prose(bounds), None, _only(pictures, "mixing")),
+        Section("The bounds", _bounds_prose(first.bounds)),
+        Section("Spacing of the errors", _mixing_prose(bounds), None, pictures),
         Section("Methods", METHODS_PROSE, tables["methods"]),
     ]
     tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
     if tests:
-        together = np.vstack(tests)
-        try:
-            found = error_section(
-                observer.errors, together, bounds.epsilon, bounds.gamma, "test walks"
-            )
-        except SurefootError as error:  # too few to test, not too few to cover
-            found = Section("The observer's errors", str(error))
-        sections.append(found)
+        errors = observer.errors, np.vstack(tests)
+        sections.append(error_section(*errors, epsilon, bounds.gamma, "test walks"))
     if others:
         sections.append(Section("Where the bounds hold", _shift_prose(tables), tables["coverage"]))
     if len(tables["cases"]):
         sections.append(
             Section("By terrain, slip, motion and stride", CASES_PROSE, tables["cases"])
         )
+    title = f"Bounds calibrated on {calibration.name}, and where they hold"
+    write_report(out / "report.html", title, sections)
+    if page:
+        write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
     return sections
 
 
@@ -126,6 +89,10 @@ METHODS_PROSE = (
     "determined on the first quarter of the log, its size on the rest. The filters' update uses a "
     "box; for an ellipsoid it is the enclosing box, which has at least its coverage and is wider "
     "than necessary. In the mean over the test walks, each walk counts once."
+)
+MIXING_CAPTION = (
+    "Dependence of errors on earlier ones. Peaks that do not decay come from the stride: with a "
+    "gait of fixed period, errors repeat in every stride."
 )
 CASES_PROSE = (
     "All test walks together. The intervals count one error for each block of K samples in which "
@@ -177,12 +144,3 @@ def _shift_prose(tables: dict[str, pd.DataFrame]) -> str:
         "calibration has too few seconds like this walk. Neither notices a persistent error that "
         "does not affect the inputs."
     )
-
-
-def _only(pictures: dict[str, Picture], name: str) -> tuple[Picture, ...]:
-    return (pictures[name],) if name in pictures else ()
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

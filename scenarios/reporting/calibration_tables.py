@@ -82,17 +82,14 @@ def methods_table(calibration: CalibratedWalk, tests: Sequence[CalibratedWalk]) 
             continue
         rows.append(row | _region_row(region, judged, how.label))
         if region.shape is not None:
-            rows.append(
-                {"method": f"{method}, its box", "errors": len(chosen)}
-                | _region_row(region.box, judged, "the box that filters use")
-            )
+            box = _region_row(region.box, judged, "the box that filters use")
+            rows.append({"method": f"{method}, its box", "errors": len(chosen)} | box)
     return pd.DataFrame(rows)
 
 
 def _region_row(region: Region, judged: Sequence[np.ndarray], note: str) -> dict[str, object]:
-    row: dict[str, object] = {
-        f"{axis} [m/s]": width for axis, width in zip("xyz", region.epsilon, strict=True)
-    }
+    widths = zip("xyz", region.epsilon, strict=True)
+    row: dict[str, object] = {f"{axis} [m/s]": width for axis, width in widths}
     row["volume [(cm/s)^3]"] = 1e6 * region.volume
     if judged:
         held = [float(region.contains(errors).mean()) for errors in judged]
@@ -108,13 +105,12 @@ def sequence_table(calibration: CalibratedWalk, others: Sequence[CalibratedWalk]
     for walk in (calibration, *others):
         row: dict[str, object] = {"walk": walk.log.name, "role": walk.role}
         row["length [s]"] = round(len(walk.x) / RATE)
-        alarm = None
+        row |= _held(walk) | {"alarm": "–"}
         if walk.role != "calibration":
             alarm = shift_alarm(usual, block_sizes(walk.squared))
-        row |= _held(walk)
-        row["alarm"] = "–" if alarm is None else _alarm_words(alarm)
-        if alarm is not None and len(walk.errors):
-            row |= _kept(walk, calibration, alarm, usual)
+            row["alarm"] = "none" if alarm.at is None else f"after {alarm.at:.0f} s"
+            if len(walk.errors):
+                row |= _kept(walk, calibration, alarm, usual)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -145,9 +141,9 @@ def _kept(
         "widened after alarm [%]": percent(wide.all(axis=1).mean()),
         "by": f"{np.exp(np.log(factor).mean()):.2f}",
     }
-    weighted = weighted_bounds(
-        calibration.errors, _inputs_of_errors(calibration), walk.x, walk.bounds.gamma
-    )
+    # Inputs at the rows with errors, where the reference was measured.
+    inputs = calibration.x[np.searchsorted(observer_rows(calibration.log), calibration.rows)]
+    weighted = weighted_bounds(calibration.errors, inputs, walk.x, walk.bounds.gamma)
     if weighted is None:
         return row | {"weighted [%]": "no bound", "volume": None}
     inside = float((sizes <= weighted).all(axis=1).mean())
@@ -155,18 +151,9 @@ def _kept(
     return row | {"weighted [%]": percent(inside), "volume": f"{volume:.2f}"}
 
 
-def _inputs_of_errors(walk: CalibratedWalk) -> np.ndarray:
-    """Inputs (M, C) at the rows with errors, where the reference was measured."""
-    return walk.x[np.searchsorted(observer_rows(walk.log), walk.rows)]
-
-
 def percent(share) -> str:
     """A share in percent, to one decimal."""
     return f"{100 * share:.1f}"
-
-
-def _alarm_words(alarm: Alarm) -> str:
-    return "none" if alarm.at is None else f"after {alarm.at:.0f} s"
 
 
 def case_table(walks: Sequence[CalibratedWalk]) -> pd.DataFrame:

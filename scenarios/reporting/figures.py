@@ -16,7 +16,7 @@ from surefoot.scenarios.reporting.palette import (
     TRUTH,
     estimator_color,
     estimator_label,
-    estimator_line,
+    estimator_look,
     friction_color,
 )
 from surefoot.scenarios.reporting.plotting import (
@@ -40,7 +40,6 @@ def trajectories(
     log: Log,
     errors: Mapping[str, ErrorSeries],
     patches: Sequence = (),
-    title: str = "Path seen from above",
     fields: Sequence[HeightField] = (),
 ) -> Figure:
     """Truth and estimates in the ground plane, with slippery patches and start and end marks.
@@ -50,7 +49,6 @@ def trajectories(
         errors: estimator name -> its aligned path
             (surefoot.scenarios.estimate.error_series.error_series).
         patches: objects with center_x, center_y, size_x, size_y (m), mu, and optionally yaw (rad).
-        title: of the figure.
         fields: height fields of the ground, drawn by contour lines.
     """
     everywhere = np.concatenate([log.ref_p[:, :2], *[e.p_GI[:, :2] for e in errors.values()]])
@@ -59,114 +57,95 @@ def trajectories(
     height = float(np.clip(width * (span[1] + 0.1) / (span[0] + 0.1), 3.0, 7.5)) + 1.0
     figure, axes = new_figure(size=(width, height))
     ax = axes[0, 0]
-    low, high = (
-        everywhere.min(axis=0) - 0.06 * span.max(),
-        everywhere.max(axis=0) + 0.06 * span.max(),
-    )
+    margin = 0.06 * span.max()
+    low, high = everywhere.min(axis=0) - margin, everywhere.max(axis=0) + margin
     for field in fields:
         _draw_contours(ax, field)
     for patch in patches:
         _draw_patch(ax, patch, low, high)
     ax.plot(*log.ref_p[:, :2].T, color=TRUTH, linewidth=3.5, label="Truth", solid_capstyle="round")
     for name, error in errors.items():
-        color = estimator_color(name)
-        ax.plot(
-            *error.p_GI[:, :2].T,
-            color=color,
-            linestyle=estimator_line(name),
-            linewidth=1.4,
-            label=f"{estimator_label(name)} ({error.distance[-1]:.2f} m off at the end)",
-        )
-        ax.plot(*error.p_GI[-1, :2], "X", color=color, markersize=8, markeredgecolor="white")
+        look = estimator_look(name)
+        look["label"] += f" ({error.distance[-1]:.2f} m off at the end)"
+        ax.plot(*error.p_GI[:, :2].T, **look, linewidth=1.4)
+        end = {"color": look["color"], "markersize": 8, "markeredgecolor": "white"}
+        ax.plot(*error.p_GI[-1, :2], "X", **end)
     ax.plot(*log.ref_p[0, :2], "o", color=INK, markersize=8, label="Start", linestyle="none")
     ax.plot(*log.ref_p[-1, :2], "s", color=INK, markersize=7, label="True end", linestyle="none")
     ax.plot([], [], "X", color=INK, markersize=7, label="Estimated end", linestyle="none")
     ax.set(xlabel="x [m]", ylabel="y [m]")
     show_to_scale(ax, low, high)
-    set_title(ax, title)
+    set_title(ax, "Path seen from above")
     legend_below(figure, ax, columns=2)
     return figure
 
 
-def height_figure(
-    log: Log, errors: Mapping[str, ErrorSeries], title: str = "Height of the IMU over time"
-) -> Figure:
+def height_figure(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
     """Height of truth and estimates over time, whose drift is unobservable."""
     figure, axes = new_figure(size=(7.5, 3.6))
     ax = axes[0, 0]
     t, z = log.t, log.ref_p[:, 2]
     ax.plot(t, z, color=TRUTH, linewidth=3.0, label="Truth")
     for name, error in errors.items():
-        ax.plot(
-            error.t,
-            error.p_GI[:, 2],
-            color=estimator_color(name),
-            linestyle=estimator_line(name),
-            label=f"{estimator_label(name)} ({error.position[-1, 2]:+.3f} m at the end)",
-        )
+        look = estimator_look(name)
+        look["label"] += f" ({error.position[-1, 2]:+.3f} m at the end)"
+        ax.plot(error.t, error.p_GI[:, 2], **look)
     ax.set(xlabel="time [s]", ylabel="height z [m]", xlim=(t[0], t[-1]))
-    set_title(ax, title)
+    set_title(ax, "Height of the IMU over time")
     legend_below(figure, ax, columns=2)
     return figure
 
 
 def velocity_figure(
-    log: Log,
-    prediction: "Prediction",
-    epsilon: np.ndarray | None = None,
-    window: tuple[float, float] | None = None,
-    title: str = "Body velocity: truth, observer and its bounds",
+    log: Log, prediction: "Prediction", epsilon: np.ndarray | None = None
 ) -> Figure:
     """True and predicted velocity of the IMU in its own axes, one panel per axis.
+
+    Of a long walk, the middle ten seconds are shown; the shares in the panel titles are of the
+    whole walk.
 
     Args:
         log: the walk, with a reference.
         prediction: an observer's rows (M,) of the log and v_I (M, 3) m/s there.
         epsilon: half widths of the bounds, (3,) or (M, 3) m/s.
-        window: first and last second shown, by default the middle ten of a long walk. The shares in
-            the panel titles are of the whole walk in any case.
-        title: of the figure.
     """
     rows = np.asarray(prediction.rows)
     t, ok = log.t[rows], log.ref_ok[rows]
     truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
     predicted = np.asarray(prediction.v_I)
     half = None if epsilon is None else np.broadcast_to(epsilon, predicted.shape)
-    first, last = window or _middle(t)
+    first, last = t[0], t[-1]
+    if last - first > 15.0:
+        first, last = 0.5 * (first + last) - 5.0, 0.5 * (first + last) + 5.0
     shown = (t >= first) & (t <= last)
-    figure, axes = new_figure(3, 1, size=(7.5, 6.2), share_x=True)
+    title = "Body velocity: truth, observer and its bounds"
+    figure, axes = new_figure(3, 1, size=(7.5, 6.2), share_x=True, title=title)
     for k, (axis, word) in enumerate(NAMED_AXES):
         ax = axes[k, 0]
         panel = f"{axis} of the IMU ({word})"
         if half is not None:
             lower, upper = predicted[:, k] - half[:, k], predicted[:, k] + half[:, k]
-            band = {"color": BOUNDS, "alpha": 0.25, "linewidth": 0}
-            label = "Observer ± ε (the bounds)"
-            ax.fill_between(t[shown], lower[shown], upper[shown], **band, label=label)
+            band = {"color": BOUNDS, "alpha": 0.25, "label": "Observer ± ε (the bounds)"}
+            ax.fill_between(t[shown], lower[shown], upper[shown], **band, linewidth=0)
         ax.plot(t[shown], predicted[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
         measured = np.where(ok, truth[:, k], np.nan)
         ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label="Truth")
         if half is not None:
             outside = ok & (np.abs(truth[:, k] - predicted[:, k]) > half[:, k])
             missed = shown & outside
-            ax.plot(
-                t[missed], truth[missed, k], ".", color=OUTSIDE, markersize=4, label="Truth outside"
-            )
+            dots = {"color": OUTSIDE, "markersize": 4, "label": "Truth outside"}
+            ax.plot(t[missed], truth[missed, k], ".", **dots)
             inside = 100.0 * (1.0 - outside[ok].mean())
             panel += f": {inside:.1f} % of the walk inside ± {half[0, k]:.3g} m/s"
         set_title(ax, panel, 9.5)
         ax.set_ylabel("m/s")
         ax.set_xlim(first, last)
     axes[-1, 0].set_xlabel("time [s]")
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, axes[0, 0])
     return figure
 
 
-def position_error(
-    errors: Mapping[str, ErrorSeries],
-    title: str = "Distance between estimate and truth, and each filter's own 3σ (dashed)",
-) -> Figure:
+def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     """Position error norm and the filter's own 3 sigma (of the covariance's trace) over time."""
     figure, axes = new_figure(size=(7.5, 4.0))
     ax = axes[0, 0]
@@ -184,16 +163,9 @@ def position_error(
         ax.set_xlim(min(e.t[0] for e in errors.values()), max(e.t[-1] for e in errors.values()))
     ax.set(xlabel="time [s]", ylabel="position error [m]")
     limit_to_errors(ax, top)
-    set_title(ax, title)
+    set_title(ax, "Distance between estimate and truth, and each filter's own 3σ (dashed)")
     legend_below(figure, ax, columns=2)
     return figure
-
-
-def _middle(t: np.ndarray) -> tuple[float, float]:
-    if t[-1] - t[0] <= 15.0:
-        return float(t[0]), float(t[-1])
-    centre = 0.5 * (t[0] + t[-1])
-    return float(centre - 5.0), float(centre + 5.0)
 
 
 def _draw_contours(ax, field: HeightField) -> None:
@@ -212,25 +184,14 @@ def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
     """Draw a patch as a coloured, hatched rectangle, labelled with its friction if there is
     room.
     """
-    ax.add_patch(
-        Rectangle(
-            (patch.center_x - 0.5 * patch.size_x, patch.center_y - 0.5 * patch.size_y),
-            patch.size_x,
-            patch.size_y,
-            angle=np.degrees(getattr(patch, "yaw", 0.0)),
-            rotation_point="center",
-            facecolor=friction_color(patch.mu),
-            edgecolor="#7FB5CC",
-            hatch="///",
-            linewidth=0.8,
-            alpha=0.7,
-            zorder=0.5,
-        )
-    )
     centre = np.array([patch.center_x, patch.center_y])
+    size = np.array([patch.size_x, patch.size_y])
+    turned = {"angle": np.degrees(getattr(patch, "yaw", 0.0)), "rotation_point": "center"}
+    look = {"facecolor": friction_color(patch.mu), "edgecolor": "#7FB5CC", "hatch": "///"}
+    look |= {"linewidth": 0.8, "alpha": 0.7, "zorder": 0.5}
+    ax.add_patch(Rectangle(centre - 0.5 * size, *size, **turned, **look))
     if (centre > low).all() and (centre < high).all():
-        top = patch.center_y + 0.5 * patch.size_y
-        place = patch.center_x, min(top, high[1])
+        place = centre[0], min(centre[1] + 0.5 * size[1], high[1])
         look = {"fontsize": 8, "ha": "center", "va": "top", "color": "#33677D"}
         box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
         ax.annotate(f"friction {patch.mu:.2f}", place, **look, bbox=box)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.reporting.tables import Table, to_html, to_markdown
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import whole_file, write_whole
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -82,8 +82,7 @@ def write_report(
     Raises SurefootError where `path` exists and `force` is not given, or cannot be written.
     """
     text = html_report(title, sections)
-    with whole_file(path, force) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_whole(path, text, force)
 
 
 def html_report(title: str, sections: Sequence[Section]) -> str:

@@ -8,6 +8,7 @@ from surefoot.models.calibration.error_statistics import AxisErrors, error_stati
 from surefoot.scenarios.reporting.figures import NAMED_AXES
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_figures import error_bounds, error_distributions
+from surefoot.sim.common.errors import SurefootError
 
 LEVEL = 0.01
 """Significance level at which normality is rejected."""
@@ -18,7 +19,7 @@ def error_section(
 ) -> Section:
     """Section of a report on errors in training and on another log.
 
-    Raises SurefootError where either has too few independent errors.
+    It says so where either has too few independent errors.
 
     Args:
         train: (N, 3) [m/s] in I, stored with every observer: Observer.errors.
@@ -27,29 +28,24 @@ def error_section(
         gamma: their joint level.
         where: name of the test log.
     """
-    of_train, of_test = error_statistics(train), error_statistics(test)
+    try:
+        of_train, of_test = error_statistics(train), error_statistics(test)
+    except SurefootError as error:  # too few to test, not too few to cover
+        return Section("The observer's errors", str(error))
     rows = [*error_table(of_train, "training"), *error_table(of_test, where)]
-    words = (
-        error_words(of_train, of_test, where) + "\n\n" + bound_words(train, test, epsilon, gamma)
-    )
-    pictures = tuple(error_figures(train, test, epsilon, gamma).values())
-    return Section(f"The observer's errors: training and {where}", words, rows, pictures)
-
-
-def error_figures(
-    train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma: float
-) -> dict[str, Picture]:
-    """The paper's two figures, "errors_motivation" and "coverage_validity", by file name."""
-    return {
-        "errors": Picture(
+    bound = bound_words(train, test, epsilon, gamma)
+    words = f"{error_words(of_train, of_test, where)}\n\n{bound}"
+    pictures = (
+        Picture(
             error_distributions(train, test, epsilon, gamma),
             "Errors in training (green) and elsewhere (red), and the Gaussian fitted to each.",
         ),
-        "bound": Picture(
+        Picture(
             error_bounds(train, test, epsilon, gamma),
             "One bound for both: the share of errors that are smaller than the value below.",
         ),
-    }
+    )
+    return Section(f"The observer's errors: training and {where}", words, rows, pictures)
 
 
 def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, object]]:

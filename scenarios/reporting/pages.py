@@ -24,7 +24,7 @@ from surefoot.scenarios.reporting.html import (
 )
 from surefoot.scenarios.reporting.tables import Table, to_csv, to_markdown
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import kept_file, refuse_input, whole_file
+from surefoot.sim.common.files import kept_file, refuse_input, write_whole
 from surefoot.sim.common.sources import sources_digest
 
 
@@ -76,8 +76,7 @@ def write_results(
     text = markdown_report(title, sections)
     contents = {"table.md": text} | {f"{name}.csv": to_csv(t) for name, t in tables.items()}
     for name, content in contents.items():
-        with whole_file(out / name, force) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+        write_whole(out / name, content, force)
     write_report(out / "report.html", title, sections, force)
     return text
 

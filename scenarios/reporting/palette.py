@@ -5,6 +5,7 @@ red-green blindness, among those legible on a white page and on the dark backgro
 Variants of one estimator also differ in line style, so that a figure is readable in grey.
 """
 
+from typing import Any
 from zlib import crc32
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, traits
@@ -54,6 +55,12 @@ def estimator_line(name: str) -> str:
         return _SIDES[side]
     spare = crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)
     return _style(name)[2] or _SPARE_STYLES[spare]
+
+
+def estimator_look(name: str) -> dict[str, Any]:
+    """Colour, line style and label of the estimator `name`, for `Axes.plot`."""
+    color, line, label = estimator_color(name), estimator_line(name), estimator_label(name)
+    return {"color": color, "linestyle": line, "label": label}
 
 
 def _style(name: str) -> tuple[str, str, str]:

@@ -39,6 +39,7 @@ def new_figure(
     size: tuple[float, float] = (7.5, 4.0),
     share_x: bool = False,
     ratios: Sequence[float] | None = None,
+    title: str = "",
 ) -> tuple[Figure, np.ndarray]:
     """Create a figure and its axes (rows, columns), without a window or global state.
 
@@ -48,12 +49,15 @@ def new_figure(
         size: width and height [inches].
         share_x: whether axes share x.
         ratios: relative heights of the rows, or None for equal ones.
+        title: above all axes, at the left; "" for none.
     """
     with rc_context(_STYLE):
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, sharex=share_x, height_ratios=ratios)
     for ax in axes.flat:
         ax.tick_params(colors=INK, labelsize=8.0)
+    if title:
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     return figure, axes
 
 
@@ -112,14 +116,8 @@ def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:
     """Add one legend below the whole figure, where it hides no data."""
     handles, labels = ax.get_legend_handles_labels()
     if labels:
-        figure.legend(
-            handles,
-            labels,
-            loc="outside lower center",
-            ncols=min(columns, len(labels)),
-            fontsize=8.5,
-            frameon=False,
-        )
+        look = {"loc": "outside lower center", "fontsize": 8.5, "frameon": False}
+        figure.legend(handles, labels, ncols=min(columns, len(labels)), **look)
 
 
 def png(figure: Figure) -> bytes:

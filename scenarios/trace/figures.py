@@ -10,22 +10,22 @@ from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 
 _COLUMNS = 4
+_BARS = 15
+"""Number of candidates shown; the axis states that of all."""
 
 
-def residuals(
-    channels: Mapping[str, Mapping],
-    title: str = "What the model leaves unexplained, on data that no fit has seen",
-) -> Figure:
+def residuals(channels: Mapping[str, Mapping]) -> Figure:
     """RMS residual of each channel before and after, with its noise floor, each in its own unit.
 
     Args:
         channels: name -> {"before", "after", "noise_floor", "unit"}, as in trace.json, and "label",
             to print instead of the name; a value may be None if unknown.
-        title: above the figure.
     """
     rows = max(1, ceil(len(channels) / _COLUMNS))
     columns = min(_COLUMNS, max(1, len(channels)))
-    figure, axes = new_figure(rows, columns, size=(max(2.3 * columns, 5.0), 2.9 * rows + 0.8))
+    size = (max(2.3 * columns, 5.0), 2.9 * rows + 0.8)
+    title = "What the model leaves unexplained, on data that no fit has seen"
+    figure, axes = new_figure(rows, columns, size=size, title=title)
     for ax, (name, channel) in zip(axes.flat, channels.items(), strict=False):
         for k, (key, color) in enumerate((("before", BEFORE), ("after", AFTER))):
             value = channel.get(key)
@@ -38,9 +38,8 @@ def residuals(
                 ax.annotate(text, place, ha="center", va="bottom", fontsize=8, **above)
         floor = channel.get("noise_floor")
         if floor is not None:
-            ax.axhline(
-                floor, color=OUTSIDE, linewidth=1.4, linestyle=(0, (4, 2)), label="noise floor"
-            )
+            dashed = {"color": OUTSIDE, "linewidth": 1.4, "linestyle": (0, (4, 2))}
+            ax.axhline(floor, **dashed, label="noise floor")
         set_title(ax, channel.get("label") or name.replace("_", " "), 9.5)
         ax.set_ylabel(f"RMS [{channel.get('unit', '')}]".replace("^2", "²"))
         ax.set_xticks([0, 1], ["before", "after"])
@@ -49,7 +48,6 @@ def residuals(
         ax.grid(False, axis="x")
     for ax in axes.flat[len(channels) :]:
         ax.set_visible(False)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     legend_below(figure, axes[0, 0])
     return figure
 
@@ -58,7 +56,6 @@ def candidate_gains(
     gains: Mapping[str, float | tuple[float, float, float]],
     chosen: Collection[str] = (),
     title: str = "What each candidate effect, alone, would explain of the residual",
-    at_most: int = 15,
 ) -> Figure:
     """Bars of the held-out gain of each candidate, the best first, with the chosen ones in colour.
 
@@ -67,11 +64,10 @@ def candidate_gains(
             with the ends of its interval.
         chosen: the effects that were added to the model.
         title: above the figure.
-        at_most: number of bars; the axis states the number of candidates.
     """
     values = {name: np.atleast_1d(np.asarray(g, dtype=float)) for name, g in gains.items()}
     order = sorted(values, key=lambda name: -values[name][0])
-    shown = order[:at_most]
+    shown = order[:_BARS]
     figure, axes = new_figure(size=(7.5, 0.32 * len(shown) + 1.6))
     ax = axes[0, 0]
     places = np.arange(len(shown))[::-1]
@@ -87,7 +83,7 @@ def candidate_gains(
         ax.annotate(f"{100 * gain[0]:.1f} %", end, va="center", fontsize=8, **beside)
     ax.set_yticks(places, [name.replace("_", " ") for name in shown])
     ax.axvline(0, color=INK, linewidth=0.8)
-    more = f" (best {at_most} of {len(order)} candidates)" if len(order) > at_most else ""
+    more = f" (best {_BARS} of {len(order)} candidates)" if len(order) > _BARS else ""
     ax.set_xlabel(f"share of the residual explained on held-out data [%]{more}")
     ax.margins(x=0.12)
     ax.grid(False, axis="y")

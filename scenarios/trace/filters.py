@@ -8,21 +8,13 @@ from scipy.integrate import cumulative_trapezoid
 
 from surefoot.estimator.evaluation.run_summary import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import (
-    SEGMENT,
-    Metrics,
-    align_first,
-    evaluate,
-    matched,
-    path_length,
-)
+from surefoot.estimator.metrics import SEGMENT, Metrics, align_first, evaluate, matched, path_length
 from surefoot.models.residuals.binning import at_rows
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.machine import Machine
 
@@ -151,17 +143,11 @@ def filtered(name: str, log: Log, robot: Machine, learnt: Learnt) -> Trajectory:
 
     Raises SurefootError naming what the log or `learnt` lacks for it.
     """
-    known = _known_to_filters(robot)
+    known = robot.legged  # None where only the feet are known
+    if known is not None:
+        known = replace(known, foot_radius=np.maximum(known.foot_radius, 0.0))
     (found,) = estimated_in_chunks(estimator_named(name), [log], known, learnt)
     return found
-
-
-def _known_to_filters(robot: Machine) -> Robot | None:
-    """The robot that a filter runs with; None where only its feet are known."""
-    known = robot.legged
-    if known is None:
-        return None
-    return replace(known, foot_radius=np.maximum(known.foot_radius, 0.0))
 
 
 def doubts(name: str, log: Log, robot: Machine, estimate: Trajectory) -> str:

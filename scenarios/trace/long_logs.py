@@ -4,7 +4,7 @@ Each block is treated as a separate run: zeros and clocks, which drift within ho
 each. A file is read in pieces, with the memory of a few blocks.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,21 +56,14 @@ def _blocks(pieces: Iterable[Log], rate: float, rows: int) -> list[Log]:
     length = _rows(rate)
     firsts = np.linspace(0, rows - length, TRACED_BLOCKS).round().astype(int)
     parts: list[list[Log]] = [[] for _ in firsts]
-    for piece, begin, end in _placed(pieces):
+    end = 0
+    for piece in pieces:
+        begin, end = end, end + len(piece.frame)
         for own, first in zip(parts, firsts, strict=True):
             low, high = max(first, begin), min(first + length, end)
             if low < high:
                 own.append(piece.rows(slice(low - begin, high - begin)))
     return [_joined(own, k) for k, own in enumerate(parts)]
-
-
-def _placed(pieces: Iterable[Log]) -> Iterator[tuple[Log, int, int]]:
-    """Each piece with the number of its first row and of the row after its last."""
-    begin = 0
-    for piece in pieces:
-        end = begin + len(piece.frame)
-        yield piece, begin, end
-        begin = end
 
 
 def _joined(parts: list[Log], number: int) -> Log:

@@ -31,11 +31,7 @@ from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace.gait_choice import GaitChoice, choose_gait
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
-from surefoot.scenarios.trace.observer_errors import (
-    ErrorParts,
-    error_parts,
-    learnt_from_measured,
-)
+from surefoot.scenarios.trace.observer_errors import ErrorParts, error_parts, learnt_from_measured
 from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,
@@ -46,7 +42,7 @@ from surefoot.scenarios.trace.training_walks import (
 )
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.common.files import refuse_full, whole_file
+from surefoot.sim.common.files import refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.effects import Effect, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
@@ -105,15 +101,10 @@ def loop(
     }
     if settings.force or not _same(out, recipe):
         refuse_full(out, settings.force)
-        with whole_file(out / RECIPE, True) as path:
-            path.write_text(json.dumps(recipe, indent=2) + "\n", encoding="utf-8")
-        for stale in (
-            "trace/trace.json",
-            "gait.json",
-            "measured.json",
-            *(f"{w}/done" for w in WORLDS),
-        ):
-            (out / stale).unlink(missing_ok=True)
+        _write(out / RECIPE, recipe)
+        stale = "trace/trace.json", "gait.json", "measured.json", *(f"{w}/done" for w in WORLDS)
+        for name in stale:
+            (out / name).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
     options = TraceOptions(seed, model or declared, holdout=holdout)
     found, spread = _traced(log, robot, out / "trace", options)
@@ -237,9 +228,8 @@ def _from_measured(
     """
     if not kept.exists():
         try:
-            result = learnt_from_measured(
-                log, robot, replace(plan.training, inputs=inputs_of(log), seed=seed)
-            )
+            how = replace(plan.training, inputs=inputs_of(log), seed=seed)
+            result = learnt_from_measured(log, robot, how)
         except ObserverError as error:
             result = str(error)
         _write(kept, result)
@@ -247,8 +237,7 @@ def _from_measured(
 
 
 def _write(path: Path, value: object) -> None:
-    with whole_file(path, True) as temporary:
-        temporary.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(value, indent=2) + "\n", force=True)
 
 
 def _same(out: Path, recipe: dict[str, object]) -> bool:

@@ -28,9 +28,10 @@ from surefoot.scenarios.trace.observer_errors import (
     error_parts,
     recalibrated,
 )
+from surefoot.scenarios.trace.report import channel_row
 from surefoot.scenarios.trace.words import caution
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -91,9 +92,8 @@ def write_loop(
     """
     out = settings.out
     table = pd.DataFrame(_rows(worlds))
-    for name, text in (("table.md", to_markdown(table) + "\n"), ("table.csv", to_csv(table))):
-        with whole_file(out / name, True) as path:
-            path.write_text(text, encoding="utf-8")
+    write_whole(out / "table.md", to_markdown(table) + "\n", force=True)
+    write_whole(out / "table.csv", to_csv(table), force=True)
     found = json.loads((out / "trace" / "trace.json").read_text(encoding="utf-8"))
     measured = {world.name: world.measured for world in worlds}
     summary = {
@@ -102,8 +102,7 @@ def write_loop(
         "taught": trained_on_measured,
         "sides": {s.name: _summary(s, measured[s.name]) for s in worlds},
     }
-    with whole_file(out / "loop.json", True) as path:
-        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_whole(out / "loop.json", json.dumps(summary, indent=2) + "\n", force=True)
     drawn = _trajectories(worlds)
     last = worlds[-1].comparison
     walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)
@@ -144,12 +143,8 @@ def _of_observers(
     if isinstance(trained_on_measured, str):
         words += f"\n\nNo observer was trained on the measured walk: {trained_on_measured}."
     else:
-        rows.append(
-            {
-                "walks": "the other half of the measured walk",
-                "measured [m/s]": _three(trained_on_measured),
-            }
-        )
+        measured_only = {"measured [m/s]": _three(trained_on_measured)}
+        rows.append({"walks": "the other half of the measured walk"} | measured_only)
         words += (
             "\n\nThe last row is an observer trained on one half of the measured walk and "
             "evaluated on the other, each in turn. If observers trained in simulation have larger "
@@ -177,12 +172,8 @@ def _bounds_row(world: LoopWorld) -> dict[str, Any]:
     observer, bounds = world.learnt.observers[0], world.learnt.bounds[0]
     log, robot = world.comparison.log, world.comparison.robot
     assert robot is not None
-    row: dict[str, Any] = {
-        "bounds [m/s]": _three(bounds.epsilon),
-        "hold [%]": round(
-            100 * coverage(prediction_errors(observer, log, robot)[1], bounds).joint, 1
-        ),
-    }
+    held = coverage(prediction_errors(observer, log, robot)[1], bounds).joint
+    row: dict[str, Any] = {"bounds [m/s]": _three(bounds.epsilon), "hold [%]": round(100 * held, 1)}
     try:
         epsilon, held = recalibrated(observer, bounds, log, robot)
     except BoundsError:
@@ -198,27 +189,17 @@ def _of_trace(found: dict[str, Any]) -> list[Section]:
     """Sections on the channels of a trace.json."""
     words = "".join(f"Because {why}.\n\n" for why in found["reasons"])
     whole = Section("The trace", f"{words}The full report is trace/report.html.")
-    words = "On the last part of the log, which no fit uses."
-    parts = [("Residuals", words, found["channels"])]
+    parts = [("Residuals", "On the last part of the log, which no fit uses.", found["channels"])]
     if held_out := found.get("holdout"):
         words = "".join(f"{one}.\n\n" for one in held_out["against"])
         words += "Logs that no fit uses."
         parts.append(("Held-out logs", words, held_out["channels"]))
-    of_channels = [Section(title, prose, _channel_rows(c)) for title, prose, c in parts if c]
-    return [whole, *nested(of_channels)]
-
-
-def _channel_rows(channels: dict[str, Any]) -> list[dict[str, Any]]:
-    return [
-        {
-            "channel": name,
-            "before": c["before"],
-            "after": c["after"],
-            "noise floor": c["noise_floor"],
-            "unit": c["unit"],
-        }
-        for name, c in channels.items()
+    of_channels = [
+        Section(title, prose, [channel_row(name, level) for name, level in levels.items()])
+        for title, prose, levels in parts
+        if levels
     ]
+    return [whole, *nested(of_channels)]
 
 
 def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
@@ -228,17 +209,13 @@ def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"filter": name}
         for key, heading in LOOP_METRICS.items():
             for world in worlds:
-                metrics = _metrics(world.comparison, name)
-                row[f"{heading} {world.name}"] = getattr(metrics, key) if metrics else None
+                own = (r.metrics for r in world.comparison.results if r.filter == name)
+                row[f"{heading} {world.name}"] = getattr(next(own, None), key, None)
         for world in worlds:
             held = world.comparison.held.get(name)
             row[f"coverage [%] {world.name}"] = 100 * held.joint if held else None
         rows.append(row)
     return rows
-
-
-def _metrics(comparison: Comparison, name: str):
-    return next((r.metrics for r in comparison.results if r.filter == name), None)
 
 
 def _summary(world: LoopWorld, measured: ErrorParts) -> dict[str, Any]:
@@ -257,10 +234,9 @@ def _summary(world: LoopWorld, measured: ErrorParts) -> dict[str, Any]:
 
 def _trajectories(worlds: Sequence[LoopWorld]) -> dict[str, Trajectory]:
     """Estimates of the first and the last world, for the figures."""
-    ends = {worlds[0].name: worlds[0], worlds[-1].name: worlds[-1]}
     return {
         f"{r.filter} {world.name}": r.trajectory
-        for world in ends.values()
+        for world in (worlds[0], worlds[-1])
         for r in world.comparison.results
         if (own := traits(r.filter)).drawn and not own.variant
     }
@@ -299,9 +275,8 @@ def _pictures(log: Log, worlds: Sequence[LoopWorld], drawn: dict[str, Trajectory
         robot = world.comparison.robot
         if seen is None or bounds is None or robot is None:
             continue
-        epsilon = bounds.epsilon_at(robot.R_BI)
         picture = Picture(
-            velocity_figure(log, seen, epsilon),
+            velocity_figure(log, seen, bounds.epsilon_at(robot.R_BI)),
             "Body velocity: the observer's prediction, its bounds, and the reference.",
         )
         sections.append(Section(f"The observer, {world.name}", pictures=(picture,)))

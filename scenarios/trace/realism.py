@@ -18,7 +18,7 @@ from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.scenarios.trace.training_walks import beyond_simulated, simulated_robot
 from surefoot.scenarios.trace.walk_comparison import FILTER, WalkComparison, drift_table
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import refuse_overwrite, whole_file, whole_folder
+from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.carry import carried, growth, scale_of
 from surefoot.sim.log import Log
@@ -91,13 +91,10 @@ def realism(
     if effects or settings.as_walked:
         walked = load_as_walked() if settings.as_walked else None
         compared.append(SimulatedRobot("as walked", effects, walked, walker))
-    found = []
-    for k, one in enumerate(compared):
-
-        def report(share: float, k: int = k) -> None:
-            progress(0.5 * (k + share))
-
-        found.append(compare_walks(log, robot, one, seed, report))
+    found = [
+        compare_walks(log, robot, one, seed, lambda share, k=k: progress(0.5 * (k + share)))
+        for k, one in enumerate(compared)
+    ]
     parts = card_sections(found)
     drifts = drift_table(found)
     parts.insert(0, Section(f"Drift of the `{FILTER}` filter", DRIFT_WORDS, drifts))
@@ -107,9 +104,8 @@ def realism(
     }
     with whole_folder(out, force) as folder:
         write_results(folder, TITLE, parts, tables)
-        with whole_file(folder / "realism.json") as temporary:
-            text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
-            temporary.write_text(text + "\n", encoding="utf-8")
+        text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
+        write_whole(folder / "realism.json", text + "\n")
     if settings.page:
         write_page(settings.page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
     return tuple(found)
@@ -170,9 +166,9 @@ def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
     kept = [c for c in log.frame if not str(c).startswith(lacking)]
     reduced = replace(log, frame=log.frame[kept])
     sampling = reference_sampling(measured)
-    return (
-        resample_reference(reduced, sampling, np.random.default_rng(seed)) if sampling else reduced
-    )
+    if not sampling:
+        return reduced
+    return resample_reference(reduced, sampling, np.random.default_rng(seed))
 
 
 def _walks(

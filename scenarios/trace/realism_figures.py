@@ -23,6 +23,8 @@ from surefoot.scenarios.trace.walk_comparison import WalkComparison
 PHASES = 20
 """Bins of the phase of stance."""
 _COLORS = (BEFORE, AFTER)
+Walks = Sequence[tuple[str, str, Sequence[WalkView]]]
+"""Label, colour and walks of each robot."""
 
 
 def pictures(found: Sequence[WalkComparison]) -> Iterator[Picture]:
@@ -43,22 +45,17 @@ def pictures(found: Sequence[WalkComparison]) -> Iterator[Picture]:
     yield Picture(_spectra(walks), "Power spectral density of the IMU, all axes together.")
 
 
-def _standing_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+def _standing_speed(walks: Walks) -> Figure:
     figure, axes = new_figure(1, 3, size=(11.0, 3.6))
     for a, ax in enumerate(axes[0]):
         for label, color, group in walks:
             phase = np.concatenate([w.phase.ravel() for w in group])
-            sign = [w.outward if a == 1 else np.ones(len(w.outward)) for w in group]
-            speed = np.concatenate(
-                [
-                    (w.standing_velocity[..., a] * s).ravel()
-                    for w, s in zip(group, sign, strict=True)
-                ]
-            )
+            outward = [w.outward if a == 1 else 1.0 for w in group]
+            moving = zip((w.standing_velocity[..., a] for w in group), outward, strict=True)
+            speed = np.concatenate([(velocity * sign).ravel() for velocity, sign in moving])
             _band(ax, phase, speed, label, color)
         ax.axhline(0.0, color=INK, linewidth=0.8)
-        ax.set_xlabel("phase of stance")
-        ax.set_ylabel("m/s")
+        ax.set(xlabel="phase of stance", ylabel="m/s")
         set_title(ax, DIRECTIONS_OF_FEET[a])
     legend_below(figure, axes[0, 0])
     return figure
@@ -85,7 +82,7 @@ def _band(ax, phase: np.ndarray, values: np.ndarray, label: str, color: str) -> 
     ax.fill_between(middle, low, high, color=color, alpha=0.2, linewidth=0)
 
 
-def _by_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+def _by_speed(walks: Walks) -> Figure:
     figure, axes = new_figure(1, 1, size=(7.5, 4.0))
     ax = axes[0, 0]
     for label, color, group in walks:
@@ -93,56 +90,49 @@ def _by_speed(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
         ax.scatter(values[:, 0], values[:, 1], s=6, color=color, alpha=0.35, linewidth=0)
         speed = np.array([0.0, values[:, 0].max()])
         ax.plot(speed, missed_share(values) * speed, color=color, label=label)
-    ax.set_xlabel("forward speed of the base in a stance [m/s]")
-    ax.set_ylabel("missed by the leg [m/s]")
+    ax.set(xlabel="forward speed of the base in a stance [m/s]", ylabel="missed by the leg [m/s]")
     legend_below(figure, ax)
     return figure
 
 
-def _gait(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+def _gait(walks: Walks) -> Figure:
     figure, axes = new_figure(1, 2, size=(9.0, 3.4))
-    for ax, quantity, words in zip(
-        axes[0], (duty, period), ("duty factor", "stride period [s]"), strict=True
-    ):
+    quantities = {"duty factor": duty, "stride period [s]": period}
+    for ax, (words, quantity) in zip(axes[0], quantities.items(), strict=True):
         each = [np.concatenate([quantity(w)[0] for w in group]) for _, _, group in walks]
         low, high = np.percentile(np.concatenate(each), (1, 99))
         edges = np.linspace(low, high, 31)
         for (label, color, _), values in zip(walks, each, strict=True):
             ax.hist(values, edges, density=True, histtype="step", color=color, label=label)
-        ax.set_xlabel(words)
-        ax.set_yticks([])
+        ax.set(xlabel=words, yticks=[])
     legend_below(figure, axes[0, 0])
     return figure
 
 
-def _force(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+def _force(walks: Walks) -> Figure:
     figure, axes = new_figure(1, 1, size=(7.5, 3.6))
     for label, color, group in walks:
         phase, force = [], []
         for w in group:
             scaled = w.log.force.copy()
-            middle = np.where(
-                (w.phase > 0.25) & (w.phase < 0.75) & w.walks[:, None], scaled, np.nan
-            )
-            scaled /= np.nanmedian(middle, axis=0)
+            middle = (w.phase > 0.25) & (w.phase < 0.75) & w.walks[:, None]
+            scaled /= np.nanmedian(np.where(middle, scaled, np.nan), axis=0)
             phase.append(np.where(w.walks[:, None], w.phase, np.nan).ravel())
             force.append(scaled.ravel())
         _band(axes[0, 0], np.concatenate(phase), np.concatenate(force), label, color)
-    axes[0, 0].set_xlabel("phase of stance")
-    axes[0, 0].set_ylabel("force / its middle")
+    axes[0, 0].set(xlabel="phase of stance", ylabel="force / its middle")
     legend_below(figure, axes[0, 0])
     return figure
 
 
-def _spectra(walks: Sequence[tuple[str, str, Sequence[WalkView]]]) -> Figure:
+def _spectra(walks: Walks) -> Figure:
     figure, axes = new_figure(1, 2, size=(11.0, 3.8))
     units = {"accel": "(m/s^2)^2/Hz", "gyro": "(rad/s)^2/Hz"}
     for ax, (sensor, unit) in zip(axes[0], units.items(), strict=True):
         for label, color, group in walks:
             density = np.concatenate([spectra(w, sensor)[0] for w in group]).mean(axis=0)
             ax.loglog(FREQUENCIES, density, color=color, label=label)
-        ax.set_xlabel("Hz")
-        ax.set_ylabel(unit)
+        ax.set(xlabel="Hz", ylabel=unit)
         set_title(ax, {"accel": "accelerometer", "gyro": "gyro"}[sensor])
     legend_below(figure, axes[0, 0])
     return figure

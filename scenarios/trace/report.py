@@ -21,7 +21,7 @@ from surefoot.scenarios.trace.words import (
     unexplained_in_words,
 )
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot.machine import Machine
 
@@ -52,20 +52,14 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
         write_recording(out / "trace.rrd", RecordedWalk(first.log, robot.legged, estimates))
     write_report(out / "report.html", "Trace: what does the model lack?", sections(found))
     save_effects(out / "effects.toml", effects, limbs=robot.limbs)
-    with whole_file(out / "trace.json") as temporary:
-        text = json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n"
-        temporary.write_text(text, encoding="utf-8")
+    text = json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n"
+    write_whole(out / "trace.json", text)
 
 
 def sections(found: Trace) -> list[Section]:
     """Sections of the report."""
-    parts = [
-        Section(
-            "Verdict",
-            f"{found.verdict}: {VERDICTS[found.verdict]}.\n\n" + "\n\n".join(_sentences(found)),
-            table=_sizes(found, found.found) or None,
-        )
-    ]
+    words = "\n\n".join([f"{found.verdict}: {VERDICTS[found.verdict]}.", *_sentences(found)])
+    parts = [Section("Verdict", words, _sizes(found, found.found) or None)]
     if found.runs:
         rows = [
             {"run": number, **row}
@@ -83,16 +77,12 @@ def sections(found: Trace) -> list[Section]:
         )
         masked = f"Masked as slipping: {100 * found.masked_share:.1f} % of stance time. "
         masked = masked if "leg_velocity" in found.channels else ""
-        parts.append(
-            Section(
-                "Residual before and after",
-                "Residuals are means over 20 ms. Turn-on biases of the IMU belong to the declared "
-                "sensors and are subtracted. "
-                f"{masked}Noise floor: {found.floor}.",
-                table=_levels(found.channels),
-                pictures=(picture,),
-            )
+        words = (
+            "Residuals are means over 20 ms. Turn-on biases of the IMU belong to the declared "
+            f"sensors and are subtracted. {masked}Noise floor: {found.floor}."
         )
+        table = _levels(found.channels)
+        parts.append(Section("Residual before and after", words, table, (picture,)))
     rounds = found.attribution.rounds if found.attribution else ()
     chosen = [f"{e.name} {e.target}" for e in found.effects]
     pictures = []
@@ -127,7 +117,7 @@ def sections(found: Trace) -> list[Section]:
         )
         against = "".join(f"\n\n{one}." for one in found.held_out.worsened)
         table = _levels(found.held_out.channels)
-        parts.append(Section("Held-out logs", held_out + against, table=table))
+        parts.append(Section("Held-out logs", held_out + against, table))
         parts += _filters(
             found.unseen_filters, "Filters on held-out logs", "Over the whole of each log."
         )
@@ -136,34 +126,29 @@ def sections(found: Trace) -> list[Section]:
 
 def _filters(filters: Filters, title: str, words: str) -> list[Section]:
     """A table with one row per filter: errors before and after."""
-    rows = [
-        {"filter": name}
-        | {
-            f"{label} {side}": metrics[side][key]
-            if name != DEAD_RECKONING or key in _OF_POSITION
-            else None
-            for key, label in _METRICS.items()
-            for side in ("before", "after")
-        }
-        for name, metrics in filters.items()
-    ]
+    rows: list[dict[str, Any]] = []
+    for name, metrics in filters.items():
+        known = _OF_POSITION if name == DEAD_RECKONING else _METRICS
+        rows.append({"filter": name})
+        for key, label in _METRICS.items():
+            for side in ("before", "after"):
+                rows[-1][f"{label} {side}"] = metrics[side][key] if key in known else None
     return [Section(title, words, table=rows)] if rows else []
 
 
 def _levels(channels: Mapping[str, ChannelLevel]) -> list[dict[str, Any]]:
     """One row per channel: residual before and after, and its noise floor."""
     return [
-        {
-            "channel": name,
-            "before": c.before,
-            "after": c.after,
-            "noise floor": c.noise_floor,
-            "unit": c.unit,
-            "at its floor": "yes" if c.within_floor else "no",
-            "fitted": "no" if c.evaluation_only else "yes",
-        }
+        channel_row(name, vars(c))
+        | {"at its floor": c.within_floor, "fitted": not c.evaluation_only}
         for name, c in channels.items()
     ]
+
+
+def channel_row(name: str, level: Mapping[str, Any]) -> dict[str, Any]:
+    """Residual of a channel before and after, and its noise floor, from a ChannelLevel's fields."""
+    keys = ("before", "after", "noise_floor", "unit")
+    return {"channel": name} | {key.replace("_", " "): level[key] for key in keys}
 
 
 def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]]:

@@ -102,9 +102,8 @@ def trace_logs(
     stretches: tuple[BeforeAfter, ...] = ()
     unseen: tuple[BeforeAfter, ...] = ()
     if found.attribution is not None:
-        cases = [run.case for run in found.runs] or logs_under_model(
-            logs, robot, options.declared or (), settings
-        )
+        cases = [run.case for run in found.runs]
+        cases = cases or logs_under_model(logs, robot, options.declared or (), settings)
         stretches = _filtered(cases, found.effects, learnt, settings.report_share)
         held_out = [run.case for run in found.held_out.runs] if found.held_out else []
         unseen = _filtered(held_out, found.effects, learnt, 1.0)
@@ -145,9 +144,7 @@ def _filtered(
     """
     done: list[BeforeAfter] = []
     for case in cases:
-        if case.fixed:
-            continue
-        if not (case.log.has("imu") and case.log.has("reference")):
+        if case.fixed or not (case.log.has("imu") and case.log.has("reference")):
             continue
         t = case.log.t
         begin = t[0] + (1 - share) * (t[-1] - t[0])

@@ -6,7 +6,7 @@ from typing import Any
 
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.scenarios.trace.filters import DEAD_RECKONING, BeforeAfter
+from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.sim.effects import Effect, known_effects
 
@@ -142,7 +142,9 @@ def summary(found: Trace) -> str:
     if found.channels:
         lines.append("residual on the part used by no fit (root mean square of means over 20 ms):")
         lines += _channel_lines(found.channels) + _filter_lines(found.filters)
-        lines += _lost_lines(found.stretches)
+        for one in found.stretches:
+            sides = zip(("before", "after"), one.lost, strict=True)
+            lines += [f"  {one.log.name} {side}: {why}" for side, why in sides if why]
     if found.held_out:
         lines.append("on held-out logs, used by no fit:")
         lines += _channel_lines(found.held_out.channels) + _filter_lines(found.unseen_filters)
@@ -154,27 +156,14 @@ def summary(found: Trace) -> str:
     return "\n".join(lines)
 
 
-def _lost_lines(stretches: Sequence[BeforeAfter]) -> list[str]:
-    """A line for each estimate that should not be trusted."""
-    return [
-        f"  {one.log.name} {side}: {why}"
-        for one in stretches
-        for side, why in zip(("before", "after"), one.lost, strict=True)
-        if why
-    ]
-
-
 def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
     """A line for each channel: before, after, noise floor."""
-    width = max((len(name) for name in channels), default=0)
-    return [
-        f"  {name:{width}s} {c.before:.3g} -> {c.after:.3g} {c.unit}, noise floor {_floor(c)}"
-        for name, c in channels.items()
-    ]
-
-
-def _floor(c: ChannelLevel) -> str:
-    return "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
+    width, lines = max(map(len, channels), default=0), []
+    for name, c in channels.items():
+        floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
+        change = f"{c.before:.3g} -> {c.after:.3g} {c.unit}"
+        lines.append(f"  {name:{width}s} {change}, noise floor {floor}")
+    return lines
 
 
 def _filter_lines(filters: Filters) -> list[str]:

@@ -317,6 +317,12 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
     _note_written(path)
 
 
+def write_whole(path: str | Path, text: str, force: bool = False) -> None:
+    """Write a text with `whole_file`, in UTF-8. Raises SurefootError as that does."""
+    with whole_file(path, force) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 @contextmanager
 def kept_file(path: Path) -> Iterator[Path]:
     """Like `whole_file`, for caches and states to resume from: replaces an older file, and is not

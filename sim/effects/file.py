@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import protect, whole_file
+from surefoot.sim.common.files import protect, write_whole
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects.catalogue import Effect, effect
 from surefoot.sim.robot.limbs import Limbs
@@ -55,8 +55,7 @@ def save_effects(
 
     limbs: of their machine, for the units of joints that slide.
     """
-    with whole_file(path, force) as temporary:
-        temporary.write_text(to_toml(effects, limbs), encoding="utf-8")
+    write_whole(path, to_toml(effects, limbs), force)
 
 
 def to_toml(effects: Sequence[Effect], limbs: Limbs | None = None) -> str:

@@ -205,7 +205,7 @@ def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
 def test_the_mixing_figure_shows_the_curve_and_where_k_was_read_from_it():
     x = np.cumsum(np.random.default_rng(2).normal(size=(3000, 3)), axis=0) % 7.0
     curve = mixing(x)
-    ax = observer_figures.mixing_curve(curve, rate=100.0).axes[0]
+    ax = observer_figures.mixing_curve(curve).axes[0]
     lines = {str(line.get_label()): np.asarray(line.get_xydata()) for line in ax.get_lines()}
     drawn = [line for line in lines.values() if len(line) == len(curve.lags)]
     for k in range(3):
