@@ -110,10 +110,9 @@ def evened(table: Columns, rate: float) -> Columns:
     even = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
     streams = {name: (t, values) for name, values in table.items() if name != "t"}
     found = on_clock(even, streams, "the log")
-    for name in ("gyro_", "accel_"):
-        for axis in "xyz":
-            if name + axis in table:
-                found[name + axis] = means(found["t"], t, table[name + axis])
+    for name in found:
+        if name.startswith(("gyro_", "accel_")):
+            found[name] = means(found["t"], t, table[name])
     return found
 
 

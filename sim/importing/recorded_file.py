@@ -115,13 +115,9 @@ def _with_empty_cells(
     if t is None:
         return {}
     stamps = full[t.theirs]
-    return {
-        name: np.interp(stamps[at], stamps[readings[name][0]], readings[name][1])
-        if name in readings
-        else full[name][at]
-        for name in (*table.cells, *(n for n in full if n not in table.cells))
-        if name in readings or name in full
-    }
+    between = {n: np.interp(stamps[at], stamps[rows], x) for n, (rows, x) in readings.items()}
+    between |= {name: values[at] for name, values in full.items()}
+    return {n: between[n] for n in dict.fromkeys((*table.cells, *full)) if n in between}
 
 
 def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
