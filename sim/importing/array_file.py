@@ -113,10 +113,8 @@ def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
     if len(named) != 1 or len(apart) != 1:
         return {}
     words = apart[0][()].T.ravel()
-    if len(words) < 4 or words[0] != 1 or words[1] != 2:
-        return {}
-    count = int(words[2]) * int(words[3])
-    if count > len(words):
+    count = int(words[2]) * int(words[3]) if len(words) > 3 else 0
+    if len(words) < 4 or words[0] != 1 or words[1] != 2 or count > len(words):
         return {}
     lengths = words[4 : 4 + count].astype(int)
     letters = words[4 + count :].tobytes().decode("utf-16-le", errors="replace")

@@ -27,17 +27,6 @@ Files = str | Path | Sequence[str | Path]
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
 BAGS = (".bag", ".mcap", ".db3")
-_READERS = {
-    ".json": read_json,
-    ".jsonl": read_json,
-    ".ndjson": read_json,
-    ".npz": read_npz,
-    ".npy": read_npz,
-    ".mat": read_mat,
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
-}
-"""Reader by suffix; any other file is read as text."""
 
 
 def import_log(files: Files, map_path: str | Path) -> Log:
@@ -97,14 +86,12 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     if is_there(path):
         admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    if path.suffix.lower() == ".parquet":
-        return _parquet(path)
     return reader(path) if reader else read_text(path, source)
 
 
 def is_text(path: Path) -> bool:
     """Whether a file is read as text, by its name."""
-    return not (is_bag(path) or path.suffix.lower() in (*_READERS, ".parquet"))
+    return not (is_bag(path) or path.suffix.lower() in _READERS)
 
 
 def is_bag(path: Path) -> bool:
@@ -260,3 +247,13 @@ def _parquet(path: Path) -> RecordedTable:
             f"{path}: not a Parquet file ({' '.join(str(error).split())[:80]})"
         ) from error
     return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
+
+
+_READERS = {
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
+    **dict.fromkeys((".npz", ".npy"), read_npz),
+    **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
+    ".mat": read_mat,
+    ".parquet": _parquet,
+}
+"""Reader by suffix; any other file is read as text."""

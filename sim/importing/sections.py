@@ -238,10 +238,9 @@ def _check_near(key: str, position: tuple[float, ...]) -> None:
 def _by_leg(key: str, value: float | dict[str, float], legs: tuple[str, ...]) -> dict[str, float]:
     if not isinstance(value, dict):
         return dict.fromkeys(legs, value)
-    for leg in value:
+    for leg in (*value, *legs):
         if leg not in legs:
             raise SurefootError(f"[contact.{key}] unknown key {leg!r}; known: {', '.join(legs)}")
-    for leg in legs:
         if leg not in value:
             raise SurefootError(f"[contact.{key}] {leg} is missing")
     return value

@@ -99,7 +99,8 @@ def _leg_tree(model: mujoco.MjModel, feet: Mapping[str, str] | None) -> LegTree:
             f"legs share hinge {model.joint(shared[0]).name}, which must not be: put "
             "the free joint on the body from which each leg hangs on its own"
         )
-    joints += [j for j in _other_joints(model, base) if j not in joints]
+    root = model.body_rootid[model.jnt_bodyid]
+    joints += [j for j in _hinges(model) if root[j] == model.body_rootid[base] and j not in joints]
     return LegTree(
         limbs=_limbs(model, legs, chains, joints, found),
         base_body=base,
@@ -159,8 +160,7 @@ def _standing_chains(
 
 def _last_hinges(model: mujoco.MjModel) -> list[int]:
     """The last hinge of each chain, with no hinge below it."""
-    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
-    hinges = [joint for joint in hinges if not _is_spring(model, joint)]
+    hinges = _hinges(model)
     above: set[int] = set()
     for joint in hinges:
         body = model.body_parentid[model.jnt_bodyid[joint]]
@@ -244,11 +244,10 @@ def _is_spring(model: mujoco.MjModel, joint: int) -> bool:
     return bool(same and np.array_equal(model.jnt_axis[joint - 1], model.jnt_axis[joint]))
 
 
-def _other_joints(model: mujoco.MjModel, base: int) -> list[int]:
-    """Hinges of the robot: those below its base."""
-    hinges, root = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE), model.body_rootid
-    own = [int(j) for j in hinges if root[model.jnt_bodyid[j]] == root[base]]
-    return [joint for joint in own if not _is_spring(model, joint)]
+def _hinges(model: mujoco.MjModel) -> list[int]:
+    """The hinges that are not springs."""
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
+    return [joint for joint in hinges if not _is_spring(model, joint)]
 
 
 def _foot_of(
