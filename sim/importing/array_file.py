@@ -62,10 +62,11 @@ def read_hdf5(path: Path) -> RecordedTable:
         found = [
             (n, d) for n, d in _datasets(file, "", {file}) if d.shape and not n.startswith("#")
         ]
-        objects = {n: _class_of(d) for n, d in found if "MATLAB_object_decode" in d.attrs}
+        objects = {n: d for n, d in found if "MATLAB_object_decode" in d.attrs}
         found = [(n, d) for n, d in found if n not in objects]
         if objects and not found:
-            name, kind = next(iter(objects.items()))
+            name, node = next(iter(objects.items()))
+            kind = np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
             remedy = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
             raise SurefootError(
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
@@ -79,10 +80,6 @@ def read_hdf5(path: Path) -> RecordedTable:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
         return _table(path, arrays | _matlab_strings(file))
-
-
-def _class_of(node: h5py.Dataset) -> str:
-    return np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
 
 
 def _datasets(

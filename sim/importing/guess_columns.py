@@ -212,9 +212,7 @@ def _sides_doubt(
         [file.columns[one.column] for joint, one in angles.items() if joint in thighs]
         for thighs in (("FL_thigh", "RL_thigh"), ("FR_thigh", "RR_thigh"))
     )
-    if not (left and right):
-        return ""
-    growth = stride_in_turns(file.seconds, yaw, left, right)
+    growth = stride_in_turns(file.seconds, yaw, left, right) if left and right else None
     if growth is None or growth > 0.0:
         return ""
     return "in left turns the strides on this robot's left are longer: are left and right swapped?"
@@ -295,11 +293,10 @@ def _feet_entries(
             ]
         vectors = {one.leg for one in found.values() if one.kind == kind and one.axis in ("x", "y")}
         for name, one in own.items():
-            if one.leg in vectors:
-                continue
-            prefix = _contact_or_force(file, kind, [name])
-            doubt = "" if prefix == kind else "is not 0 or 1: a force?"
-            entries.append(Entry(f"{prefix}_{_leg(one.leg, named_legs)}", name, doubt=doubt))
+            if one.leg not in vectors:
+                prefix = _contact_or_force(file, kind, [name])
+                doubt = "" if prefix == kind else "is not 0 or 1: a force?"
+                entries.append(Entry(f"{prefix}_{_leg(one.leg, named_legs)}", name, doubt=doubt))
     feet = {n: one for n, one in found.items() if one.kind == "foot" and one.leg and one.axis}
     most = max((float(np.abs(file.columns[n]).max()) for n in feet), default=0.0)
     unit = "m" if most < 3.0 else "mm"

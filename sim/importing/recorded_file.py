@@ -99,9 +99,7 @@ def _with_empty_cells(
         machine: whose joint names columns may use, or None.
     """
     readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for name in table.cells:
-        if name in full:
-            continue
+    for name in (name for name in table.cells if name not in full):
         with suppress(SurefootError):
             rows, values = column_readings(table, name, Source(sparse=True))
             if _FEW < len(rows) < len(table.cells[name]):

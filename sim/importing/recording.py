@@ -144,8 +144,7 @@ def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.
     if clock is None:
         rows = max(len(one) if one.ndim == 1 else max(one.shape) for one in table.cells.values())
         return np.arange(rows) / (source.rate or 1.0)
-    plain = Source(names=source.names)
-    return clock.read(column_readings(table, clock.theirs, plain)[1])
+    return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 
 
 def _of_bag(

@@ -172,11 +172,8 @@ def _numbers(
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         cell = cells[bad[0]]
-        what = f"{str(cell)[:40]!r} is not a number"
-        if np.isinf(values[bad[0]]):
-            what = "infinite"
-        elif _empty(cell):
-            what = "NaN or empty"
+        other = "NaN or empty" if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
+        what = "infinite" if np.isinf(values[bad[0]]) else other
         row = table.first + int(rows[bad[0]])
         raise SurefootError(f"{table.path}: column {column!r}, {table.row} {row}: {what}")
     return values
