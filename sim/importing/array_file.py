@@ -62,10 +62,11 @@ def read_hdf5(path: Path) -> RecordedTable:
         found = [
             (n, d) for n, d in _datasets(file, "", {file}) if d.shape and not n.startswith("#")
         ]
-        objects = {n: _class_of(d) for n, d in found if "MATLAB_object_decode" in d.attrs}
+        objects = {n: d for n, d in found if "MATLAB_object_decode" in d.attrs}
         found = [(n, d) for n, d in found if n not in objects]
         if objects and not found:
-            name, kind = next(iter(objects.items()))
+            name, node = next(iter(objects.items()))
+            kind = np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
             remedy = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
             raise SurefootError(
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
@@ -79,10 +80,6 @@ def read_hdf5(path: Path) -> RecordedTable:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
         return _table(path, arrays | _matlab_strings(file))
-
-
-def _class_of(node: h5py.Dataset) -> str:
-    return np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
 
 
 def _datasets(
@@ -113,10 +110,8 @@ def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
     if len(named) != 1 or len(apart) != 1:
         return {}
     words = apart[0][()].T.ravel()
-    if len(words) < 4 or words[0] != 1 or words[1] != 2:
-        return {}
-    count = int(words[2]) * int(words[3])
-    if count > len(words):
+    count = int(words[2]) * int(words[3]) if len(words) > 3 else 0
+    if len(words) < 4 or words[0] != 1 or words[1] != 2 or count > len(words):
         return {}
     lengths = words[4 : 4 + count].astype(int)
     letters = words[4 + count :].tobytes().decode("utf-16-le", errors="replace")

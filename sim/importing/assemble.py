@@ -105,8 +105,7 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         main = with_reference(main, reference, str(rules.path))
     joints = joint_names(main)
     law = _motor_law(rules, joints)
-    torques = _torques_by_law(main, joints, law)
-    if torques:
+    if torques := _torques_by_law(main, joints, law):
         main |= torques
         derived.append("tau (motor law)")
     frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
@@ -192,14 +191,12 @@ def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[floa
     if rules.motor_law is None:
         return None
     law: dict[str, list[float]] = {}
-    for key, gains in rules.motor_law.items():
-        if isinstance(gains, dict):
-            for joint in sorted(set(gains) ^ set(joints)):
-                what = "has no gain" if joint in joints else "is not in the log"
-                raise SurefootError(f"{rules.path}: [motor_law] {key}: joint {joint!r} {what}")
-            law[key] = [gains[joint] for joint in joints]
-        else:
-            law[key] = [gains] * len(joints)
+    for key, given in rules.motor_law.items():
+        gains = given if isinstance(given, dict) else dict.fromkeys(joints, given)
+        for joint in sorted(set(gains) ^ set(joints)):
+            what = "has no gain" if joint in joints else "is not in the log"
+            raise SurefootError(f"{rules.path}: [motor_law] {key}: joint {joint!r} {what}")
+        law[key] = [gains[joint] for joint in joints]
     return law
 
 

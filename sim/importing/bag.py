@@ -113,10 +113,10 @@ def _read(bag: AnyReader, path: Path, wanted: dict[str, list[str]]) -> dict[str,
     for topic, found in stamps.items():
         if not found:
             raise SurefootError(f"{path}: topic {topic!r} has no messages")
-    return {
-        column: (np.array(stamps[topic_of(column)]), _finite(np.array(found), column, path))
-        for column, found in values.items()
-    }
+    for column, found in values.items():
+        if (bad := np.flatnonzero(~np.isfinite(found))).size:
+            raise SurefootError(f"{path}: column {column!r}, message {bad[0] + 1}: not finite")
+    return {c: (np.array(stamps[topic_of(c)]), np.array(found)) for c, found in values.items()}
 
 
 def _getter(column: str, path: Path) -> Callable[[Any, int, int], float]:
@@ -164,10 +164,3 @@ def _nanoseconds(stamp: Any) -> int | None:
     if not hasattr(stamp, "sec") or not hasattr(stamp, "nanosec"):
         return None
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def _finite(values: np.ndarray, column: str, path: Path) -> np.ndarray:
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        raise SurefootError(f"{path}: column {column!r}, message {bad[0] + 1}: not finite")
-    return values

@@ -32,11 +32,8 @@ def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Colum
     since the preceding row, which is their definition in a log. Raises SurefootError, starting with
     `where`, where they do not overlap in time.
     """
-    begin, end = t[0], t[-1]
-    for name, (stamps, _) in streams.items():
-        begin = max(begin, stamps[0])
-        if not is_event(name):
-            end = min(end, stamps[-1])
+    begin = max([t[0], *(stamps[0] for stamps, _ in streams.values())])
+    end = min([t[-1], *(stamps[-1] for n, (stamps, _) in streams.items() if not is_event(n))])
     inside = (t >= begin) & (t <= end)
     if not inside.any():
         raise SurefootError(f"{where}: the topics and files of the map do not overlap in time")
@@ -110,10 +107,9 @@ def evened(table: Columns, rate: float) -> Columns:
     even = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
     streams = {name: (t, values) for name, values in table.items() if name != "t"}
     found = on_clock(even, streams, "the log")
-    for name in ("gyro_", "accel_"):
-        for axis in "xyz":
-            if name + axis in table:
-                found[name + axis] = means(found["t"], t, table[name + axis])
+    for name in found:
+        if name.startswith(("gyro_", "accel_")):
+            found[name] = means(found["t"], t, table[name])
     return found
 
 
@@ -121,10 +117,9 @@ def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
     """Interpolate the held columns of these kinds linearly between their samples."""
     found, t = dict(table), table["t"]
     for name, values in table.items():
-        if column_kind(name) not in kinds:
-            continue
-        read = np.concatenate([[True], np.diff(values) != 0.0])
-        found[name] = np.interp(t, t[read], values[read])
+        if column_kind(name) in kinds:
+            read = np.concatenate([[True], np.diff(values) != 0.0])
+            found[name] = np.interp(t, t[read], values[read])
     return found
 
 

@@ -52,10 +52,10 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
     stands = {}
     for leg, (offset, on, off) in rule.by_leg(legs).items():
         own = load[:, legs.index(leg)] - offset
-        stands[f"contact_{leg}"] = contact_from_force(log.t, own, on, off, rule.debounce)
+        standing = contact_from_force(log.t, own, on, off, rule.debounce)
+        stands[f"contact_{leg}"] = standing.astype(float)
     meta = replace(log.meta, derived=(*log.meta.derived, f"contact from {rule.of}"))
-    sensed = {name: one.astype(float) for name, one in stands.items()}
-    return replace(log, meta=meta).with_columns(sensed)
+    return replace(log, meta=meta).with_columns(stands)
 
 
 def speeds_beside_lowest(
@@ -117,11 +117,10 @@ def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[lis
     alike = np.corrcoef(along.T) > _IN_PHASE
     groups: list[list[int]] = []
     for leg in range(feet_I.shape[1]):
-        own = next((g for g in groups if all(alike[leg, k] for k in g)), None)
-        if own is None:
-            groups.append([leg])
-        else:
-            own.append(leg)
+        own = next((g for g in groups if alike[leg, g].all()), [])
+        if not own:
+            groups.append(own)
+        own.append(leg)
     return groups
 
 

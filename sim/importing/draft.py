@@ -19,25 +19,20 @@ class Entry:
         name: the log's column.
         theirs: the recording's column.
         unit: theirs, None where it has none.
-        sign: as in a map.
         gain: as in a map.
-        offset: as in a map.
         doubt: a question for the user, empty where there is none.
     """
 
     name: str
     theirs: str
     unit: str | None = None
-    sign: float = 1.0
     gain: float = 1.0
-    offset: float = 0.0
     doubt: str = ""
 
     @property
     def scale(self) -> float:
-        """Factor from the recording's values to SI units, without the offset."""
-        units = UNITS.get(kind_of(self.name), {})
-        return self.sign * self.gain * (units[self.unit] if self.unit else 1.0)
+        """Factor from the recording's values to SI units."""
+        return self.gain * (UNITS[kind_of(self.name)][self.unit] if self.unit else 1.0)
 
 
 @dataclass(frozen=True)
@@ -132,15 +127,10 @@ def _lines(entries: Sequence[Entry]) -> list[str]:
 def _line(entry: Entry) -> str:
     keys = [f"column = {_text(entry.theirs)}"]
     keys += [f'unit = "{entry.unit}"'] if entry.unit else []
-    keys += [f"sign = {entry.sign:g}"] if entry.sign != 1.0 else []
     keys += [f"gain = {entry.gain:g}"] if entry.gain != 1.0 else []
-    keys += [f"offset = {entry.offset:g}"] if entry.offset else []
-    return f"{_key(entry.name)} = {{ {', '.join(keys)} }}" + (" # ?" if entry.doubt else "")
-
-
-def _key(name: str) -> str:
-    plain = all(c.isalnum() or c in "_-" for c in name)
-    return name if plain else _text(name)
+    plain = all(c.isalnum() or c in "_-" for c in entry.name)
+    name = entry.name if plain else _text(entry.name)
+    return f"{name} = {{ {', '.join(keys)} }}" + (" # ?" if entry.doubt else "")
 
 
 def _text(text: str) -> str:

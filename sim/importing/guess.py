@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.columns import UNITS
+from surefoot.sim.importing.columns import EULER, UNITS
 from surefoot.sim.importing.draft import Draft, Entry
 from surefoot.sim.importing.guess_columns import guess_columns, three_axes
 from surefoot.sim.importing.guess_units import unit_of_angles
 from surefoot.sim.importing.names import read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
 from surefoot.sim.importing.recording import is_bag
+from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.robot.machine import load_machine
 
 _FEW = 8
@@ -49,9 +50,9 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         if one in poses or one.t is None:
             continue
         label = one.label
-        there = {entry.name for entry in entries}
-        guessed = guess_columns(one, machine, commands=_is_command(label)).entries
-        added = [e for e in guessed if e.name not in there and e.name != "t"]
+        there = {"t", *(entry.name for entry in entries)}
+        added = guess_columns(one, machine, commands=_is_command(label)).entries
+        added = [e for e in added if e.name not in there]
         if added:
             sources[label] = (one.path, one.t)
             entries += [replace(e, theirs=f"{label}:{e.theirs}") for e in added]
@@ -69,7 +70,6 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     if reference and at is not main:
         notes += _overlap(main, at)
     used = {entry.theirs for entry in (*entries, *reference)}
-    contact = _threshold(main, entries)
     return Draft(
         files=tuple(dict.fromkeys((main.path, *(one.path for one in others)))),
         main=tuple(entries),
@@ -79,7 +79,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         layouts={one.path: one.layout for one in read},
         rate=found.rate if main.t is None else None,
         robot=robot,
-        contact=contact,
+        contact=_threshold(main, entries),
         notes=tuple(notes),
         unused=tuple(name for name in main.columns if name not in used),
     )
@@ -93,12 +93,11 @@ def _parts(path: Path) -> list[Path]:
 
 
 def _richness(one: RecordedFile) -> int:
-    inertial = sum(n.kind in ("gyro", "accel") for n in one.names.values())
-    joints = sum(n.kind in ("q", "dq", "tau") and not n.reference for n in one.names.values())
-    joints -= sum(n.kind == "q" and bool(n.axis) and not n.reference for n in one.names.values())
-    return (
-        100 * inertial + 10 * joints + joints * (not any(n.commanded for n in one.names.values()))
-    )
+    names = one.names.values()
+    inertial = sum(n.kind in ("gyro", "accel") for n in names)
+    measured = [n for n in names if n.kind in ("q", "dq", "tau") and not n.reference]
+    joints = sum(n.kind != "q" or not n.axis for n in measured)
+    return 100 * inertial + joints * (10 if any(n.commanded for n in names) else 11)
 
 
 def _reference(one: RecordedFile) -> tuple[Entry, ...]:
@@ -123,58 +122,47 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
         return ()
     own = {n: named for n, named in one.names.items() if not named.leg and not named.commanded}
     inertial = any(named.kind in ("gyro", "q") and not named.reference for named in own.values())
-    place = {n: x for n, x in own.items() if x.kind == "ref_p"}
-    if not place:
-        place = {
-            n: x
-            for n, x in own.items()
-            if x.kind == "q" and (x.reference or (x.axis and not inertial))
-        }
-    p = three_axes(place)
+    positions = {n: x for n, x in own.items() if x.kind == "ref_p"} or {
+        n: x for n, x in own.items() if x.kind == "q" and (x.reference or (x.axis and not inertial))
+    }
+    p = three_axes(positions)
     if p is None:
         return ()
     most = max(float(np.ptp(one.columns[n])) for n in p)
     said = {own[n].unit for n in p} & set(UNITS["ref_p"])
     unit = said.pop() if len(said) == 1 else "m" if most < 50.0 else "mm"
     found = [Entry(f"ref_p_{a}", n, unit) for a, n in zip("xyz", p, strict=True)]
-    turned = {n: x for n, x in own.items() if x.kind == "ref_q"}
-    by_axis = {x.axis: n for n, x in turned.items() if x.axis}
+    attitude = {n: x for n, x in own.items() if x.kind == "ref_q"}
+    by_axis = {x.axis: n for n, x in attitude.items() if x.axis}
     euler = {x.part: n for n, x in own.items() if x.kind == "euler"}
-    places = sorted((x.place, n) for n, x in turned.items() if x.place is not None)
+    places = sorted((x.place, n) for n, x in attitude.items() if x.place is not None)
+    columns, unit, doubt = [n for _, n in places], None, ""
     if set(by_axis) == set("wxyz"):
-        found += [Entry(f"ref_q_{a}", by_axis[a]) for a in "wxyz"]
+        axes, columns = [f"ref_q_{a}" for a in "wxyz"], [by_axis[a] for a in "wxyz"]
     elif set(euler) >= {"roll", "pitch", "yaw"}:
+        axes, columns = EULER, [euler[n] for n in ("roll", "pitch", "yaw")]
         unit, doubt = unit_of_angles([one.columns[euler["yaw"]]], set())
-        found += [Entry(f"ref_{n}", euler[n], unit, doubt=doubt) for n in ("roll", "pitch", "yaw")]
     elif len(places) == 4:
-        q = np.column_stack([one.columns[n] for _, n in places])
-        said = [one for one in ("wxyz", "xyzw") if all(one in words_of(n) for _, n in places)]
-        first = np.mean(np.abs(q[:, 0])) > np.mean(np.abs(q[:, 3]))
-        why = "" if said else "is w the first, or the last?"
-        order = said[0] if said else "wxyz" if first else "xyzw"
-        found += [
-            Entry(f"ref_q_{a}", n, doubt=why) for a, (_, n) in zip(order, places, strict=True)
-        ]
+        said = [order for order in ("wxyz", "xyzw") if all(order in words_of(n) for n in columns)]
+        first, last = (np.mean(np.abs(one.columns[n])) for n in (columns[0], columns[3]))
+        doubt = "" if said else "is w the first, or the last?"
+        order = said[0] if said else "wxyz" if first > last else "xyzw"
+        axes = [f"ref_q_{a}" for a in order]
     elif len(places) == 3:
-        unit, _ = unit_of_angles([one.columns[n] for _, n in places], set())
-        why = "roll, pitch, yaw in this order?"
-        angles = zip(("roll", "pitch", "yaw"), places, strict=True)
-        found += [Entry(f"ref_{a}", n, unit, doubt=why) for a, (_, n) in angles]
+        unit, _ = unit_of_angles([one.columns[n] for n in columns], set())
+        axes, doubt = EULER, "roll, pitch, yaw in this order?"
     else:
         return ()
-    return (t, *found)
+    turned = [Entry(a, n, unit, doubt=doubt) for a, n in zip(axes, columns, strict=True)]
+    return (t, *found, *turned)
 
 
 def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
     """Drop the kinds of joint columns that not every joint has, as a log may not have them."""
-    joints = {
-        e.name[2:] for e in entries if e.name.startswith("q_") and not e.name.startswith("q_des_")
-    }
+    joints = {e.name[2:] for e in entries if joint_prefix(e.name) == "q_"}
     kept, said = list(entries), []
     for prefix in ("dq_des_", "q_des_", "tau_ff_", "dq_", "tau_"):
-        own = {e.name for e in kept if e.name.startswith(prefix)}
-        own = {n for n in own if prefix != "dq_" or not n.startswith("dq_des_")}
-        own = {n for n in own if prefix != "tau_" or not n.startswith("tau_ff_")}
+        own = {e.name for e in kept if joint_prefix(e.name) == prefix}
         if own and {n.removeprefix(prefix) for n in own} != joints:
             kept = [e for e in kept if e.name not in own]
             said.append(f"{', '.join(sorted(own)[:3])}: not of every joint, left out")
@@ -192,9 +180,8 @@ def _threshold(main: RecordedFile, entries: list[Entry]) -> tuple[float, float] 
 def _overlap(main: RecordedFile, at: RecordedFile) -> list[str]:
     if main.seconds is None or at.seconds is None:
         return []
-    if at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]:
-        return ["the reference's clock is another: which [reference] offset?"]
-    return []
+    apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
+    return ["the reference's clock is another: which [reference] offset?"] * bool(apart)
 
 
 def _is_command(label: str) -> bool:

@@ -71,17 +71,15 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     entries: list[Entry] = []
     notes: list[str] = []
     triples: dict[str, tuple[str, ...]] = {}
+    values: dict[str, np.ndarray] = {}
     for kind in ("gyro", "accel"):
         own = {n: one for n, one in _of(file, kind).items() if not one.leg and not one.commanded}
         axes = three_axes(own)
         if axes is not None:
             triples[kind] = axes
+            values[kind] = np.column_stack([file.columns[name] for name in axes])
         elif own:
             notes.append(f"which of {', '.join(own)} are the {kind}'s x, y and z?")
-    values = {
-        kind: np.column_stack([file.columns[name] for name in names])
-        for kind, names in triples.items()
-    }
     if "gyro" in triples:
         named = {file.names[name].unit for name in triples["gyro"]}
         unit, doubt = unit_of_gyro(file.seconds, values["gyro"], values.get("accel"), named)
@@ -145,18 +143,14 @@ def _joint_entries(
 
 def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) -> _Joints:
     """Columns of joints: q, dq and tau, or q_des, dq_des and tau_ff for commands."""
-    poses = {one.leg for one in _of(file, "ref_q").values()}
+    poses = {one.leg for one in _of(file, "ref_q").values() if one.leg}
     found = {
         name: one
         for name, one in _of(file, "q", "dq", "tau").items()
-        if one.joint or not (one.axis or one.reference or (one.leg and one.leg in poses))
+        if one.joint or not (one.axis or one.reference or one.leg in poses)
     }
     raw = {(one.kind, one.commanded) for one in found.values() if not one.filtered}
-    found = {
-        name: one
-        for name, one in found.items()
-        if not (one.filtered and (one.kind, one.commanded) in raw)
-    }
+    found = {n: x for n, x in found.items() if not x.filtered or (x.kind, x.commanded) not in raw}
     named = any(one.part or one.leg or one.joint for one in found.values() if one.kind == "q")
     joints: _Joints = {}
     for name, one in found.items():
@@ -196,12 +190,11 @@ def _joint_of(
     order = sorted({(n.limb or 0, n.place or 0) for n in alike})
     place, count = order.index((one.limb or 0, one.place)), len(order)
     # Unnamed joints: in the order of a list, of the robot, or the usual one.
-    for words, listed in {**file.lists, **_lists_beside(file.path)}.items():
+    orders = [*{**file.lists, **_lists_beside(file.path)}.items()]
+    orders += [(machine.name, machine.limbs.joints)] if machine is not None else []
+    for source, listed in orders:
         if len(listed) == count:
-            return listed[place], _JointColumn(name, f"are its joints in the order of {words}?")
-    if machine is not None and len(machine.limbs.joints) == count:
-        doubt = f"are its joints in the order of {machine.name}?"
-        return machine.limbs.joints[place], _JointColumn(name, doubt)
+            return listed[place], _JointColumn(name, f"are its joints in the order of {source}?")
     if count == len(JOINTS):
         return JOINTS[place], _JointColumn(name, _legs_doubt(LEGS), assumed=True)
     return f"joint{place}", _JointColumn(name, "which joint is it?")
@@ -219,9 +212,7 @@ def _sides_doubt(
         [file.columns[one.column] for joint, one in angles.items() if joint in thighs]
         for thighs in (("FL_thigh", "RL_thigh"), ("FR_thigh", "RR_thigh"))
     )
-    if not (left and right):
-        return ""
-    growth = stride_in_turns(file.seconds, yaw, left, right)
+    growth = stride_in_turns(file.seconds, yaw, left, right) if left and right else None
     if growth is None or growth > 0.0:
         return ""
     return "in left turns the strides on this robot's left are longer: are left and right swapped?"
@@ -283,8 +274,7 @@ def _feet_entries(
             found[name] = replace(one, leg=named[0], part="")
     named_legs = {one.leg for one in file.names.values() if one.leg}
     for kind in ("contact", "force"):
-        own = {n: one for n, one in found.items() if one.kind == kind and one.leg}
-        own = {n: one for n, one in own.items() if one.axis in ("", "z")}
+        own = {n: x for n, x in found.items() if x.kind == kind and x.leg and x.axis in ("", "z")}
         plain = {n: one for n, one in own.items() if not one.part}
         # A word that all names begin with belongs to the robot and is ignored.
         own = own if not plain and len({one.leg for one in own.values()}) == len(own) else plain
@@ -303,11 +293,10 @@ def _feet_entries(
             ]
         vectors = {one.leg for one in found.values() if one.kind == kind and one.axis in ("x", "y")}
         for name, one in own.items():
-            if one.leg in vectors:
-                continue
-            prefix = _contact_or_force(file, kind, [name])
-            doubt = "" if prefix == kind else "is not 0 or 1: a force?"
-            entries.append(Entry(f"{prefix}_{_leg(one.leg, named_legs)}", name, doubt=doubt))
+            if one.leg not in vectors:
+                prefix = _contact_or_force(file, kind, [name])
+                doubt = "" if prefix == kind else "is not 0 or 1: a force?"
+                entries.append(Entry(f"{prefix}_{_leg(one.leg, named_legs)}", name, doubt=doubt))
     feet = {n: one for n, one in found.items() if one.kind == "foot" and one.leg and one.axis}
     most = max((float(np.abs(file.columns[n]).max()) for n in feet), default=0.0)
     unit = "m" if most < 3.0 else "mm"

@@ -31,10 +31,9 @@ _ASSUMED_STEP = 0.005
 
 def unit_of_angles(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, str]:
     """Unit of angles, each (N,), and a doubt; `named` are the units in the columns' names."""
-    if "deg" in named:
-        return "deg", ""
-    if "rad" in named:
-        return "rad", ""
+    for unit in ("deg", "rad"):
+        if unit in named:
+            return unit, ""
     most = max(float(np.quantile(np.abs(v), 0.99)) for v in values)
     if most > 800.0:
         return "rad", f"reaches {most:.3g}: counts, with which gain?"
@@ -58,11 +57,8 @@ def unit_of_rates(
     """
     if not angles:
         most = max(float(np.quantile(np.abs(v), 0.99)) for v in rates)
-        return (
-            ("rad/s", "rad/s or deg/s?", None)
-            if most < 60.0
-            else ("deg/s", "deg/s or rad/s?", None)
-        )
+        unit, other = ("rad/s", "deg/s") if most < 60.0 else ("deg/s", "rad/s")
+        return unit, f"{unit} or {other}?", None
     q, dq = np.column_stack(angles), np.column_stack(rates)
     scale = 1.0 if unit_of_angles(angles, set())[0] == "rad" else DEGREE
     times = t if t is not None else _ASSUMED_STEP * np.arange(len(q))
@@ -102,18 +98,16 @@ def unit_of_gyro(
     dt = 1.0 if t is None else max(float(np.median(np.diff(t))), 1e-6)
     width = max(int(0.5 / dt), 1)
     if t is not None and accel is not None and len(t) > 2 * width:
-        smooth = np.column_stack([_smoothed(x, width) for x in accel.T])
+        smooth = _smoothed(accel, width)
         up = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
         turned = np.gradient(up, t, axis=0)[width:-width]
-        rate = np.column_stack([_smoothed(x, width) for x in gyro.T])[width:-width]
-        by_gyro = -np.cross(rate, up[width:-width])
+        by_gyro = -np.cross(_smoothed(gyro, width), up)[width:-width]
         both = float(np.linalg.norm(turned) * np.linalg.norm(by_gyro))
         alike = float(np.sum(turned * by_gyro)) / max(both, 1e-12)
         ratio = float(np.sum(turned * by_gyro)) / max(float(np.sum(by_gyro**2)), 1e-12)
-        if alike > 0.7 and 1 / 3 < ratio < 3:
-            return "rad/s", ""
-        if alike > 0.7 and 1 / 3 < ratio / DEGREE < 3:
-            return "deg/s", ""
+        for fitting, scale in (("rad/s", 1.0), ("deg/s", DEGREE)):
+            if alike > 0.7 and 1 / 3 < ratio / scale < 3:
+                return fitting, ""
         if alike < -0.7:
             return unit, "turns against the accelerometer: signs of one of them?"
     return unit, "" if by_name or not 4.0 < size < 60.0 else "rad/s or deg/s?"
@@ -179,5 +173,6 @@ def stride_in_turns(
     return float(np.polyfit(turning, more, 1)[0])
 
 
-def _smoothed(x: np.ndarray, width: int) -> np.ndarray:
-    return np.convolve(x, np.ones(width) / width, mode="same")
+def _smoothed(values: np.ndarray, width: int) -> np.ndarray:
+    window = np.ones(width) / width
+    return np.column_stack([np.convolve(x, window, mode="same") for x in values.T])

@@ -51,7 +51,7 @@ def layout_of(path: Path) -> dict[str, Any]:
     begin = named[-1] if named else max(after, first)
     if begin:
         found["skip"] = begin
-    if all(is_number(cell) or _COMMA.fullmatch(cell) for cell in rows[begin]):
+    if _are_numbers(rows[begin]):
         found["header"] = False
     if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
         found |= {"separator": separator, "decimal": ","}
@@ -63,13 +63,12 @@ def _separator(line: str) -> str:
     for separator in (";", "\t", "|"):
         if separator in line:
             return separator
-    if (
-        re.search(r"\S +\S", line)
-        and "," in line
-        and all(is_number(cell) or _COMMA.fullmatch(cell) for cell in line.split())
-    ):
-        return r"\s+"
-    return "," if "," in line else r"\s+"
+    decimal_commas = re.search(r"\S +\S", line) and _are_numbers(line.split())
+    return "," if "," in line and not decimal_commas else r"\s+"
+
+
+def _are_numbers(cells: list[str]) -> bool:
+    return all(is_number(cell) or _COMMA.fullmatch(cell) for cell in cells)
 
 
 def _cells(line: str, separator: str) -> list[str]:

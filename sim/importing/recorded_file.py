@@ -99,9 +99,7 @@ def _with_empty_cells(
         machine: whose joint names columns may use, or None.
     """
     readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for name in table.cells:
-        if name in full:
-            continue
+    for name in (name for name in table.cells if name not in full):
         with suppress(SurefootError):
             rows, values = column_readings(table, name, Source(sparse=True))
             if _FEW < len(rows) < len(table.cells[name]):
@@ -115,13 +113,9 @@ def _with_empty_cells(
     if t is None:
         return {}
     stamps = full[t.theirs]
-    return {
-        name: np.interp(stamps[at], stamps[readings[name][0]], readings[name][1])
-        if name in readings
-        else full[name][at]
-        for name in (*table.cells, *(n for n in full if n not in table.cells))
-        if name in readings or name in full
-    }
+    between = {n: np.interp(stamps[at], stamps[rows], x) for n, (rows, x) in readings.items()}
+    between |= {name: values[at] for name, values in full.items()}
+    return {n: between[n] for n in dict.fromkeys((*table.cells, *full)) if n in between}
 
 
 def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:

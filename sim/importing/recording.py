@@ -27,17 +27,6 @@ Files = str | Path | Sequence[str | Path]
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
 BAGS = (".bag", ".mcap", ".db3")
-_READERS = {
-    ".json": read_json,
-    ".jsonl": read_json,
-    ".ndjson": read_json,
-    ".npz": read_npz,
-    ".npy": read_npz,
-    ".mat": read_mat,
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
-}
-"""Reader by suffix; any other file is read as text."""
 
 
 def import_log(files: Files, map_path: str | Path) -> Log:
@@ -97,14 +86,12 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     if is_there(path):
         admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    if path.suffix.lower() == ".parquet":
-        return _parquet(path)
     return reader(path) if reader else read_text(path, source)
 
 
 def is_text(path: Path) -> bool:
     """Whether a file is read as text, by its name."""
-    return not (is_bag(path) or path.suffix.lower() in (*_READERS, ".parquet"))
+    return not (is_bag(path) or path.suffix.lower() in _READERS)
 
 
 def is_bag(path: Path) -> bool:
@@ -138,16 +125,13 @@ def _streams(
         check_rising(times, path, clock.theirs, table.row, table.first + np.arange(len(times)))
     for log_name, column in columns.items():
         rows, values = column_readings(table, column.theirs, source, column.word)
-        if len(rows) and rows[-1] >= len(times):
+        count = rows[-1] + 1 if len(rows) else 0
+        if count > len(times) or (count < len(times) and not apart):
             raise SurefootError(
-                f"{path}: column {column.theirs!r} has {rows[-1] + 1} rows, the times {len(times)}"
+                f"{path}: column {column.theirs!r} has {count} rows, the times {len(times)}"
             )
         if apart:
             check_rising(times[rows], path, column.theirs, table.row, rows + table.first)
-        elif len(rows) != len(times):
-            raise SurefootError(
-                f"{path}: column {column.theirs!r} has {len(rows)} rows, the times {len(times)}"
-            )
         found[log_name] = times[rows], column.read(values)
     if not apart or not found:
         return found, times, ()
@@ -160,8 +144,7 @@ def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.
     if clock is None:
         rows = max(len(one) if one.ndim == 1 else max(one.shape) for one in table.cells.values())
         return np.arange(rows) / (source.rate or 1.0)
-    plain = Source(names=source.names)
-    return clock.read(column_readings(table, clock.theirs, plain)[1])
+    return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 
 
 def _of_bag(
@@ -222,37 +205,31 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
                 " t, ref_p and ref_q are of one topic"
             )
         seen = read_bag(path, sorted({column.theirs for column in columns.values()}))
-        table = {name: column.read(seen[column.theirs][1]) for name, column in columns.items()}
-        check_rising(
-            table["t"], path, columns["t"].theirs, "message", 1 + np.arange(len(table["t"]))
-        )
-        first, row = 1, "message"
+        read = RecordedTable(path, {name: values for name, (_, values) in seen.items()}, "message")
+        source = Source(rate=source.rate)
     else:
         read = read_table(path, source)
-        table, rows = {}, np.zeros(0, int)
-        for name, column in columns.items():
-            if name != "t":
-                rows, values = column_readings(read, column.theirs, source, column.word)
-                table[name] = column.read(values)
-        times = _times(read, columns.get("t"), source)
-        lengths = {name: len(values) for name, values in table.items()}
-        if len(set(lengths.values())) > 1:
-            raise SurefootError(
-                f"{path}: [reference.columns] have {sorted(set(lengths.values()))} rows"
-            )
-        if len(rows) > len(times) or (len(rows) and rows[-1] >= len(times)):
-            raise SurefootError(
-                f"{path}: the reference has {rows[-1] + 1} rows, its times {len(times)}"
-            )
-        table["t"] = times[rows]
-        first, row = read.first, read.row
-        if "t" in columns:
-            check_rising(table["t"], path, columns["t"].theirs, row, first + rows)
+    table, rows = {}, np.zeros(0, int)
+    for name, column in columns.items():
+        if name != "t":
+            rows, values = column_readings(read, column.theirs, source, column.word)
+            table[name] = column.read(values)
+    times = _times(read, columns.get("t"), source)
+    lengths = {len(values) for values in table.values()}
+    if len(lengths) > 1:
+        raise SurefootError(f"{path}: [reference.columns] have {sorted(lengths)} rows")
+    if len(rows) and rows[-1] >= len(times):
+        raise SurefootError(
+            f"{path}: the reference has {rows[-1] + 1} rows, its times {len(times)}"
+        )
+    table["t"] = times[rows]
+    if "t" in columns:
+        check_rising(table["t"], path, columns["t"].theirs, read.row, read.first + rows)
     if EULER[0] in table:
         angles = np.column_stack([table.pop(name) for name in EULER])
         table |= quaternions_of(angles)
     else:
-        unit_quaternions(path, table, row, first)
+        unit_quaternions(path, table, read.row, read.first)
     return table
 
 
@@ -269,3 +246,13 @@ def _parquet(path: Path) -> RecordedTable:
             f"{path}: not a Parquet file ({' '.join(str(error).split())[:80]})"
         ) from error
     return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
+
+
+_READERS = {
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
+    **dict.fromkeys((".npz", ".npy"), read_npz),
+    **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
+    ".mat": read_mat,
+    ".parquet": _parquet,
+}
+"""Reader by suffix; any other file is read as text."""

@@ -105,14 +105,14 @@ class ReferenceCheck:
             f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
             f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
         ]
-        return (*said, *self._counted(_SHOWN_DOUBTFUL), *self._events)
+        return (*said, *self._faults(_SHOWN_DOUBTFUL))
 
     @property
     def faults(self) -> tuple[str, ...]:
         """The faults only, in words."""
-        return (*self._counted(_FEW_DOUBTFUL), *self._events)
+        return tuple(self._faults(_FEW_DOUBTFUL))
 
-    def _counted(self, least: float) -> tuple[str, ...]:
+    def _faults(self, least: float) -> list[str]:
         said = []
         if self.judged and self.doubtful >= least:
             said.append(
@@ -120,11 +120,6 @@ class ReferenceCheck:
                 f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
                 "neighbours' (frames miscounted)"
             )
-        return tuple(said)
-
-    @property
-    def _events(self) -> tuple[str, ...]:
-        said = []
         if self.largest:
             said.append(
                 f"reference: {self.jumps} jumps of position or attitude, the largest by "
@@ -134,7 +129,7 @@ class ReferenceCheck:
             said.append(
                 f"reference: {self.held} samples repeat the one before while the body moves"
             )
-        return tuple(said)
+        return said
 
 
 def check_reference(poses: Poses) -> ReferenceCheck:
@@ -144,9 +139,7 @@ def check_reference(poses: Poses) -> ReferenceCheck:
         return ReferenceCheck(len(poses.t), 0.0, 0, 0, 0, 0, 0, float(step.max(initial=0.0)))
     miscounted, judged = miscounts(poses)
     _, around = _speeds(poses)
-    same = np.all(np.diff(poses.p, axis=0) == 0, axis=1) & np.all(
-        np.diff(poses.q, axis=0) == 0, axis=1
-    )
+    same = ~np.diff(np.column_stack([poses.p, poses.q]), axis=0).any(axis=1)
     jumped = np.flatnonzero(jumps(poses))
     return ReferenceCheck(
         samples=len(poses.t),

@@ -139,13 +139,14 @@ class RobotTable:
 
     def model(self) -> dict[str, Any]:
         """The entries that a log's metadata keep."""
+        position, q = self.imu_position, self.imu_orientation
         given = {
-            "p_BI": self.imu_position,
-            "q_BI": self.imu_orientation,
+            "p_BI": position and list(position),
+            "q_BI": q and [c / math.hypot(*q) for c in q],
             "foot_radius": self.foot_radius,
             "feet": self.feet,
         }
-        return {key: _as_kept(key, value) for key, value in given.items() if value is not None}
+        return {key: value for key, value in given.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -181,17 +182,14 @@ class ContactTable:
         """Offset, on and off of each leg; negative for kinematics and gait, where slower or lower
         is loaded.
         """
-        table = {key: _by_leg(key, getattr(self, key), legs) for key in ("offset", "on", "off")}
-        falling = self.of in ("kinematics", "gait")
-        sign = -1.0 if falling else 1.0
+        sign, where = (-1.0, "below") if self.of in ("kinematics", "gait") else (1.0, "above")
+        offset, on, off = (
+            _by_leg(key, getattr(self, key), legs) for key in ("offset", "on", "off")
+        )
         for leg in legs:
-            if sign * table["off"][leg] > sign * table["on"][leg]:
-                where = "below" if falling else "above"
+            if sign * off[leg] > sign * on[leg]:
                 raise SurefootError(f"[contact] off is {where} on for {leg}")
-        return {
-            leg: (sign * table["offset"][leg], sign * table["on"][leg], sign * table["off"][leg])
-            for leg in legs
-        }
+        return {leg: (sign * offset[leg], sign * on[leg], sign * off[leg]) for leg in legs}
 
 
 @dataclass(frozen=True)
@@ -237,20 +235,12 @@ def _check_near(key: str, position: tuple[float, ...]) -> None:
         raise SurefootError(f"{key} is {math.hypot(*position):.3g} m away, {_FARTHEST:g} m at most")
 
 
-def _as_kept(key: str, value: Any) -> Any:
-    if not isinstance(value, tuple):
-        return value
-    length = math.hypot(*value) if key == "q_BI" else 1.0
-    return [c / length for c in value]
-
-
 def _by_leg(key: str, value: float | dict[str, float], legs: tuple[str, ...]) -> dict[str, float]:
     if not isinstance(value, dict):
         return dict.fromkeys(legs, value)
-    for leg in value:
+    for leg in (*value, *legs):
         if leg not in legs:
             raise SurefootError(f"[contact.{key}] unknown key {leg!r}; known: {', '.join(legs)}")
-    for leg in legs:
         if leg not in value:
             raise SurefootError(f"[contact.{key}] {leg} is missing")
     return value

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.sim.importing.clock import column_kind
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
-from surefoot.sim.log.schema import joint_prefix
 
 _MOVES = 20.0
 """Motion within _MOVING seconds, in resolutions, at which a repeated value is significant."""
@@ -82,7 +82,7 @@ def held_streams(log: Log) -> tuple[HeldStream, ...]:
             continue
         share = _repeated(log.t, log.frame[name].to_numpy())
         if share > _HELD_SHARE:
-            found[_kind(name)][name] = log.rate * (1.0 - share)
+            found[column_kind(name)][name] = log.rate * (1.0 - share)
     return tuple(
         HeldStream(tuple(rates), float(np.round(np.median(list(rates.values())))))
         for rates in found.values()
@@ -169,10 +169,6 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 def _even(even: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     values = np.column_stack([np.interp(even, t, column) for column in x.T])
     return values - values.mean(axis=0)
-
-
-def _kind(name: str) -> str:
-    return joint_prefix(name) or name.split("_")[0]
 
 
 def _names(columns: Sequence[str]) -> str:

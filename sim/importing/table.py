@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +44,8 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
         word: text that means 1; any other is 0.
     """
     if source.long is None:
-        cells, rows = _cells(table, column, source), None
+        cells = _cells(table, column, source)
+        rows = np.arange(len(cells))
     else:
         what = _cells(table, source.long.name, source)
         rows = np.flatnonzero([str(one) == column for one in what])
@@ -51,7 +53,6 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
             there = ", ".join(sorted({str(one) for one in what})[:_SHOWN])
             raise SurefootError(f"{table.path}: no readings of {column!r} (there are {there})")
         cells = _cells(table, source.long.value, source)[rows]
-    rows = np.arange(len(cells)) if rows is None else rows
     if source.sparse:
         kept = np.array([not _empty(one) for one in cells], dtype=bool)
         if not kept.any():
@@ -66,17 +67,14 @@ def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
     for name, cells in table.cells.items():
         first = _list(cells[0]) if cells.ndim == 1 and len(cells) else None
         if isinstance(first, list | tuple | np.ndarray):
-            places = len(first)
-            each = {f"{name}[{k}]": f"{name}[{k}]" for k in range(places)}
+            each = [f"{name}[{k}]" for k in range(len(first))]
         elif cells.ndim == 2:
-            each = {f"{name}[{k}]": f"{name}[{k}]" for k in range(_oriented(table, cells).shape[1])}
+            each = [f"{name}[{k}]" for k in range(_oriented(table, cells).shape[1])]
         else:
-            each = {name: name}
+            each = [name]
         for column in each:
-            try:
+            with suppress(SurefootError):
                 found[column] = column_readings(table, column, Source())[1]
-            except SurefootError:
-                continue
     return found
 
 
@@ -169,18 +167,13 @@ def _numbers(
     """
     if word is not None:
         return np.array([str(cell).strip() == word for cell in cells], dtype=float)
-    if cells.dtype.kind in "fiub":
-        values = cells.astype(float)
-    else:
-        values = np.array([_number(cell) for cell in cells], dtype=float)
+    plain = cells.dtype.kind in "fiub"
+    values = cells.astype(float) if plain else np.array([_number(one) for one in cells], float)
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         cell = cells[bad[0]]
-        what = f"{str(cell)[:40]!r} is not a number"
-        if np.isinf(values[bad[0]]):
-            what = "infinite"
-        elif _empty(cell):
-            what = "NaN or empty"
+        other = "NaN or empty" if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
+        what = "infinite" if np.isinf(values[bad[0]]) else other
         row = table.first + int(rows[bad[0]])
         raise SurefootError(f"{table.path}: column {column!r}, {table.row} {row}: {what}")
     return values

@@ -45,7 +45,8 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     except UnicodeDecodeError as error:
         raise SurefootError(f"{path}: not a text file ({error.reason})") from error
     except (ValueError, pd.errors.ParserWarning, csv.Error, OSError) as error:
-        raise SurefootError(f"{path}: {_one_line(error)}") from error
+        reason = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
+        raise SurefootError(f"{path}: {reason}") from error
     if len(frame.columns) != len(header):
         # Quotation marks keep spaces together in one of the two readings, but not in the other.
         raise SurefootError(f"{path}: line {source.skip + 1}: quotation marks in the header")
@@ -101,7 +102,3 @@ def _separator(line: str) -> str:
     if line.count(most):
         return most
     return _SPACES if " " in line.strip() else ","
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")

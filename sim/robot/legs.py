@@ -69,31 +69,40 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
         feet: name of each leg, and of the body or site that is its foot; by default every chain
             that ends in a shape to stand on is a leg, named after its position.
     """
-    base = _floating_base(model, name)
+    try:
+        return _leg_tree(model, feet)
+    except SurefootError as error:
+        raise SurefootError(f"robot {name}: {error}") from None
+
+
+def _leg_tree(model: mujoco.MjModel, feet: Mapping[str, str] | None) -> LegTree:
+    """`find_legs`, with messages that do not name the robot."""
+    base = _floating_base(model)
     data = _home_pose(model)
     if feet:
-        found = [_named_foot(model, data, base, foot, name) for foot in feet.values()]
+        found = [_named_foot(model, data, base, foot) for foot in feet.values()]
         chains = [_chain_to(model, foot.body, base) for foot in found]
         legs = tuple(feet)
         for leg, chain in zip(legs, chains, strict=True):
             if not chain:
-                raise SurefootError(f"robot {name}: no hinge between the base and foot {leg}")
+                raise SurefootError(f"no hinge between the base and foot {leg}")
     else:
-        chains, found = _standing_chains(model, data, base, name)
-        order, legs = _named_by_place(model, base, chains, name)
+        chains, found = _standing_chains(model, data, base)
+        order, legs = _named_by_place(model, base, chains)
         chains, found = [chains[i] for i in order], [found[i] for i in order]
     for chain, foot in zip(chains, found, strict=True):
-        _refuse_what_is_no_hinge(model, base, foot.body, name)
-        _refuse_wheel(model, data, chain[-1], name)
+        _refuse_what_is_no_hinge(model, base, foot.body)
+        _refuse_wheel(model, data, chain[-1])
     joints = [joint for chain in chains for joint in chain]
     if shared := [joint for joint in dict.fromkeys(joints) if joints.count(joint) > 1]:
         raise SurefootError(
-            f"robot {name}: legs share hinge {model.joint(shared[0]).name}, which must not be: put "
+            f"legs share hinge {model.joint(shared[0]).name}, which must not be: put "
             "the free joint on the body from which each leg hangs on its own"
         )
-    joints += [j for j in _other_joints(model, base) if j not in joints]
+    root = model.body_rootid[model.jnt_bodyid]
+    joints += [j for j in _hinges(model) if root[j] == model.body_rootid[base] and j not in joints]
     return LegTree(
-        limbs=_limbs(model, legs, chains, joints, found, name),
+        limbs=_limbs(model, legs, chains, joints, found),
         base_body=base,
         joint_ids=np.array(joints),
         foot_bodies=np.array([foot.body for foot in found]),
@@ -104,12 +113,12 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
     )
 
 
-def _floating_base(model: mujoco.MjModel, name: str) -> int:
+def _floating_base(model: mujoco.MjModel) -> int:
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if len(free) != 1:
         raise SurefootError(
-            f"robot {name}: expected one free joint, that of the base, found {len(free)}; in an "
-            "MJCF, <freejoint/> lets a body move freely"
+            f"expected one free joint, that of the base, found {len(free)}; in an MJCF, "
+            "<freejoint/> lets a body move freely"
         )
     return int(model.jnt_bodyid[free[0]])
 
@@ -124,7 +133,7 @@ def _home_pose(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def _standing_chains(
-    model: mujoco.MjModel, data: mujoco.MjData, base: int, name: str
+    model: mujoco.MjModel, data: mujoco.MjData, base: int
 ) -> tuple[list[list[int]], list[_Foot]]:
     """The chains that end in a foot, and their feet."""
     chains = [_chain_to(model, int(model.jnt_bodyid[j]), base) for j in _last_hinges(model)]
@@ -134,8 +143,7 @@ def _standing_chains(
     soles = [] if sure else _sole_frames(model, data)
     if soles:  # a description without shapes
         return [_chain_to(model, foot.body, base) for foot in soles], soles
-    quadruped = len(sure) == 4 and all(len(chain) == 3 for chain, _ in sure)
-    if quadruped:
+    if [len(chain) for chain, _ in sure] == [3, 3, 3, 3]:  # a quadruped
         pairs = sure
     elif pairs:
         lowest = min(foot.bottom for _, foot in pairs)
@@ -143,17 +151,16 @@ def _standing_chains(
         pairs = [(chain, foot) for chain, foot in pairs if foot.bottom <= max(highest, lowest)]
     if not pairs:
         raise SurefootError(
-            f"robot {name}: none of its {len(chains)} chains of hinges ends in a colliding sphere, "
-            "box, capsule or mesh for a foot; add a sphere geom at the end of each leg, or name "
-            "the feet in the map"
+            f"none of its {len(chains)} chains of hinges ends in a colliding sphere, box, capsule "
+            "or mesh for a foot; add a sphere geom at the end of each leg, or name the feet in the "
+            "map"
         )
     return [chain for chain, _ in pairs], [foot for _, foot in pairs]
 
 
 def _last_hinges(model: mujoco.MjModel) -> list[int]:
     """The last hinge of each chain, with no hinge below it."""
-    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
-    hinges = [joint for joint in hinges if not _is_spring(model, joint)]
+    hinges = _hinges(model)
     above: set[int] = set()
     for joint in hinges:
         body = model.body_parentid[model.jnt_bodyid[joint]]
@@ -176,7 +183,7 @@ def _chain_to(model: mujoco.MjModel, body: int, base: int) -> list[int]:
     return chain
 
 
-def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: str) -> None:
+def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int) -> None:
     """Raise SurefootError if hinges alone do not determine the position of a foot.
 
     That is the case for a slide without a spring, a ball joint, or a loop closed by a constraint.
@@ -185,7 +192,6 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: 
         model: compiled.
         base: the floating body.
         foot: the body that carries the foot.
-        name: of the robot, for messages.
     """
     link = {foot}
     while (body := int(model.body_parentid[min(link)])) not in (0, base):
@@ -195,7 +201,7 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: 
         slides = kind == mujoco.mjtJoint.mjJNT_SLIDE and model.jnt_stiffness[joint] == 0.0
         if slides or kind == mujoco.mjtJoint.mjJNT_BALL:
             what = "slides" if slides else "is a ball joint"
-            raise SurefootError(f"robot {name}: joint {called} of a leg {what}: legs are of hinges")
+            raise SurefootError(f"joint {called} of a leg {what}: legs are of hinges")
     closes = np.isin(model.eq_type, (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD))
     for loop in np.flatnonzero(closes):
         ends = [int(model.eq_obj1id[loop]), int(model.eq_obj2id[loop])]
@@ -203,19 +209,18 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int, name: 
             ends = [int(model.site_bodyid[site]) for site in ends]
         if link & set(ends):
             raise SurefootError(
-                f"robot {name}: a leg is a closed loop (constraint on {model.body(ends[0]).name}), "
-                "whose feet hinges alone do not place; a log with foot positions does without them"
+                f"a leg is a closed loop (constraint on {model.body(ends[0]).name}), whose "
+                " feet hinges alone do not place; a log with foot positions does without them"
             )
 
 
-def _refuse_wheel(model: mujoco.MjModel, data: mujoco.MjData, hinge: int, name: str) -> None:
+def _refuse_wheel(model: mujoco.MjModel, data: mujoco.MjData, hinge: int) -> None:
     """Raise SurefootError where a round mesh turns about the last hinge of a leg.
 
     Args:
         model: compiled.
         data: in the home pose.
         hinge: the last of a leg.
-        name: of the robot, for messages.
     """
     axle, link = data.xaxis[hinge], int(model.jnt_bodyid[hinge])
     of_link = (model.geom_bodyid == link) & (model.geom_type == _MESH)
@@ -226,8 +231,8 @@ def _refuse_wheel(model: mujoco.MjModel, data: mujoco.MjData, hinge: int, name: 
         oval = max(float(np.ptp(across)), float(off))
         if along.max() > 0.95 and oval < ROUND * across.max():
             raise SurefootError(
-                f"robot {name}: joint {model.joint(hinge).name} of a leg is the axle of a wheel: "
-                "legs end in feet; a log with foot positions does without them"
+                f"joint {model.joint(hinge).name} of a leg is the axle of a wheel: legs end "
+                " in feet; a log with foot positions does without them"
             )
 
 
@@ -239,11 +244,10 @@ def _is_spring(model: mujoco.MjModel, joint: int) -> bool:
     return bool(same and np.array_equal(model.jnt_axis[joint - 1], model.jnt_axis[joint]))
 
 
-def _other_joints(model: mujoco.MjModel, base: int) -> list[int]:
-    """Hinges of the robot: those below its base."""
-    hinges, root = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE), model.body_rootid
-    own = [int(j) for j in hinges if root[model.jnt_bodyid[j]] == root[base]]
-    return [joint for joint in own if not _is_spring(model, joint)]
+def _hinges(model: mujoco.MjModel) -> list[int]:
+    """The hinges that are not springs."""
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
+    return [joint for joint in hinges if not _is_spring(model, joint)]
 
 
 def _foot_of(
@@ -275,8 +279,7 @@ def _foot_of(
         if not rivals or len(chain) <= POINT_HINGES:
             place, radius = model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
             return _Foot(int(model.geom_bodyid[ball]), place, radius, bottom=lowest[ball])
-    floor = min(lowest.values())
-    return _sole(model, data, base, [g for g in lowest if lowest[g] < floor + SOLE_LEVEL])
+    return _sole(model, data, base, spheres + flat)
 
 
 def _foot_of_rods(
@@ -296,20 +299,11 @@ def _foot_of_rods(
     rods = [g for g in shapes if model.geom_type[g] in _RODS]
     lying = [g for g in rods if abs(data.geom_xmat[g, 8]) < 0.5 and not _is_about(data, g, chain)]
     if len(chain) > POINT_HINGES and lying:
-        lowest = {g: float(outline_G(model, data, g)[:, 2].min()) for g in lying}
-        floor = min(lowest.values())
-        shapes = [g for g in lying if lowest[g] < floor + SOLE_LEVEL]
-        return replace(_sole(model, data, base, shapes), rod=True)
-    ends = [
-        (
-            data.geom_xpos[g]
-            + side * model.geom_size[g, 1] * data.geom_xmat[g].reshape(3, 3)[:, 2],
-            g,
-        )
-        for g in rods
-        for side in (-1.0, 1.0)
-        if model.geom_type[g] == _CAPSULE
-    ]
+        return replace(_sole(model, data, base, lying), rod=True)
+    ends = []
+    for g in (g for g in rods if model.geom_type[g] == _CAPSULE):
+        half = model.geom_size[g, 1] * data.geom_xmat[g].reshape(3, 3)[:, 2]
+        ends += [(data.geom_xpos[g] - half, g), (data.geom_xpos[g] + half, g)]
     if not ends:
         return None
     centre_G, last = max(ends, key=lambda end: float(np.linalg.norm(end[0] - hinge)))
@@ -366,11 +360,14 @@ def _tip(points: np.ndarray, axle: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[int]) -> _Foot:
-    """The underside of some shapes of one link: that of their bounding box along the lowest's
-    axes.
+    """The underside of the lowest of some shapes of one link: that of their bounding box along the
+    very lowest's axes.
     """
-    points_G = np.concatenate([outline_G(model, data, g) for g in shapes])
-    first = min(shapes, key=lambda g: float(outline_G(model, data, g)[:, 2].min()))
+    outlines_G = {g: outline_G(model, data, g) for g in shapes}
+    lowest = {g: float(points_G[:, 2].min()) for g, points_G in outlines_G.items()}
+    first = min(shapes, key=lambda g: lowest[g])
+    level = lowest[first] + SOLE_LEVEL
+    points_G = np.concatenate([outlines_G[g] for g in shapes if lowest[g] < level])
     axes_G = _axes_G(model, data, first)
     down = int(np.argmax(np.abs(axes_G[2])))
     along = points_G @ axes_G
@@ -386,9 +383,7 @@ def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[in
     return _Foot(body, place, 0.0, (float(half[0]), float(half[1])), float(points_G[:, 2].min()))
 
 
-def _named_foot(
-    model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str, name: str
-) -> _Foot:
+def _named_foot(model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str) -> _Foot:
     """The foot that a map names: a site's position, a body's shapes, or a bare body's origin.
 
     Args:
@@ -396,14 +391,13 @@ def _named_foot(
         data: in its home pose.
         base: the floating body.
         named: the body or site.
-        name: of the robot, for messages.
     """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, named)
     if site >= 0:
         return _Foot(int(model.site_bodyid[site]), model.site_pos[site].copy())
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, named)
     if body < 0:
-        raise SurefootError(f"robot {name}: has no body or site '{named}' for a foot")
+        raise SurefootError(f"has no body or site '{named}' for a foot")
     chain = _chain_to(model, body, base)
     ends = chain and _is_fixed_to(model, body, int(model.jnt_bodyid[chain[-1]]))
     shaped = _foot_of(model, data, base, chain) if ends else None
@@ -471,7 +465,7 @@ def _axes_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray
 
 
 def _named_by_place(
-    model: mujoco.MjModel, base: int, chains: list[list[int]], name: str
+    model: mujoco.MjModel, base: int, chains: list[list[int]]
 ) -> tuple[list[int], tuple[str, ...]]:
     """Order and names of the legs, by the position of their second hinge.
 
@@ -493,8 +487,8 @@ def _named_by_place(
         match = np.flatnonzero((front * centred[:, 0] > 0) & (left * centred[:, 1] > 0))
         if len(match) != 1:
             raise SurefootError(
-                f"robot {name}: cannot distinguish front, rear, left and right legs; the base's x "
-                "axis must point forward and y left"
+                "cannot distinguish front, rear, left and right legs; the base's x axis must "
+                " point forward and y left"
             )
         ordered.append(int(match[0]))
     return ordered, LEGS
@@ -521,7 +515,6 @@ def _limbs(
     chains: list[list[int]],
     joints: list[int],
     feet: list[_Foot],
-    name: str,
 ) -> Limbs:
     """Names and order of the joints: canonical for four legs of three hinges, else the model's.
 
@@ -531,26 +524,26 @@ def _limbs(
         chains: MuJoCo's joints of each leg.
         joints: all of the robot's, those of the legs first.
         feet: of the legs.
-        name: of the robot, for messages.
     """
     names = [model.joint(j).name for j in joints]
     if "" in names:
         body = model.body(int(model.jnt_bodyid[joints[names.index("")]])).name
-        raise SurefootError(f"robot {name}: a joint of body '{body}' has no name")
+        raise SurefootError(f"a joint of body '{body}' has no name")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     if legs == LEGS and all(len(chain) == 3 for chain in chains):
         names[:12] = JOINTS
         if len(joints) == 12:
             return QUADRUPED
+    at = {joint: i for i, joint in enumerate(joints)}
     links = []
     for chain, foot in zip(chains, feet, strict=True):
-        R, at = data.xmat[foot.body].reshape(3, 3), data.xpos[foot.body]
-        ends = [*(data.xanchor[j] for j in chain[1:]), at + R @ foot.place]
-        for joint, end in list(zip(chain, ends, strict=True))[1:]:
-            if np.linalg.norm(end - data.xanchor[joint]) > SHORTEST_LINK:
-                links.append(names[joints.index(joint)])
-    at = {joint: i for i, joint in enumerate(joints)}
+        end = data.xpos[foot.body] + data.xmat[foot.body].reshape(3, 3) @ foot.place
+        points = [*data.xanchor[chain[1:]], end]
+        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        for joint, length in zip(chain[1:], lengths, strict=True):
+            if length > SHORTEST_LINK:
+                links.append(names[at[joint]])
     chained = tuple(tuple(at[j] for j in chain) for chain in chains)
     return Limbs(legs, tuple(names), chained, tuple(links))
 

@@ -3,7 +3,6 @@ without its meshes.
 """
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -30,7 +29,6 @@ _POINT_FOOT = 1e-3
 """Radius of a foot whose shape is a mesh of a URDF [m]."""
 _IMU_LINK = re.compile(r"(base_|trunk_|body_|pelvis_)?imu(_link|_frame|_sensor)?")
 """Names, in lower case, of a URDF's link that carries the IMU."""
-_PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def model_spec(file: Path) -> mujoco.MjSpec:
@@ -75,10 +73,7 @@ def compiled_model(file: Path) -> mujoco.MjModel:
     """The compiled model of an MJCF or URDF file. Raises SurefootError in one clear line."""
     check_model_file(file)
     try:
-        if file.suffix == ".urdf":
-            model = model_spec(file).compile()
-        else:
-            model = _compiled_mjcf(file)
+        model = model_spec(file).compile() if file.suffix == ".urdf" else _compiled_mjcf(file)
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
         raise _unreadable(file, error) from None
     check_compiled(file, model)
@@ -150,46 +145,38 @@ def _is_a_frame(inertial: ElementTree.Element) -> bool:
 
 def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     """The MjSpec of a URDF with a floating root, and the corrections of its inertias, in words."""
-    robot, changes = ElementTree.parse(file).getroot(), []
+    robot = ElementTree.parse(file).getroot()
     for mass in robot.findall("link/inertial/mass"):
         if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide
             raise ValueError(f"a mass is below zero, {mass.get('value')}")
     mended: dict[str, list[str]] = {"": [], "flat": [], "indefinite": []}
+    uneven, bare = list[str](), list[str]()
     for link in robot.findall("link"):
-        if (inertia := link.find("inertial/inertia")) is not None:
-            mended[_mend(inertia)].append(link.get("name", ""))
-    if mended["flat"]:
-        changes.append(
-            "a moment of inertia is zero about an axis; a thousandth of the largest is taken for "
-            f"it of {', '.join(mended['flat'])}"
-        )
-    if mended["indefinite"]:
-        changes.append(
-            "a moment of inertia is below zero about an axis; the products of inertia are taken "
-            f"for zero of {', '.join(mended['indefinite'])}"
-        )
-    uneven = [
-        link.get("name", "")
-        for link in robot.findall("link")
-        if (moments := _principal_moments(link)) is not None and sum(moments[:2]) < moments[2]
-    ]
-    bare = [
-        link.get("name", "")
-        for link in robot.findall("link")
-        if link.find("inertial") is None
-        and any(shape.tag != "mesh" for shape in link.findall("collision/geometry/*"))
-    ]
-    if bare and robot.find("link/inertial") is not None:
-        changes.append(f"without <inertial>, these links have no mass: {', '.join(bare)}")
-    if feet := _add_point_feet(robot):
-        changes.append(f"meshes of a URDF are not read: feet are points at {', '.join(feet)}")
+        name, inertia = link.get("name", ""), link.find("inertial/inertia")
+        if inertia is not None:
+            mended[_mend(inertia)].append(name)
+            low, middle, high = np.linalg.eigvalsh(_matrix(inertia))
+            if low + middle < high:
+                uneven.append(name)
+        shapes = link.findall("collision/geometry/*")
+        if link.find("inertial") is None and any(shape.tag != "mesh" for shape in shapes):
+            bare.append(name)
+    if robot.find("link/inertial") is None:
+        bare = []
+    said = {
+        "a moment of inertia is zero about an axis; a thousandth of the largest is taken for "
+        "it of ": mended["flat"],
+        "a moment of inertia is below zero about an axis; the products of inertia are taken for "
+        "zero of ": mended["indefinite"],
+        "without <inertial>, these links have no mass: ": bare,
+        "meshes of a URDF are not read: feet are points at ": _add_point_feet(robot),
+        "one moment of inertia exceeds the sum of the others, which no body has; their mean is "
+        "taken for all three of ": uneven,
+    }
+    changes = [what + ", ".join(links) for what, links in said.items() if links]
     spec = mujoco.MjSpec.from_string(_floating(robot))
     if uneven:
         spec.compiler.balanceinertia = True
-        changes.append(
-            "one moment of inertia exceeds the sum of the others, which no body has; their mean is "
-            f"taken for all three of {', '.join(uneven)}"
-        )
     try:
         model = spec.copy().compile()
     except ValueError as error:
@@ -233,10 +220,9 @@ def _mend(inertia: ElementTree.Element) -> str:
     largest. Where one is negative, products of inertia are taken for zero. A negligible inertia
     becomes zero. Raises ValueError for one that is not finite, or negative about x, y or z.
     """
-    values = {pair: float(inertia.get(f"i{pair}", "0")) for pair in _PAIRS}
-    if not np.isfinite(list(values.values())).all():
+    matrix, found = _matrix(inertia), ""
+    if not np.isfinite(matrix).all():
         raise ValueError("an inertia is not finite")
-    matrix, found = _matrix(values), ""
     if np.abs(matrix).max() < _NO_INERTIA:
         matrix = np.zeros((3, 3))
     elif min(np.diag(matrix)) < 0.0:
@@ -249,9 +235,8 @@ def _mend(inertia: ElementTree.Element) -> str:
         if found == "indefinite":
             moments, axes = np.diag(matrix), np.eye(3)
         matrix = axes @ np.diag(np.maximum(moments, 1e-3 * moments.max())) @ axes.T
-    for pair in _PAIRS:
-        row, column = ("xyz".index(axis) for axis in pair)
-        inertia.set(f"i{pair}", repr(float(matrix[row, column])))
+    for row, column in zip(*np.triu_indices(3), strict=True):
+        inertia.set(f"i{'xyz'[row]}{'xyz'[column]}", repr(float(matrix[row, column])))
     return found
 
 
@@ -286,20 +271,10 @@ def _add_point_feet(robot: ElementTree.Element) -> list[str]:
     return found
 
 
-def _matrix(values: Mapping[str, float]) -> np.ndarray:
-    order = ["xx", "xy", "xz", "xy", "yy", "yz", "xz", "yz", "zz"]
-    return np.reshape([values[pair] for pair in order], (3, 3))
-
-
-def _principal_moments(link: ElementTree.Element) -> np.ndarray | None:
-    """Principal moments of inertia (3,) of a URDF's link [kg m^2], the largest last; None if it has
-    none.
-    """
-    inertia = link.find("inertial/inertia")
-    if inertia is None:
-        return None
-    values = {pair: float(inertia.get(f"i{pair}", "0")) for pair in _PAIRS}
-    return np.linalg.eigvalsh(_matrix(values))
+def _matrix(inertia: ElementTree.Element) -> np.ndarray:
+    """Inertia (3, 3) of a URDF's link [kg m^2]."""
+    order = ["ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz"]
+    return np.reshape([float(inertia.get(pair, "0")) for pair in order], (3, 3))
 
 
 def _floating(robot: ElementTree.Element) -> str:

@@ -48,8 +48,8 @@ def truth_of(name: str, **more: str) -> Truth:
 
 
 def drafted(draft: Draft) -> dict[str, tuple[str, float, float, str]]:
-    main = {e.name: (e.theirs, e.scale, e.offset, e.doubt) for e in draft.main}
-    poses = {f"reference {e.name}": (e.theirs, e.scale, e.offset, e.doubt) for e in draft.reference}
+    main = {e.name: (e.theirs, e.scale, 0.0, e.doubt) for e in draft.main}
+    poses = {f"reference {e.name}": (e.theirs, e.scale, 0.0, e.doubt) for e in draft.reference}
     return main | poses
 
 
