@@ -241,10 +241,11 @@ def card(rows: pd.DataFrame) -> str:
     """Summary of the folder, in a few lines and one table; `rows` as in the index."""
     whole = rows[rows.falls == 0]
     table = []
-    for (scenario, robot), part in rows.groupby(["scenario", "robot"], sort=False):
+    for _, part in rows.groupby(["scenario", "robot"], sort=False, dropna=False):
         columns = ["length", "duration", "slip_share", "creep"]
         mean = part.loc[part.falls == 0, columns].mean(skipna=False)
-        row = {"scenario": scenario, "robot": robot, "walks": len(part), "falls": part.falls.sum()}
+        row = {"scenario": part.scenario.iloc[0], "robot": part.robot.iloc[0]}
+        row |= {"walks": len(part), "falls": part.falls.sum()}
         row |= {"length [m]": mean.length, "duration [s]": mean.duration}
         table.append(row | {"slip [%]": 100.0 * mean.slip_share, "creep [mm/s]": 1e3 * mean.creep})
     versions = ", ".join(f"{name} {v}" for name, v in _versions().items())

@@ -186,10 +186,11 @@ def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
     """
     centre = np.array([patch.center_x, patch.center_y])
     size = np.array([patch.size_x, patch.size_y])
+    corner = patch.center_x - 0.5 * patch.size_x, patch.center_y - 0.5 * patch.size_y
     turned = {"angle": np.degrees(getattr(patch, "yaw", 0.0)), "rotation_point": "center"}
     look = {"facecolor": friction_color(patch.mu), "edgecolor": "#7FB5CC", "hatch": "///"}
     look |= {"linewidth": 0.8, "alpha": 0.7, "zorder": 0.5}
-    ax.add_patch(Rectangle(centre - 0.5 * size, *size, **turned, **look))
+    ax.add_patch(Rectangle(corner, *size, **turned, **look))
     if (centre > low).all() and (centre < high).all():
         place = centre[0], min(centre[1] + 0.5 * size[1], high[1])
         look = {"fontsize": 8, "ha": "center", "va": "top", "color": "#33677D"}
