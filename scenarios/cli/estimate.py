@@ -1,6 +1,7 @@
 """Commands that train, calibrate and run estimators."""
 
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -134,19 +135,17 @@ class Calibrate(CalibrateSettings):
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
                 raise SurefootError(f"--{name}: needs --report DIR")
-        recorded = read_logs((self.log, *self.on), self.robot) if self.report else []
+        recorded = read_logs((self.log, *self.on), self.robot)
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
-        log = recorded[0] if recorded else read_logs((self.log,), self.robot)[0]
+        log = recorded[0]
         warnings = not_plausible([log], strict=self.strict).get(log.name, ())
         (log,) = as_declared([log])
         bounds = replace(calibrate(observer, log, self), warnings=warnings)
-        if self.report:
-            with whole_folder(self.report, self.force) as folder:
+        with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
+            if folder:
                 write_calibration_report(folder, observer, bounds, recorded, self.page)
-                bounds.save(self.out, self.force)
-        else:
             bounds.save(self.out, self.force)
         if self.as_json:
             print(self.out.read_text(encoding="utf-8"))

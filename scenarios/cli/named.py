@@ -34,24 +34,16 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, Path):
                 file_there(one)
+                if option in _LOGS and is_file(one):
+                    check_first_bytes(one)  # a recording must be imported first
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)
-    for option in _LOGS & given.keys():
-        value = given[option]
-        for one in value if isinstance(value, tuple) else (value,):
-            _refuse_recording(one)
 
 
 def file_there(path: str | Path) -> None:
     """Raise SurefootError where there is neither a file nor a folder."""
     if not is_there(path):
         raise SurefootError(f"{path}: no such file")
-
-
-def _refuse_recording(path: Path) -> None:
-    """Raise SurefootError for a file that still has to be imported."""
-    if is_file(path):
-        check_first_bytes(path)
 
 
 def _machine_file(name: str) -> None:
