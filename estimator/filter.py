@@ -180,13 +180,9 @@ class _VelocityFilter:
         found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
         pi = np.full(len(velocities.rows), np.nan)
         n = len(self._mean)
+        noise, coupling = self._vectors[n : n + 4], self._vectors[n + 6 :]
         memory = FilterMemory(
-            self._mean,
-            self._covariance,
-            self._vectors[n : n + 4],
-            self._columns,
-            self._vectors[n + 6 :],
-            self._counts,
+            self._mean, self._covariance, noise, self._columns, coupling, self._counts
         )
         window = windows_of(imu.t)
         sums = empty_sums(window, 1)

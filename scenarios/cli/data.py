@@ -73,8 +73,6 @@ class Import:
     def run(self) -> None:
         kind = len(self.files) > 1 and self.files[0] in ("csv", "bag")  # alone it is a file's name
         files = self.files[1:] if kind else self.files
-        if not files:
-            raise SurefootError("give the recording's file")
         for file in files:
             file_there(file)
         if self.guess:

@@ -31,6 +31,8 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
     given: name -> value of a command's options that it reads.
     """
     for option, value in given.items():
+        if value == () and option in _NEEDED:
+            raise SurefootError(_NEEDED[option])
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, Path):
                 file_there(one)
@@ -63,6 +65,12 @@ def _known_effect(name: str) -> None:
         raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
 
 
+_NEEDED = {
+    "logs": "give at least one log",
+    "effects": "name at least one effect",
+    "files": "give the recording's file",
+}
+"""List that must not be empty -> what is missing."""
 _LOGS = {"log", "logs", "holdout", "on"}
 """Options that are logs."""
 _LOOKED_UP = {

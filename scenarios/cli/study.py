@@ -52,8 +52,6 @@ class TraceCommand:
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.robot.machine import machine_for_log
 
-        if not self.logs:
-            raise SurefootError("give at least one log")
         read = [read_in_blocks(path) for path in self.logs]
         read_holdout = [read_in_blocks(path) for path in self.holdout]
         logs, held_out = ([log for own in runs for log in own] for runs in (read, read_holdout))
@@ -200,8 +198,6 @@ class Tune(TuneSettings):
     def run(self) -> None:
         from surefoot.scenarios.tune import tune
 
-        if not self.logs:
-            raise SurefootError("give at least one log")
         print(tune(self.logs, self, options.learnt_from(self.observer, self.bounds)))
         print(f"parameters: {self.out / 'tuned.toml'}")
 
@@ -232,8 +228,6 @@ class PlanCommand:
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.sim.robot import Robot
 
-        if not self.effects:
-            raise SurefootError("name at least one effect")
         with percent_bar("plan") as bar:
             found = plan_motions(Robot.load(self.robot), self.effects, bar)
         if self.as_json:

@@ -265,14 +265,8 @@ def persistent_error(part: BiasModel, factor: float) -> PersistentError:
     """The filter's model of the calibrated persistent error, its prior deviations times
     `factor`.
     """
-    square = factor**2
-    return PersistentError(
-        square * part.covariance,
-        part.time_constant,
-        part.window,
-        part.max_error,
-        square * part.course,
-    )
+    prior, course = factor**2 * part.covariance, factor**2 * part.course
+    return PersistentError(prior, part.time_constant, part.window, part.max_error, course)
 
 
 class FilterStream:
@@ -438,14 +432,8 @@ class LegStream(FilterStream):
         self._robot, self._inflation = robot, parameters.get("radar")
         self._kinematics = parameters["encoder"], parameters["kinematics"]
         self._rates = CausalDerivative()
-        self.filter = LegFilter(
-            beginning.state,
-            beginning.covariance,
-            noise,
-            radius,
-            len(radius),
-            parameters.get("slip_gate"),
-        )
+        start, gate = (beginning.state, beginning.covariance), parameters.get("slip_gate")
+        self.filter = LegFilter(*start, noise, radius, len(radius), gate)
 
     def _given(self, feet_I):
         """Foot centres (N, K, 3) [m], their covariances, and no rates.
