@@ -30,6 +30,7 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
 
     given: name -> value of a command's options that it reads.
     """
+    logs: list[Path] = []
     for option, value in given.items():
         if value == () and option in _NEEDED:
             raise SurefootError(_NEEDED[option])
@@ -37,9 +38,11 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
             if isinstance(one, Path):
                 file_there(one)
                 if option in _LOGS and is_file(one):
-                    check_first_bytes(one)  # a recording must be imported first
+                    logs.append(one)
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)
+    for log in logs:
+        check_first_bytes(log)
 
 
 def file_there(path: str | Path) -> None:
