@@ -136,6 +136,8 @@ def trajectory(
     return Trajectory(t, *unpacked(mean), covariance, updates, innovations, diverged)
 
 
-def unpacked(mean: np.ndarray) -> tuple[np.ndarray, ...]:
+def unpacked(
+    mean: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """R_GI (L, 3, 3), v_GI, p_GI, b_a and b_g (L, 3) of packed means (L, 7, 3)."""
     return mean[:, :3], mean[:, V], mean[:, P], mean[:, B_A], mean[:, B_G]
