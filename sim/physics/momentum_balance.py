@@ -12,7 +12,7 @@ against each other do not affect the motion, and are not found.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -61,13 +61,15 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     return once_for_loads("balance of momentum", log, robot, lambda: _balanced(log, robot))
 
 
-def once_for_loads(what: str, log: Log, robot: Machine, make: Callable[[], T]) -> T:
-    """`Log.once` for a value that depends on what determines loads, in the log and in the model."""
+def once_for_loads(what: str, log: Log, robot: Machine, make: Callable[[], T], *given: Any) -> T:
+    """`Log.once` for a value that depends on what determines loads, in the log and in the model,
+    and on `given`.
+    """
     legged = robot.legged
     geometry = () if legged is None else (legged.legs, legged.R_BI, legged.p_BI)
     # These objects are identical until they change.
     uses = ("q", "dq", "tau", "imu", "contact", "force")
-    return log.once(what, uses, make, *geometry, robot.extras.links)
+    return log.once(what, uses, make, *given, *geometry, robot.extras.links)
 
 
 def feet_jacobian_B(log: Log, robot: Robot) -> np.ndarray:
