@@ -110,6 +110,7 @@ class _VelocityFilter:
         self._mean, self._covariance = self._vectors[:n], covariance
         self._columns, self._counts = np.zeros((15 + 3 * extras, 6)), fresh_counts()
         self._model = model
+        self._velocity_update: tuple
         self.t = np.nan
         """Stamp [s] of the last sample, NaN before the first; `run` continues from there."""
 
@@ -133,6 +134,25 @@ class _VelocityFilter:
         if not done:
             check_step(gyro, accel, dt)
             check_sound(self._mean, self._covariance)
+
+    def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
+        """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3), or in a
+        PersistentFilter that of its mixing error.
+
+        Returns the squared Mahalanobis distance of the innovation; nan where v_I was rejected as an
+        outlier.
+        """
+        update, *model = self._velocity_update
+        try:
+            given = _array(v_I, _FLOAT), _array(cov, _FLOAT)
+            distance = update(self._mean, self._covariance, *given, *model)
+        except (TypeError, ValueError):  # not numbers of these shapes
+            distance = -1.0
+        if distance < 0.0:
+            check_velocity(v_I)
+            spd("cov", cov, 3)
+            check_sound(self._mean, self._covariance)
+        return distance
 
     def run(
         self,
@@ -160,13 +180,9 @@ class _VelocityFilter:
         found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
         pi = np.full(len(velocities.rows), np.nan)
         n = len(self._mean)
+        noise, coupling = self._vectors[n : n + 4], self._vectors[n + 6 :]
         memory = FilterMemory(
-            self._mean,
-            self._covariance,
-            self._vectors[n : n + 4],
-            self._columns,
-            self._vectors[n + 6 :],
-            self._counts,
+            self._mean, self._covariance, noise, self._columns, coupling, self._counts
         )
         window = windows_of(imu.t)
         sums = empty_sums(window, 1)
@@ -195,12 +211,6 @@ class _VelocityFilter:
         """Covariance (15, 15) of the error state (a copy)."""
         return self._covariance[:15, :15].copy()
 
-    def _check_velocity(self, v_I, cov) -> None:
-        """Say why an update with a covariance was refused."""
-        check_velocity(v_I)
-        spd("cov", cov, 3)
-        check_sound(self._mean, self._covariance)
-
     def _check_coverage(self, v_I, epsilon, gamma: float, iterations: int) -> None:
         """Say why an update with bounds was refused."""
         check_velocity(v_I)
@@ -220,8 +230,8 @@ class InvariantFilter(_VelocityFilter):
     """
 
     def __init__(self, state: NavState, covariance: np.ndarray, noise: FilterNoise | None = None):
-        compiled(update_velocity_checked, UPDATE_VELOCITY)
         super().__init__(state.pack(), spd("covariance", covariance, 15), noise, NOT_PERSISTENT)
+        self._velocity_update = (compiled(update_velocity_checked, UPDATE_VELOCITY),)
 
     def update_coverage(
         self,
@@ -263,21 +273,6 @@ class InvariantFilter(_VelocityFilter):
                 raise SurefootError("max_error: every one must be > 0 m/s")
         return pi
 
-    def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
-        """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3).
-
-        Returns the squared Mahalanobis distance of the innovation.
-        """
-        try:
-            distance = update_velocity_checked(
-                self._mean, self._covariance, _array(v_I, _FLOAT), _array(cov, _FLOAT)
-            )
-        except (TypeError, ValueError):  # not numbers of these shapes
-            distance = -1.0
-        if distance < 0.0:
-            self._check_velocity(v_I, cov)
-        return distance
-
 
 class PersistentFilter(_VelocityFilter):
     """The invariant filter with the persistent part of an observer's error as additional states.
@@ -294,9 +289,10 @@ class PersistentFilter(_VelocityFilter):
         persistent: PersistentError,
         noise: FilterNoise | None = None,
     ):
-        compiled(update_velocity_persistent_checked, UPDATE_VELOCITY_PERSISTENT)
         P = persistent.enter(spd("covariance", covariance, 15))
         super().__init__(state.pack(EXTRAS), P, noise, persistent.model())
+        update = compiled(update_velocity_persistent_checked, UPDATE_VELOCITY_PERSISTENT)
+        self._velocity_update = update, self._model, self._counts
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
         """IMU step, and that of the persistent error; see `InvariantFilter.predict`."""
@@ -336,27 +332,6 @@ class PersistentFilter(_VelocityFilter):
             self._check_coverage(v_I, epsilon, gamma, iterations)
         return pi
 
-    def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
-        """Gaussian update with v_I (3,) [m/s] in I, whose mixing error has the covariance (3, 3).
-
-        Returns the squared Mahalanobis distance of the innovation; nan where v_I was rejected as an
-        outlier.
-        """
-        try:
-            distance = update_velocity_persistent_checked(
-                self._mean,
-                self._covariance,
-                _array(v_I, _FLOAT),
-                _array(cov, _FLOAT),
-                self._model,
-                self._counts,
-            )
-        except (TypeError, ValueError):  # not numbers of these shapes
-            distance = -1.0
-        if distance < 0.0:
-            self._check_velocity(v_I, cov)
-        return distance
-
     @property
     def persistent(self) -> tuple[np.ndarray, np.ndarray]:
         """Estimate (3,) [m/s] and covariance (3, 3) of the persistent error (copies)."""
@@ -384,6 +359,7 @@ def _run(
     """
     mean, P, noise, counts = memory.mean, memory.covariance, memory.noise, memory.counts
     columns, coupling = memory.columns, memory.coupling
+    gamma, iterations, limit = settings.gamma, settings.iterations, settings.max_error
     persistent = mean.shape[0] > EXTRA
     note, R = np.empty((7, 3)), np.zeros((3, 3))
     contacts = no_contacts()
@@ -401,11 +377,7 @@ def _run(
             v_I = velocities.v_I[m]
             rejected = counts[REJECTED]
             if velocities.epsilon.shape[0] > 0:
-                epsilon, gamma, iterations = (
-                    velocities.epsilon[m],
-                    settings.gamma,
-                    settings.iterations,
-                )
+                epsilon = velocities.epsilon[m]
                 for i in range(3):
                     R[i, i] = (share * epsilon[i]) ** 2
                 note_velocity(mean, P, contacts, v_I, R, note)
@@ -415,24 +387,15 @@ def _run(
                     )
                 else:
                     values[m] = update_coverage_within(
-                        mean,
-                        P,
-                        contacts,
-                        v_I,
-                        epsilon,
-                        gamma,
-                        iterations,
-                        settings.max_error,
-                        counts,
+                        mean, P, contacts, v_I, epsilon, gamma, iterations, limit, counts
                     )
             else:
-                note_velocity(mean, P, contacts, v_I, velocities.cov[m], note)
+                cov = velocities.cov[m]
+                note_velocity(mean, P, contacts, v_I, cov, note)
                 if persistent:
-                    values[m] = update_velocity_persistent(
-                        mean, P, v_I, velocities.cov[m], model, counts
-                    )
+                    values[m] = update_velocity_persistent(mean, P, v_I, cov, model, counts)
                 else:
-                    values[m] = update_velocity(mean, P, contacts, v_I, velocities.cov[m])
+                    values[m] = update_velocity(mean, P, contacts, v_I, cov)
             # An outlier after too many in a row is used, but still counted.
             add_velocity(sums[w, 0], note, counts[REJECTED] <= rejected)
             m += 1

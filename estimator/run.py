@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.estimator.core.checks import numbers, row_indices
+from surefoot.estimator.core.state import B_A, B_G, P, V
 from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.sim.common.errors import SurefootError
@@ -131,7 +132,12 @@ def trajectory(
     good = np.isfinite(mean).all(axis=(1, 2)) & np.isfinite(found.covariance).all(axis=(1, 2))
     end = len(t) if good.all() else int(np.argmin(good))
     t, mean, covariance = t[:end], mean[:end], found.covariance[:end]
-    R, v, p, b_a, b_g = mean[:, :3], mean[:, 3], mean[:, 4], mean[:, 5], mean[:, 6]
-    return Trajectory(
-        t, R, v, p, b_a, b_g, covariance, updates, innovations, diverged=end < len(found.rows)
-    )
+    diverged = end < len(found.rows)
+    return Trajectory(t, *unpacked(mean), covariance, updates, innovations, diverged)
+
+
+def unpacked(
+    mean: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """R_GI (L, 3, 3), v_GI, p_GI, b_a and b_g (L, 3) of packed means (L, 7, 3)."""
+    return mean[:, :3], mean[:, V], mean[:, P], mean[:, B_A], mean[:, B_G]

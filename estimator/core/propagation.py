@@ -245,12 +245,8 @@ def predict_checked(vectors, covariance, columns, gyro, accel, dt) -> bool:
     if not is_step(gyro, accel, dt) or not is_sound(vectors, covariance):
         return False
     n = EXTRA + (covariance.shape[0] - 15) // 3
-    mean, noise, sample, coupling = (
-        vectors[:n],
-        vectors[n : n + 4],
-        vectors[n + 4 : n + 6],
-        vectors[n + 6 :],
-    )
+    mean, noise = vectors[:n], vectors[n : n + 4]
+    sample, coupling = vectors[n + 4 : n + 6], vectors[n + 6 :]
     for i in range(3):
         sample[0, i], sample[1, i] = gyro[i], accel[i]
     propagate(mean, covariance, sample[0], sample[1], dt, noise, columns, coupling)

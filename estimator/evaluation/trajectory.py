@@ -256,15 +256,8 @@ def reference(log: Log) -> Trajectory:
     """
     log.require("reference")
     rows = np.flatnonzero(log.ref_ok)
-    zeros = np.zeros((len(rows), 3))
-    return Trajectory(
-        log.t[rows],
-        log.ref_R_GI[rows],
-        reference_velocity(log)[rows],
-        log.ref_p[rows],
-        zeros,
-        zeros,
-    )
+    v_GI, zeros = reference_velocity(log)[rows], np.zeros((len(rows), 3))
+    return Trajectory(log.t[rows], log.ref_R_GI[rows], v_GI, log.ref_p[rows], zeros, zeros)
 
 
 def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:

@@ -195,16 +195,8 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
     memory.clock[SINCE] += dt
 
 
-_MEMORY = types.NamedTuple(
-    (
-        *4 * (OWN_2,),
-        types.boolean[::1],
-        OWN_2,
-        *3 * (OWN_1,),
-        *3 * (OWN_2,),
-    ),
-    ContactMemory,
-)
+_ARRAYS = (*4 * (OWN_2,), types.boolean[::1], OWN_2, *3 * (OWN_1,), *3 * (OWN_2,))
+_MEMORY = types.NamedTuple(_ARRAYS, ContactMemory)
 _MODEL = types.NamedTuple((OWN_2, OWN_1, types.float64, OWN_1, types.float64), ContactModel)
 PREDICT_CONTACTS = types.boolean(_MEMORY, _MODEL, OWN_1, OWN_1, types.float64, OWN_2)
 UPDATE_CONTACTS = types.boolean(

@@ -32,7 +32,7 @@ from numba import types
 
 from surefoot.estimator.core.checks import is_bounded, is_sound
 from surefoot.estimator.moments.box import box_moments_kernel
-from surefoot.estimator.updates.outliers import MOST_REJECTED, is_outlier
+from surefoot.estimator.updates.outliers import MOST_REJECTED, UNLIMITED, is_outlier
 from surefoot.estimator.updates.velocity_output import lift, no_contacts, velocity_output
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import GIVEN_1, OWN_2, kernel
@@ -82,10 +82,10 @@ def update_coverage(
         gamma: their JOINT level, P(|v_I - v_I true| <= epsilon) >= gamma.
         iterations: of projection and matching; once in the paper.
     """
-    n = covariance.shape[0]
-    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
-    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
+    counts = np.zeros(2, dtype=np.int64)
+    return update_coverage_within(
+        mean, covariance, contacts, v_I, epsilon, gamma, iterations, UNLIMITED, counts
+    )
 
 
 @kernel(inline="always")
@@ -110,7 +110,11 @@ def update_coverage_within(
     velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
     if is_outlier(S, residual, max_error, MOST_REJECTED, counts):
         return np.nan
-    return _set_update(mean, covariance, contacts, PHt, S, residual, epsilon, gamma, iterations)
+    z_mean, z_cov = np.zeros(3), np.empty((3, 3))
+    pi = projected(S, residual, epsilon, gamma, iterations, z_mean, z_cov)
+    if pi < gamma:
+        lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
+    return pi
 
 
 UPDATE_COVERAGE = types.float64(
@@ -149,30 +153,6 @@ def update_coverage_checked(
     return update_coverage_within(
         mean, covariance, contacts, v, bounds, gamma, iterations, limit, counts
     )
-
-
-@kernel(inline="always")
-def _set_update(
-    mean, covariance, contacts: int, PHt, S, residual, epsilon, gamma: float, iterations: int
-) -> float:
-    """The update of `update_coverage` for z ~ N(0, S); returns pi of the prior.
-
-    Args:
-        mean: (7+E, 3), the packed mean, in place.
-        covariance: (n, n), n = 15+3E, in place.
-        contacts: number of contact points in the state.
-        PHt: (n, 3), Sigma H^T.
-        S: (3, 3) [m^2/s^2], H Sigma H^T; a floor is added in place.
-        residual: (3,) [m/s], v_I - v_I_bar.
-        epsilon: (3,) [m/s], bounds of v_I.
-        gamma: their joint level.
-        iterations: of projection and matching.
-    """
-    z_mean, z_cov = np.zeros(3), np.empty((3, 3))
-    pi = projected(S, residual, epsilon, gamma, iterations, z_mean, z_cov)
-    if pi < gamma:
-        lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
-    return pi
 
 
 @kernel(inline="always")

@@ -14,6 +14,7 @@ at most v, where
 of Optimization Theory and Applications 148, 2011, Theorem 2.1).
 """
 
+from bisect import bisect_left
 from functools import lru_cache
 
 import numpy as np
@@ -80,11 +81,7 @@ def discards(n: int, gamma: float, confidence: float) -> int:
             f"{n} independent samples, gamma {gamma:g} at confidence {confidence:g} needs "
             f"{least_samples(gamma, confidence)}"
         )
-    low, high = 0, n
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if log_failure(n, middle, gamma) <= allowed else (low, middle)
-    return low
+    return bisect_left(range(1, n), True, key=lambda k: log_failure(n, k, gamma) > allowed)
 
 
 @lru_cache
@@ -95,11 +92,7 @@ def least_samples(gamma: float, confidence: float = CONFIDENCE) -> int:
     high = VARIABLES
     while log_failure(high, 0, gamma) > allowed:
         high *= 2
-    low = 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if log_failure(middle, 0, gamma) <= allowed else (middle, high)
-    return high
+    return 2 + bisect_left(range(2, high), True, key=lambda n: log_failure(n, 0, gamma) <= allowed)
 
 
 def _check_confidence(confidence: float) -> None:

@@ -77,10 +77,6 @@ def weighted_bounds(
     errors = errors[: len(ours) * UPDATES_OF_BLOCK]
     scale = np.sqrt((errors**2).mean(axis=0))
     scores = (np.abs(errors) / scale).max(axis=1)
-    radius = weighted_quantile(
-        scores,
-        np.repeat(ours / UPDATES_OF_BLOCK, UPDATES_OF_BLOCK),
-        float(np.median(theirs)),
-        gamma,
-    )
+    weights = np.repeat(ours / UPDATES_OF_BLOCK, UPDATES_OF_BLOCK)
+    radius = weighted_quantile(scores, weights, float(np.median(theirs)), gamma)
     return None if radius is None else radius * scale

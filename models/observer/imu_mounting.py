@@ -23,20 +23,23 @@ def same_mounting(a: Mounted, b: Mounted) -> bool:
     return bool(np.allclose(a.p_BI, b.p_BI, atol=1e-4) and np.allclose(a.R_BI, b.R_BI, atol=1e-4))
 
 
-def move_velocity(v_I: np.ndarray, gyro: np.ndarray, old: Mounted, new: Mounted) -> np.ndarray:
-    """Velocity (M, 3) of the new IMU's origin, in its own frame, m/s.
+def move_velocity(
+    v_I: np.ndarray, covariance: np.ndarray | None, gyro: np.ndarray, old: Mounted, new: Mounted
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Velocity (M, 3) [m/s] of the new IMU's origin, in its own frame, and its covariances.
 
-    v_I (M, 3) is the old one's; gyro (M, 3) is measured in the new frame, rad/s. With
-    v_I = R_BI^T (v_B + omega x p_BI) at both,
+    With v_I = R_BI^T (v_B + omega x p_BI) at both,
 
         v_new = R_new^T (R_old v_old + omega x (p_new - p_old)).
+
+    Args:
+        v_I: velocity (M, 3) [m/s] of the old IMU.
+        covariance: of v_I (M, 3, 3), which turns with the frame; None stays None.
+        gyro: measured in the new frame (M, 3) [rad/s].
+        old: mounting of v_I.
+        new: mounting of the result.
     """
     omega_B = gyro @ new.R_BI.T
     v_B = v_I @ old.R_BI.T + np.cross(omega_B, new.p_BI - old.p_BI)
-    return v_B @ new.R_BI
-
-
-def move_covariance(covariance: np.ndarray | None, old: Mounted, new: Mounted) -> np.ndarray | None:
-    """Covariances (M, 3, 3) turned from the old IMU's frame into the new one's; None stays None."""
     R = new.R_BI.T @ old.R_BI
-    return None if covariance is None else R @ covariance @ R.T
+    return v_B @ new.R_BI, None if covariance is None else R @ covariance @ R.T

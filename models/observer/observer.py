@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from io import BytesIO
@@ -237,16 +238,18 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
 
 def check_loss(loss: str) -> str:
     """Return the loss if it exists. Raises ObserverError otherwise."""
-    if loss not in LOSSES:
-        raise ObserverError(f"loss {loss}: choose {' | '.join(LOSSES)}")
-    return loss
+    return _known("loss", loss, LOSSES)
 
 
 def check_model(model: str) -> str:
     """Return the architecture's name if it exists. Raises ObserverError otherwise."""
-    if model not in ARCHITECTURES:
-        raise ObserverError(f"model {model}: choose {' | '.join(ARCHITECTURES)}")
-    return model
+    return _known("model", model, ARCHITECTURES)
+
+
+def _known(what: str, name: str, names: Collection[str]) -> str:
+    if name not in names:
+        raise ObserverError(f"{what} {name}: choose {' | '.join(names)}")
+    return name
 
 
 def torch_bytes(values: dict[str, Any]) -> bytes:

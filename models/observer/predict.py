@@ -7,12 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from surefoot.models.observer.imu_mounting import (
-    Mounted,
-    move_covariance,
-    move_velocity,
-    same_mounting,
-)
+from surefoot.models.observer.imu_mounting import Mounted, move_velocity, same_mounting
 from surefoot.models.observer.network import cholesky_factor
 from surefoot.models.observer.observer import Observer, ObserverError, check_robot
 from surefoot.models.observer.samples import body_velocity, observer_samples
@@ -57,8 +52,8 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
                 f"{log.name}: its IMU is mounted elsewhere than the observer's, to convert takes "
                 "the gyro that the log lacks"
             )
-        v_I = move_velocity(v_I, log.gyro[seen.rows], observer, robot)
-        covariance = move_covariance(covariance, observer, robot)
+        gyro = log.gyro[seen.rows]
+        v_I, covariance = move_velocity(v_I, covariance, gyro, observer, robot)
     return Prediction(seen.rows, seen.t, v_I, covariance)
 
 

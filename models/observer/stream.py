@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.models.observer.decimate import ANTI_ALIAS_SPAN, RATE, DecimationError, decimate
-from surefoot.models.observer.imu_mounting import (
-    Mounted,
-    move_covariance,
-    move_velocity,
-    same_mounting,
-)
+from surefoot.models.observer.imu_mounting import Mounted, move_velocity, same_mounting
 from surefoot.models.observer.observer import Observer, ObserverError, check_robot, signals
 from surefoot.models.observer.predict import Loop
 from surefoot.models.observer.samples import DQ_ZERO_PHASE
@@ -88,8 +83,8 @@ class ObserverStream:
         if self._observer.loss == "gml":
             covariance = np.array([cov for _, cov in steps]).reshape(-1, 3, 3)
         if self._moved:
-            v_I = move_velocity(v_I, gyro[rows], self._observer, self._robot)
-            covariance = move_covariance(covariance, self._observer, self._robot)
+            mountings = self._observer, self._robot
+            v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)
         return rows, v_I, covariance
 
     def _inputs(self, t: np.ndarray, joints: dict[str, np.ndarray | None]) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The realism card: a measured walk and simulated ones compared, one quantity a row."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Literal
@@ -152,24 +152,16 @@ def _row(
     simulated_value, simulated_draws = estimate(quantity, simulated, rng)
     tolerance = tolerances()[quantity.name]
     within = tolerance.within * (abs(value) if tolerance.relative else scale)
-    measured_low, measured_high = _interval(draws)
-    simulated_low, simulated_high = _interval(simulated_draws)
     low, high = _interval(simulated_draws - draws)
     return Row(
-        quantity=quantity.name,
-        unit=quantity.unit,
-        measured=value,
-        measured_low=measured_low,
-        measured_high=measured_high,
-        simulated=simulated_value,
-        simulated_low=simulated_low,
-        simulated_high=simulated_high,
-        difference=simulated_value - value,
-        difference_low=low,
-        difference_high=high,
-        tolerance=within,
-        verdict=_verdict(low, high, within),
-        reason=tolerance.reason,
+        quantity.name,
+        quantity.unit,
+        *(value, *_interval(draws)),
+        *(simulated_value, *_interval(simulated_draws)),
+        *(simulated_value - value, low, high),
+        within,
+        _verdict(low, high, within),
+        tolerance.reason,
     )
 
 
@@ -196,18 +188,10 @@ def estimate(
         rows += len(found)
     if len(groups) < 2:
         raise SurefootError("the walk is too short to tell how much it varies")
-    everything = np.concatenate(values)
-    return quantity.statistic(everything), _drawn(everything, groups, quantity.statistic, rng)
-
-
-def _drawn(
-    values: np.ndarray,
-    groups: Sequence[np.ndarray],
-    statistic: Callable[[np.ndarray], float],
-    rng: np.random.Generator,
-) -> np.ndarray:
+    everything, statistic = np.concatenate(values), quantity.statistic
     picks = rng.integers(len(groups), size=(DRAWS, len(groups)))
-    return np.array([statistic(values[np.concatenate([groups[i] for i in p])]) for p in picks])
+    draws = [statistic(everything[np.concatenate([groups[i] for i in p])]) for p in picks]
+    return statistic(everything), np.array(draws)
 
 
 def _verdict(low: float, high: float, within: float) -> Verdict:

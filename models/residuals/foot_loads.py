@@ -7,8 +7,7 @@ from surefoot.models.residuals.torques import DynamicsInputs
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log
-from surefoot.sim.physics.leg_loads import LOAD_GROUPS
-from surefoot.sim.physics.momentum_balance import load_parameters
+from surefoot.sim.physics.momentum_balance import once_for_loads
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import leg_forward
 
@@ -42,12 +41,8 @@ def foot_loads(
         rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
         return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
 
-    return log.once(
-        "foot loads along the normal",
-        LOAD_GROUPS,
-        made,
-        *(motion, robot.extras.payload, *load_parameters(robot)),
-    )
+    given = motion, robot.extras.payload
+    return once_for_loads("foot loads along the normal", log, robot, made, *given)
 
 
 @kernel

@@ -6,20 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import file_there
-from surefoot.scenarios.cli.options import (
-    NEEDED,
-    OPTIONAL,
-    Force,
-    Json,
-    Logs,
-    RobotName,
-    Strict,
-    command,
-    not_plausible,
-    print_json,
-    read_logs,
-)
 from surefoot.scenarios.settings import AlignSettings, SimulateSettings
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
@@ -36,7 +24,7 @@ def _for_observers(_default: str) -> str:
     return f"Walks of {walk_enough():g} s or more suffice to train observers and calibrate bounds."
 
 
-@command
+@options.command
 class Simulate(SimulateSettings):
     """Simulate walks, one log for each scenario and seed, with an index; an interrupted run is
     resumed.
@@ -53,7 +41,7 @@ class Simulate(SimulateSettings):
         simulate(self)
 
 
-@command
+@options.command
 class Import:
     """Convert a recording to a log, by a map of its columns.
 
@@ -61,7 +49,9 @@ class Import:
     suffix of each file.
     """
 
-    files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE...", help_behavior_hint=NEEDED)]
+    files: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="FILE...", help_behavior_hint=options.NEEDED)
+    ]
     """The main file, or the folder that contains it, then further files that the map does not name.
     A leading `csv` or `bag` is ignored.
     """
@@ -77,14 +67,12 @@ class Import:
     """With --guess: name of the robot, or its file (MJCF or URDF), whose joints the columns are
     assigned to.
     """
-    strict: Strict = False
-    force: Force = False
+    strict: options.Strict = False
+    force: options.Force = False
 
     def run(self) -> None:
         kind = len(self.files) > 1 and self.files[0] in ("csv", "bag")  # alone it is a file's name
         files = self.files[1:] if kind else self.files
-        if not files:
-            raise SurefootError("give the recording's file")
         for file in files:
             file_there(file)
         if self.guess:
@@ -102,7 +90,7 @@ class Import:
         log = recording.log()
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
-        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
+        warnings = options.not_plausible([log], strict=self.strict).get(log.name, ())
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
@@ -129,7 +117,7 @@ class Import:
         print(f"{self.out}: {what}")
 
 
-@command
+@options.command
 class Export:
     """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out."""
 
@@ -139,7 +127,7 @@ class Export:
     """File to write: .tum (poses; of a log, those of its reference), .csv (every column), .mcap
     (ROS 2 and Foxglove messages).
     """
-    force: Force = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.export import export
@@ -147,23 +135,23 @@ class Export:
         print(export(self.file, self.out, self.force))
 
 
-@command
+@options.command
 class Info:
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
-    logs: Logs
+    logs: options.Logs
     """Logs to show."""
-    robot: RobotName = None
-    strict: Strict = False
-    as_json: Json = False
+    robot: options.RobotName = None
+    strict: options.Strict = False
+    as_json: options.Json = False
 
     def run(self) -> None:
         from surefoot.sim.importing.report import import_lines
 
-        logs = read_logs(self.logs)
-        doubts = not_plausible(logs, self.robot, self.strict) if self.as_json else {}
+        logs = options.read_logs(self.logs)
+        doubts = options.not_plausible(logs, self.robot, self.strict) if self.as_json else {}
         if self.as_json:
-            print_json(
+            options.print_json(
                 [
                     {
                         "log": path,
@@ -191,7 +179,7 @@ class Info:
                     print(f"{what}: {words}")
             for line in import_lines(log):
                 print(line)
-        not_plausible(logs, self.robot, self.strict)
+        options.not_plausible(logs, self.robot, self.strict)
 
 
 def _summary(name: str, log: "Log") -> str:
@@ -204,21 +192,21 @@ def _groups(log: "Log") -> list[str]:
     return [group for group in groups if log.has(group)]
 
 
-@command
+@options.command
 class Align(AlignSettings):
     """Find clock offset, position and rotation of a reference from IMU and reference alone."""
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
-    as_json: Json = False
+    as_json: options.Json = False
 
     def run(self) -> None:
         from surefoot.scenarios.align import align_file
 
         found, lines = align_file(self)
-        print_json(found.as_dict()) if self.as_json else print("\n".join(lines))
+        options.print_json(found.as_dict()) if self.as_json else print("\n".join(lines))
 
 
-@command
+@options.command
 class View:
     """Open a recording, a log, or a scenario's course before it is walked, in the rerun viewer."""
 
@@ -232,7 +220,7 @@ class View:
     """Seed of a scenario's course and ground."""
     out: Path | None = None
     """File to write the recording of a log or a scenario to (.rrd), instead of opening it."""
-    force: Force = False
+    force: options.Force = False
 
     def run(self) -> None:
         from tempfile import TemporaryDirectory
@@ -267,16 +255,18 @@ class View:
             view(made, self.web)
 
 
-@command
+@options.command
 class Robots:
     """List the known robots, or show what is read from one of them or from a file."""
 
-    robot: Annotated[Positional[str], arg(metavar="NAME|FILE", help_behavior_hint=OPTIONAL)] = ""
+    robot: Annotated[
+        Positional[str], arg(metavar="NAME|FILE", help_behavior_hint=options.OPTIONAL)
+    ] = ""
     """Robot (name, MJCF or URDF) of which to show legs, limits, masses, feet, IMU and home pose."""
     out: Path | None = None
     """File for a picture of this robot (.png)."""
-    as_json: Json = False
-    force: Force = False
+    as_json: options.Json = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.sim.robot.catalog import BUNDLED_ROBOTS, downloadable_robots, known_robots
@@ -285,7 +275,7 @@ class Robots:
             from surefoot.scenarios.robot_card import robot_card
 
             card = robot_card(self.robot, self.out, self.force)
-            print_json(card.values) if self.as_json else print(card.text)
+            options.print_json(card.values) if self.as_json else print(card.text)
             return
         if self.out:
             raise SurefootError("-o is for the picture of one robot; name the robot too")
@@ -295,7 +285,7 @@ class Robots:
         }
         origins |= dict.fromkeys(downloadable_robots(), "robot_descriptions, fetched at first use")
         if self.as_json:
-            print_json(origins)
+            options.print_json(origins)
             return
         for name, origin in origins.items():
             print(f"{name:14} {origin}")
@@ -303,7 +293,7 @@ class Robots:
         print("`surefoot robots NAME|FILE` shows what is read from one of them")
 
 
-@command
+@options.command
 class New:
     """Write a working package of your own: an estimator with its test."""
 
@@ -313,7 +303,7 @@ class New:
     """Name of the estimator: lower-case letters, digits and underscores, a letter first."""
     out: Path | None = None
     """Folder for the package; by default one called NAME."""
-    force: Force = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.skeleton import new_estimator

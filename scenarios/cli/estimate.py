@@ -1,6 +1,7 @@
 """Commands that train, calibrate and run estimators."""
 
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,25 +11,7 @@ from tyro.conf import Positional, arg
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS, LOSSES
-from surefoot.scenarios.cli.options import (
-    OPTIONAL,
-    BoundsFiles,
-    Force,
-    Json,
-    Logs,
-    Observers,
-    RobotName,
-    SettingLines,
-    SettingsFile,
-    Strict,
-    as_declared,
-    command,
-    learnt_from,
-    not_plausible,
-    one_of,
-    print_json,
-    read_logs,
-)
+from surefoot.scenarios.cli import options
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.sim.common.errors import SurefootError
 
@@ -54,24 +37,24 @@ def _walk_enough(gamma: str) -> str:
 
 
 InputNames = Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"]
-Method = Annotated[one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
+Method = Annotated[options.one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
-@command
+@options.command
 class Train(TrainSettings):
     """Train a velocity observer on one or more logs; an interrupted training is resumed."""
 
-    logs: Logs
+    logs: options.Logs
     """Logs with a reference, of at least ten seconds each."""
     out: Path
     """File for the observer (.pt)."""
-    loss: one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
+    loss: options.one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
     inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
-    model: one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
-    robot: RobotName = None
-    strict: Strict = False
-    as_json: Json = False
-    force: Force = False
+    model: options.one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
+    robot: options.RobotName = None
+    strict: options.Strict = False
+    as_json: options.Json = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.models.calibration.walk_length import walk_enough
@@ -81,17 +64,17 @@ class Train(TrainSettings):
 
         refuse_overwrite(self.out, self.force)
         torch_device(self.device)  # before the logs are read
-        recorded = read_logs(self.logs, self.robot)
-        warnings = not_plausible(recorded, strict=self.strict)
+        recorded = options.read_logs(self.logs, self.robot)
+        warnings = options.not_plausible(recorded, strict=self.strict)
         partial = partial_path(self.out)
-        observer = train(as_declared(recorded), None, self, True, partial)
+        observer = train(options.as_declared(recorded), None, self, True, partial)
         seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
         observer = replace(observer, logs=tuple(seen))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
         x, y, z = observer.rmse
         if self.as_json:
-            print_json({"observer": self.out, "hash": observer.hash, "rmse": observer.rmse})
+            options.print_json({"observer": self.out, "hash": observer.hash, "rmse": observer.rmse})
             return
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
@@ -101,7 +84,7 @@ class Train(TrainSettings):
         )
 
 
-@command
+@options.command
 class Calibrate(CalibrateSettings):
     """Calibrate bounds on an observer's velocity errors, from a log it has not seen."""
 
@@ -115,14 +98,14 @@ class Calibrate(CalibrateSettings):
     method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
     report: Path | None = None
     """Folder for a report: decay of dependence, methods, and coverage on the walks of --on."""
-    on: Annotated[tuple[Path, ...], arg(metavar="LOG...", help_behavior_hint=OPTIONAL)] = ()
+    on: Annotated[tuple[Path, ...], arg(metavar="LOG...", help_behavior_hint=options.OPTIONAL)] = ()
     """Logs on which the report evaluates the bounds; needs --report."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/bounds.md; needs --report."""
-    robot: RobotName = None
-    strict: Strict = False
-    as_json: Json = False
-    force: Force = False
+    robot: options.RobotName = None
+    strict: options.Strict = False
+    as_json: options.Json = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.models.calibration.calibrate import calibrate
@@ -134,19 +117,17 @@ class Calibrate(CalibrateSettings):
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
                 raise SurefootError(f"--{name}: needs --report DIR")
-        recorded = read_logs((self.log, *self.on), self.robot) if self.report else []
+        recorded = options.read_logs((self.log, *self.on), self.robot)
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
-        log = recorded[0] if recorded else read_logs((self.log,), self.robot)[0]
-        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
-        (log,) = as_declared([log])
+        log = recorded[0]
+        warnings = options.not_plausible([log], strict=self.strict).get(log.name, ())
+        (log,) = options.as_declared([log])
         bounds = replace(calibrate(observer, log, self), warnings=warnings)
-        if self.report:
-            with whole_folder(self.report, self.force) as folder:
+        with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
+            if folder:
                 write_calibration_report(folder, observer, bounds, recorded, self.page)
-                bounds.save(self.out, self.force)
-        else:
             bounds.save(self.out, self.force)
         if self.as_json:
             print(self.out.read_text(encoding="utf-8"))
@@ -166,7 +147,7 @@ class Calibrate(CalibrateSettings):
             print(f"report: {self.report / 'report.html'}")
 
 
-@command
+@options.command
 class Estimate:
     """Run one filter over a log; prints metrics if the log has a reference.
 
@@ -176,18 +157,18 @@ class Estimate:
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """Log with IMU, and with what the filter needs besides."""
     filter: Annotated[str, arg(metavar="NAME", help=f"One of {', '.join(ESTIMATORS)}.")]
-    robot: RobotName = None
-    observer: Observers = ()
-    bounds: BoundsFiles = ()
+    robot: options.RobotName = None
+    observer: options.Observers = ()
+    bounds: options.BoundsFiles = ()
     out: Path | None = None
     """File for the trajectory with covariances (.parquet); its poses are also written beside it as
     a .tum file.
     """
-    settings: SettingsFile = None
-    set_lines: SettingLines = ()
-    strict: Strict = False
-    as_json: Json = False
-    force: Force = False
+    settings: options.SettingsFile = None
+    set_lines: options.SettingLines = ()
+    strict: options.Strict = False
+    as_json: options.Json = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.file import TrajectoryFile, estimate_file, first_minutes
@@ -204,16 +185,16 @@ class Estimate:
                     "`surefoot export` writes CSV or MCAP"
                 )
             refuse_overwrite(self.out.with_suffix(".tum"), self.force)
-        learnt = learnt_from(self.observer, self.bounds)
+        learnt = options.learnt_from(self.observer, self.bounds)
         settings = read_settings(self.settings, self.set_lines)
-        warnings = not_plausible([first_minutes(reader)], self.robot, self.strict)
+        warnings = options.not_plausible([first_minutes(reader)], self.robot, self.strict)
         doubted = tuple(warnings.get(self.log.stem, ()))
         out = TrajectoryFile(self.out, self.force, doubted) if self.out else None
         found, health = estimate_file(self.filter, reader, self.robot, learnt, settings, out)
         if self.as_json:
             values = {"log": self.log, "filter": self.filter, "trajectory": self.out}
             why = {"trusted": not health.lost, "why_not": health.sentence(self.filter)}
-            print_json(values | why | {"metrics": found, "health": health})
+            options.print_json(values | why | {"metrics": found, "health": health})
         else:
             self._show(found, health, reader.rows)
         if health.lost:
@@ -236,7 +217,7 @@ class Estimate:
         )
 
 
-@command
+@options.command
 class NoiseCommand:
     """Estimate the sensor noise of a log in which the robot rests, as settings of the filters."""
 
@@ -246,8 +227,8 @@ class NoiseCommand:
     """File for the settings (.toml), which --settings reads; the Allan deviations are plotted in a
     .png file beside it.
     """
-    as_json: Json = False
-    force: Force = False
+    as_json: options.Json = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.noise import noise, noise_text
@@ -255,25 +236,25 @@ class NoiseCommand:
 
         log = Log.read(self.log)
         found = noise(log, self.out, self.force)
-        print_json(found) if self.as_json else print(noise_text(log.name, found))
+        options.print_json(found) if self.as_json else print(noise_text(log.name, found))
 
 
-@command
+@options.command
 class Compare:
     """Run every filter that the inputs allow on every log: table, figures, report, recordings."""
 
-    logs: Logs
+    logs: options.Logs
     """Logs to compare the filters on; errors are computed for those with a reference."""
     out: Path
     """Folder for table.csv, table.md, report.html, figures and recordings."""
-    observer: Observers = ()
-    bounds: BoundsFiles = ()
-    robot: RobotName = None
-    settings: SettingsFile = None
-    set_lines: SettingLines = ()
-    strict: Strict = False
-    as_json: Json = False
-    force: Force = False
+    observer: options.Observers = ()
+    bounds: options.BoundsFiles = ()
+    robot: options.RobotName = None
+    settings: options.SettingsFile = None
+    set_lines: options.SettingLines = ()
+    strict: options.Strict = False
+    as_json: options.Json = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.compare import compare_log, left_out_lines, write_comparison
@@ -283,14 +264,14 @@ class Compare:
         from surefoot.sim.common.files import refuse_full, whole_folder
 
         refuse_full(self.out, self.force)
-        learnt = learnt_from(self.observer, self.bounds)
-        logs = read_logs(self.logs)
+        learnt = options.learnt_from(self.observer, self.bounds)
+        logs = options.read_logs(self.logs)
         names = [log.name for log in logs]
         for path, name in zip(self.logs, names, strict=True):
             if names.count(name) > 1:
                 raise SurefootError(f"{path}: another log has the same name; rename one of them")
         settings = read_settings(self.settings, self.set_lines)
-        warnings = not_plausible(logs, self.robot, self.strict)
+        warnings = options.not_plausible(logs, self.robot, self.strict)
         found = [
             compare_log(log, robot_of(log, self.robot), learnt, settings=settings) for log in logs
         ]
@@ -301,7 +282,7 @@ class Compare:
             left_out = {one.log.name: one.left_out for one in found}
             doubts = {one.log.name: one.doubts for one in found}
             rows = results.to_dict(orient="records")
-            print_json({"results": rows, "left_out": left_out, "doubts": doubts})
+            options.print_json({"results": rows, "left_out": left_out, "doubts": doubts})
             return
         print("\n" + to_markdown(results))
         for comparison in found:

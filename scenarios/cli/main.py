@@ -11,45 +11,34 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 import surefoot
-from surefoot.scenarios.cli.data import Align, Export, Import, Info, New, Robots, Simulate, View
-from surefoot.scenarios.cli.estimate import Calibrate, Compare, Estimate, NoiseCommand, Train
+from surefoot.scenarios.cli import data, estimate, study
 from surefoot.scenarios.cli.runs import guarded, how_to_go_on, one_line, plain_terminals
 from surefoot.scenarios.cli.signals import Interrupted, interruptions
-from surefoot.scenarios.cli.study import (
-    Demo,
-    ExperimentCommand,
-    LoopCommand,
-    PlanCommand,
-    Realism,
-    Suite,
-    TraceCommand,
-    Tune,
-)
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.plugins import with_plugins
 
 COMMANDS: dict[str, type] = {
-    "demo": Demo,
-    "simulate": Simulate,
-    "train": Train,
-    "calibrate": Calibrate,
-    "estimate": Estimate,
-    "compare": Compare,
-    "noise": NoiseCommand,
-    "experiment": ExperimentCommand,
-    "suite": Suite,
-    "trace": TraceCommand,
-    "loop": LoopCommand,
-    "realism": Realism,
-    "plan": PlanCommand,
-    "import": Import,
-    "info": Info,
-    "export": Export,
-    "align": Align,
-    "view": View,
-    "robots": Robots,
-    "new": New,
-    "tune": Tune,
+    "demo": study.Demo,
+    "simulate": data.Simulate,
+    "train": estimate.Train,
+    "calibrate": estimate.Calibrate,
+    "estimate": estimate.Estimate,
+    "compare": estimate.Compare,
+    "noise": estimate.NoiseCommand,
+    "experiment": study.ExperimentCommand,
+    "suite": study.Suite,
+    "trace": study.TraceCommand,
+    "loop": study.LoopCommand,
+    "realism": study.Realism,
+    "plan": study.PlanCommand,
+    "import": data.Import,
+    "info": data.Info,
+    "export": data.Export,
+    "align": data.Align,
+    "view": data.View,
+    "robots": data.Robots,
+    "new": data.New,
+    "tune": study.Tune,
 }
 
 

@@ -30,28 +30,25 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
 
     given: name -> value of a command's options that it reads.
     """
+    logs: list[Path] = []
     for option, value in given.items():
+        if value == () and option in _NEEDED:
+            raise SurefootError(_NEEDED[option])
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, Path):
                 file_there(one)
+                if option in _LOGS and is_file(one):
+                    logs.append(one)
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)
-    for option in _LOGS & given.keys():
-        value = given[option]
-        for one in value if isinstance(value, tuple) else (value,):
-            _refuse_recording(one)
+    for log in logs:
+        check_first_bytes(log)
 
 
 def file_there(path: str | Path) -> None:
     """Raise SurefootError where there is neither a file nor a folder."""
     if not is_there(path):
         raise SurefootError(f"{path}: no such file")
-
-
-def _refuse_recording(path: Path) -> None:
-    """Raise SurefootError for a file that still has to be imported."""
-    if is_file(path):
-        check_first_bytes(path)
 
 
 def _machine_file(name: str) -> None:
@@ -71,6 +68,12 @@ def _known_effect(name: str) -> None:
         raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
 
 
+_NEEDED = {
+    "logs": "give at least one log",
+    "effects": "name at least one effect",
+    "files": "give the recording's file",
+}
+"""List that must not be empty -> what is missing."""
 _LOGS = {"log", "logs", "holdout", "on"}
 """Options that are logs."""
 _LOOKED_UP = {

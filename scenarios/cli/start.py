@@ -10,8 +10,15 @@ from surefoot.scenarios.cli.signals import catch_signals, hand_over_lost, ignore
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import with_plugins
 
-THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""Environment variables that are checked here, since their libraries would raise a traceback."""
+THREADS = "0*[1-9][0-9]{0,5}", "a whole number above zero"
+NUMBERS = {
+    "OMP_NUM_THREADS": THREADS,
+    "NUMBA_NUM_THREADS": THREADS,
+    "SOURCE_DATE_EPOCH": ("[0-9]{1,11}", "a whole number of seconds"),
+}
+"""Environment variable -> pattern and words of its values, which are checked here, since libraries
+would raise a traceback.
+"""
 
 BACKENDS = {"MPLBACKEND": "matplotlib", "MUJOCO_GL": "mujoco"}
 """Environment variable of a graphics backend -> module whose import fails for an unknown one."""
@@ -34,8 +41,7 @@ def entry_point() -> None:
     sys.unraisablehook = hand_over_lost
     try:
         try:
-            _check_threads()
-            _check_date()
+            _check_numbers()
             _check_backends()
             arguments = with_plugins(sys.argv[1:])
             # Imported after the plug-ins, since importing the commands fixes the choices of
@@ -48,27 +54,14 @@ def entry_point() -> None:
         ignore_signals()
 
 
-def _check_threads() -> None:
-    """Raise SurefootError for an invalid number of threads in the environment; an empty variable
-    counts as unset.
-    """
-    for name in THREADS:
+def _check_numbers() -> None:
+    """Raise SurefootError for an invalid number in the environment; an empty one is unset."""
+    for name, (pattern, what) in NUMBERS.items():
         text = os.environ.get(name, "").strip()
-        if text and not re.fullmatch("0*[1-9][0-9]{0,5}", text):
-            raise SurefootError(f"{name} must be a whole number above zero, is '{text}'")
-
-
-def _check_date() -> None:
-    """Raise SurefootError for a SOURCE_DATE_EPOCH that is not a number of seconds; an empty one is
-    unset.
-    """
-    text = os.environ.get("SOURCE_DATE_EPOCH")
-    if text is None:
-        return
-    if not text.strip():
-        del os.environ["SOURCE_DATE_EPOCH"]
-    elif not re.fullmatch("[0-9]{1,11}", text.strip()):
-        raise SurefootError(f"SOURCE_DATE_EPOCH must be a whole number of seconds, is '{text}'")
+        if not text:
+            os.environ.pop(name, None)
+        elif not re.fullmatch(pattern, text):
+            raise SurefootError(f"{name} must be {what}, is '{text}'")
 
 
 def _check_backends() -> None:

@@ -5,30 +5,14 @@ from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import EFFECT_NAMES
-from surefoot.scenarios.cli.options import (
-    NEEDED,
-    BoundsFiles,
-    Declared,
-    Force,
-    Holdout,
-    Json,
-    Logs,
-    Observers,
-    RobotName,
-    Strict,
-    command,
-    learnt_from,
-    not_plausible,
-    print_json,
-    read_logs,
-)
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.scenarios.settings import GridSettings, LoopSettings, RealismSettings, TuneSettings
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 
 
-@command
+@options.command
 class Demo:
     """Run the whole workflow in minutes: walk, train, calibrate, compare filters, trace."""
 
@@ -36,7 +20,7 @@ class Demo:
     """Folder for all outputs."""
     seed: int = 0
     """Seed of the walks and of the training."""
-    force: Force = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.demo import demo
@@ -44,21 +28,21 @@ class Demo:
         demo(self.out, self.seed, self.force)
 
 
-@command
+@options.command
 class TraceCommand:
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
-    logs: Logs
+    logs: options.Logs
     """Logs of one robot, traced together."""
     out: Path
     """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
-    robot: RobotName = None
-    declared: Declared = None
-    holdout: Holdout = ()
+    robot: options.RobotName = None
+    declared: options.Declared = None
+    holdout: options.Holdout = ()
     seed: int = 0
     """Seed of the bootstrap from which the intervals are computed."""
-    strict: Strict = False
-    force: Force = False
+    strict: options.Strict = False
+    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.reporting.progress import percent_bar
@@ -68,8 +52,6 @@ class TraceCommand:
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.robot.machine import machine_for_log
 
-        if not self.logs:
-            raise SurefootError("give at least one log")
         read = [read_in_blocks(path) for path in self.logs]
         read_holdout = [read_in_blocks(path) for path in self.holdout]
         logs, held_out = ([log for own in runs for log in own] for runs in (read, read_holdout))
@@ -82,14 +64,14 @@ class TraceCommand:
         first = [blocks[0] for blocks in (*read, *read_holdout)]
         robot, *_ = [machine_for_log(log, self.robot) for log in first]
         # The first block of a long log is checked, as `estimate` checks its first minutes.
-        warnings = not_plausible(first, self.robot, self.strict)
+        warnings = options.not_plausible(first, self.robot, self.strict)
         # A trace must not depend on the names of its logs, so its notes number them.
         notes = tuple(
             f"log {k + 1}: {line}" if len(first) > 1 else line
             for k, log in enumerate(first)
             for line in warnings.get(log.name, ())
         )
-        options = TraceOptions(
+        chosen = TraceOptions(
             seed=self.seed,
             declared=declared,
             since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
@@ -97,20 +79,20 @@ class TraceCommand:
             notes=(*notes, *note_on_blocks([*read, *read_holdout])),
         )
         with percent_bar("trace") as progress:
-            found = trace(logs, robot, self.out, options, progress, self.force)
+            found = trace(logs, robot, self.out, chosen, progress, self.force)
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
-@command
+@options.command
 class LoopCommand(LoopSettings):
     """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles and reference."""
-    robot: RobotName = None
-    declared: Declared = None
-    holdout: Holdout = ()
+    robot: options.RobotName = None
+    declared: options.Declared = None
+    holdout: options.Holdout = ()
 
     def run(self) -> None:
         from surefoot.scenarios.reporting.tables import to_markdown
@@ -122,13 +104,13 @@ class LoopCommand(LoopSettings):
         log = Log.read(self.log)
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
-        held_out = read_logs(self.holdout) if self.holdout else []
+        held_out = options.read_logs(self.holdout) if self.holdout else []
         table, _ = loop(log, robot, self, declared, held_out)
         print("\n" + to_markdown(table))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
-@command
+@options.command
 class Realism(RealismSettings):
     """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride
     period and posture.
@@ -136,7 +118,7 @@ class Realism(RealismSettings):
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """A log with IMU, joint angles, contacts and reference."""
-    robot: RobotName = None
+    robot: options.RobotName = None
     effects: Path | None = None
     """File of effects (TOML) for the simulated robot."""
     walker: str | None = None
@@ -163,7 +145,7 @@ class Realism(RealismSettings):
         print(f"\nreport: {self.out / 'report.html'}")
 
 
-@command
+@options.command
 class ExperimentCommand(GridSettings):
     """Run a grid of scenarios, robots, conditions, gammas, filters and seeds: one tidy table."""
 
@@ -177,7 +159,7 @@ class ExperimentCommand(GridSettings):
         experiment(self.file, self)
 
 
-@command
+@options.command
 class Suite(GridSettings):
     """Reproduce the paper's two tables on the simulated suites, from simulation to table.
 
@@ -198,7 +180,7 @@ class Suite(GridSettings):
         experiment(self.name, self)
 
 
-@command
+@options.command
 class Tune(TuneSettings):
     """Search the best parameters of filters, with the same budget for each; an interrupted run is
     resumed.
@@ -207,22 +189,20 @@ class Tune(TuneSettings):
     its path.
     """
 
-    logs: Logs
+    logs: options.Logs
     """Logs with a reference, not used to train observers or calibrate bounds."""
     filter: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
-    observer: Observers = ()
-    bounds: BoundsFiles = ()
+    observer: options.Observers = ()
+    bounds: options.BoundsFiles = ()
 
     def run(self) -> None:
         from surefoot.scenarios.tune import tune
 
-        if not self.logs:
-            raise SurefootError("give at least one log")
-        print(tune(self.logs, self, learnt_from(self.observer, self.bounds)))
+        print(tune(self.logs, self, options.learnt_from(self.observer, self.bounds)))
         print(f"parameters: {self.out / 'tuned.toml'}")
 
 
-@command
+@options.command
 class PlanCommand:
     """Plan which motion reveals each effect, how long it takes, and which effect could mask it."""
 
@@ -233,10 +213,10 @@ class PlanCommand:
         arg(
             metavar="EFFECT...",
             help=f"Effects: {', '.join(EFFECT_NAMES)}, or your own.",
-            help_behavior_hint=NEEDED,
+            help_behavior_hint=options.NEEDED,
         ),
     ]
-    as_json: Json = False
+    as_json: options.Json = False
 
     def run(self) -> None:
         from surefoot.scenarios.motion_plan import (
@@ -248,11 +228,11 @@ class PlanCommand:
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.sim.robot import Robot
 
-        if not self.effects:
-            raise SurefootError("name at least one effect")
         with percent_bar("plan") as bar:
             found = plan_motions(Robot.load(self.robot), self.effects, bar)
         if self.as_json:
-            print_json({"effects": motion_table(found), "record": recordings_to_make(found)})
+            options.print_json(
+                {"effects": motion_table(found), "record": recordings_to_make(found)}
+            )
         else:
             print(plan_text(found))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from surefoot.scenarios.estimate.contract import (
     Learnt,
     Needs,
     Parameter,
+    Parameters,
     Sample,
     Update,
     check_sample,
@@ -82,13 +82,13 @@ class ByObserver:
     parameters = VELOCITY
 
     def fusion(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float]
+        self, robot: Robot, learnt: Learnt, parameters: Parameters
     ) -> tuple[Observer, Fusion]:
         """The observer, and how its velocities are used."""
         raise NotImplementedError
 
     def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+        self, robot: Robot, learnt: Learnt, parameters: Parameters, beginning: Beginning
     ) -> ObserverFusion:
         """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
         observer, fusion = self.fusion(robot, learnt, parameters)
@@ -200,11 +200,7 @@ class Leg:
     of_legs = True
 
     def start(
-        self,
-        robot: Robot | None,
-        learnt: Learnt,
-        parameters: Mapping[str, float],
-        beginning: Beginning,
+        self, robot: Robot | None, learnt: Learnt, parameters: Parameters, beginning: Beginning
     ) -> LegStream:
         """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
         return LegStream(robot, beginning, parameters)
@@ -253,17 +249,13 @@ class Imu:
     drawn = False  # it leaves every picture within seconds and would hide the others
 
     def start(
-        self,
-        robot: Robot | None,
-        learnt: Learnt,
-        parameters: Mapping[str, float],
-        beginning: Beginning,
+        self, robot: Robot | None, learnt: Learnt, parameters: Parameters, beginning: Beginning
     ) -> ImuStream:
         """A stream; see `surefoot.scenarios.estimate.contract.Estimator`."""
         return ImuStream(beginning, imu_noise(parameters))
 
 
-def imu_noise(parameters: Mapping[str, float]) -> FilterNoise:
+def imu_noise(parameters: Parameters) -> FilterNoise:
     """Noise of the IMU with these parameters."""
     names = ("gyro", "accel", "gyro_walk", "accel_walk")
     return FilterNoise(*(parameters[name] for name in names))
@@ -273,26 +265,14 @@ def persistent_error(part: BiasModel, factor: float) -> PersistentError:
     """The filter's model of the calibrated persistent error, its prior deviations times
     `factor`.
     """
-    square = factor**2
-    return PersistentError(
-        square * part.covariance,
-        part.time_constant,
-        part.window,
-        part.max_error,
-        square * part.course,
-    )
+    prior, course = factor**2 * part.covariance, factor**2 * part.course
+    return PersistentError(prior, part.time_constant, part.window, part.max_error, course)
 
 
-class ImuStream:
-    """The invariant filter without measurements."""
+class FilterStream:
+    """The estimate of a filter."""
 
-    def __init__(self, beginning: Beginning, noise: FilterNoise, model=None):
-        start = beginning.state, beginning.covariance
-        self.filter: InvariantFilter | PersistentFilter = (
-            InvariantFilter(*start, noise)
-            if model is None
-            else PersistentFilter(*start, model, noise)
-        )
+    filter: Any
 
     @property
     def state(self) -> NavState:
@@ -303,6 +283,18 @@ class ImuStream:
     def covariance(self) -> np.ndarray:
         """Covariance (15, 15) of its error."""
         return self.filter.covariance
+
+
+class ImuStream(FilterStream):
+    """The invariant filter without measurements."""
+
+    def __init__(self, beginning: Beginning, noise: FilterNoise, model=None):
+        start = beginning.state, beginning.covariance
+        self.filter: InvariantFilter | PersistentFilter = (
+            InvariantFilter(*start, noise)
+            if model is None
+            else PersistentFilter(*start, model, noise)
+        )
 
     def step(self, sample: Sample) -> Update | None:
         """Predict."""
@@ -423,14 +415,14 @@ class ObserverFusion(ImuStream):
         return self.filter.run(imu, velocities, rows, settings)
 
 
-class LegStream:
+class LegStream(FilterStream):
     """The leg filter with the kinematics of a robot's legs, and a radar's velocities if any.
 
     If the samples contain foot positions instead of joints, no robot is needed; the feet are then
     points, since their rotation while rolling is unknown.
     """
 
-    def __init__(self, robot: Robot | None, beginning: Beginning, parameters: Mapping[str, float]):
+    def __init__(self, robot: Robot | None, beginning: Beginning, parameters: Parameters):
         noise = LegNoise(imu_noise(parameters), parameters["contact"])
         if beginning.feet:
             robot = None
@@ -440,24 +432,8 @@ class LegStream:
         self._robot, self._inflation = robot, parameters.get("radar")
         self._kinematics = parameters["encoder"], parameters["kinematics"]
         self._rates = CausalDerivative()
-        self.filter = LegFilter(
-            beginning.state,
-            beginning.covariance,
-            noise,
-            radius,
-            len(radius),
-            parameters.get("slip_gate"),
-        )
-
-    @property
-    def state(self) -> NavState:
-        """The estimate."""
-        return self.filter.state
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance (15, 15) of its error, without the contacts."""
-        return self.filter.covariance
+        start, gate = (beginning.state, beginning.covariance), parameters.get("slip_gate")
+        self.filter = LegFilter(*start, noise, radius, len(radius), gate)
 
     def _given(self, feet_I):
         """Foot centres (N, K, 3) [m], their covariances, and no rates.

@@ -43,6 +43,10 @@ if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, w
     from surefoot.models.observer.observer import Observer
 
 
+Parameters = Mapping[str, float]
+"""Value of each parameter of an estimator, by name."""
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One positive parameter of an estimator: default, unit and meaning.
@@ -219,7 +223,7 @@ class Estimator(Protocol):
     parameters: tuple[Parameter, ...]
 
     def start(
-        self, robot: Robot, learnt: Learnt, parameters: Mapping[str, float], beginning: Beginning
+        self, robot: Robot, learnt: Learnt, parameters: Parameters, beginning: Beginning
     ) -> Stream:
         """Start a stream. Raises SurefootError saying what is missing.
 

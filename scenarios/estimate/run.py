@@ -17,18 +17,19 @@ from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord, reference
 from surefoot.estimator.metrics import Metrics, evaluate
-from surefoot.estimator.run import output_stride
+from surefoot.estimator.run import output_stride, unpacked
 from surefoot.scenarios.estimate.contract import (
     Beginning,
     Estimator,
     Learnt,
+    Parameters,
     Stream,
     Update,
     samples,
 )
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.settings import FilterSettings
-from surefoot.scenarios.estimate.tuned import Parameters, tuned
+from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
@@ -305,20 +306,10 @@ def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:
         if k in wanted:
             states.append(stream.state)
             covariances.append(stream.covariance)
-    names = ("R_GI", "v_GI", "p_GI", "b_a", "b_g")
-    shapes = ((-1, 3, 3), (-1, 3), (-1, 3), (-1, 3), (-1, 3))
-    arrays: dict[str, Any] = {
-        name: np.array([getattr(state, name) for state in states]).reshape(shape)
-        for name, shape in zip(names, shapes, strict=True)
-    }
+    mean = np.array([state.pack() for state in states]).reshape(-1, 7, 3)
     covariance = np.array(covariances).reshape(-1, 15, 15)
-    return Trajectory(
-        log.t[rows[: len(states)]],
-        **arrays,
-        covariance=covariance,
-        updates=_record(updates),
-        diverged=diverged,
-    )
+    t, parts = log.t[rows[: len(states)]], unpacked(mean)
+    return Trajectory(t, *parts, covariance, _record(updates), diverged=diverged)
 
 
 def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:
@@ -339,17 +330,15 @@ def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:
 def joined_trajectory(parts: Iterable[Trajectory]) -> Trajectory:
     """Concatenate successive trajectories."""
     parts = list(parts)
-    arrays: dict = {}
-    for name in ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance"):
-        values = [getattr(part, name) for part in parts]
-        arrays[name] = None if values[0] is None else np.concatenate(values)
+    arrays = _joined(parts, "t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
     records = [part.updates for part in parts if part.updates is not None]
     if not records:
         return Trajectory(**arrays)
-    fields: dict[str, Any] = {
-        name: None
-        if getattr(records[0], name) is None
-        else np.concatenate([getattr(record, name) for record in records])
-        for name in ("t", "v_I", "epsilon", "pi", "active")
-    }
-    return Trajectory(**arrays, updates=UpdateRecord(**fields))
+    updates = UpdateRecord(**_joined(records, "t", "v_I", "epsilon", "pi", "active"))
+    return Trajectory(**arrays, updates=updates)
+
+
+def _joined(parts: Sequence[Any], *names: str) -> dict[str, Any]:
+    """Arrays of these names, each concatenated over the parts; None for those that they lack."""
+    values = {name: [getattr(part, name) for part in parts] for name in names}
+    return {name: None if v[0] is None else np.concatenate(v) for name, v in values.items()}

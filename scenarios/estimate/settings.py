@@ -41,9 +41,8 @@ from surefoot.estimator.initial import (
     start_covariance,
     still_gyro_bias,
 )
-from surefoot.scenarios.estimate.contract import Estimator
+from surefoot.scenarios.estimate.contract import Estimator, Parameters
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.tuned import Parameters
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_toml_keys
 from surefoot.sim.common.quaternion import matrix_from_quaternion

@@ -1,7 +1,6 @@
 """Parameters of the estimators by robot: their defaults, overridden by `tuned.toml`."""
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -15,8 +14,6 @@ from surefoot.sim.robot import Robot
 BUNDLED_PARAMETERS = bundled("surefoot.scenarios.estimate", "tuned.toml")
 FORMER = {"lasting": "persistent"}
 """Old names of parameters, in files of surefoot 0.1.0, and the current ones."""
-
-Parameters = Mapping[str, float]
 
 
 @dataclass(frozen=True)

@@ -118,39 +118,22 @@ def _sweep(root: Path) -> None:
             continue
 
 
-class _RareCollection(event.Listener):
-    """Collects garbage rarely while kernels are compiled."""
-
-    def __init__(self) -> None:
-        self._depth, self._usual = 0, gc.get_threshold()
-
-    def on_start(self, event: event.Event) -> None:
-        if self._depth == 0:
-            self._usual = gc.get_threshold()
-            if gc.isenabled():
-                gc.set_threshold(*RARE_COLLECTION)
-        self._depth += 1
-
-    def on_end(self, event: event.Event) -> None:
-        self._depth -= 1
-        if self._depth == 0:
-            gc.set_threshold(*self._usual)
-
-
-class _CompilationNotice(event.Listener):
-    """Prints a line while kernels are compiled for the first time: on a terminal at once, elsewhere
-    if it takes longer than QUIET_TIME.
+class _Compilation(event.Listener):
+    """Collects garbage rarely while kernels are compiled, and prints a line the first time: on a
+    terminal at once, elsewhere if it takes longer than QUIET_TIME.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
         self._said = False
-        self._depth, self._began = 0, 0.0
+        self._depth, self._began, self._usual = 0, 0.0, gc.get_threshold()
 
     def on_start(self, event: event.Event) -> None:
         # A kernel's compilation contains those of the functions that it calls.
         if self._depth == 0:
-            self._began = self._clock()
+            self._began, self._usual = self._clock(), gc.get_threshold()
+            if gc.isenabled():
+                gc.set_threshold(*RARE_COLLECTION)
         self._depth += 1
         late = self._clock() - self._began > QUIET_TIME
         if not self._said and (late or sys.stderr.isatty()):
@@ -159,7 +142,8 @@ class _CompilationNotice(event.Listener):
 
     def on_end(self, event: event.Event) -> None:
         self._depth -= 1
+        if self._depth == 0:
+            gc.set_threshold(*self._usual)
 
 
-event.register("numba:compile", _RareCollection())
-event.register("numba:compile", _CompilationNotice())
+event.register("numba:compile", _Compilation())

@@ -8,53 +8,9 @@ from typing import Any, TypeVar, get_args
 
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.plugins import Registry
+from surefoot.sim.effects import body, contact, elastic, imu, joint, links, timing
 from surefoot.sim.effects.base import AXES, Effect
-from surefoot.sim.effects.body import (
-    ComOffset,
-    FootRolling,
-    HipOffset,
-    LegHeading,
-    LinkLength,
-    MountingRotation,
-    Payload,
-)
-from surefoot.sim.effects.contact import (
-    Armature,
-    CoulombFriction,
-    FootSlip,
-    SoftGround,
-    ViscousFriction,
-)
-from surefoot.sim.effects.elastic import FootElasticity, LegCompliance
-from surefoot.sim.effects.imu import (
-    AccelBias,
-    AccelScale,
-    GyroBias,
-    GyroGSensitivity,
-    GyroScale,
-    ImuLowpass,
-    ImuPosition,
-    ImuRotation,
-)
-from surefoot.sim.effects.joint import (
-    Backlash,
-    EncoderOffset,
-    EncoderScale,
-    TorqueBias,
-    TorqueScale,
-)
-from surefoot.sim.effects.links import LinkCom, LinkInertia, LinkMass
 from surefoot.sim.effects.targets import Part
-from surefoot.sim.effects.timing import (
-    ClockScale,
-    CommandDelay,
-    ContactDelay,
-    ImuDelay,
-    JointDelay,
-    RateDelay,
-    ReferenceDelay,
-    TorqueDelay,
-)
 from surefoot.sim.log import Log
 
 M = TypeVar("M")
@@ -78,12 +34,16 @@ RENAMED = {"joint_compliance": "leg_compliance"}
 CATALOGUE: dict[str, type[Effect]] = {
     kind.name: kind
     for kind in (
-        *(EncoderOffset, LinkLength, FootRolling, ImuRotation, GyroScale, JointDelay),
-        *(GyroBias, AccelBias, AccelScale, ImuPosition, GyroGSensitivity, ImuDelay, ImuLowpass),
-        *(EncoderScale, LegCompliance, FootElasticity, Backlash, HipOffset, MountingRotation),
-        *(ViscousFriction, CoulombFriction, Armature, TorqueScale, TorqueBias, TorqueDelay),
-        *(Payload, ComOffset, FootSlip, SoftGround, ContactDelay, ReferenceDelay, ClockScale),
-        *(LegHeading, RateDelay, CommandDelay, LinkMass, LinkCom, LinkInertia),
+        *(joint.EncoderOffset, body.LinkLength, body.FootRolling, imu.ImuRotation, imu.GyroScale),
+        *(timing.JointDelay, imu.GyroBias, imu.AccelBias, imu.AccelScale, imu.ImuPosition),
+        *(imu.GyroGSensitivity, timing.ImuDelay, imu.ImuLowpass, joint.EncoderScale),
+        *(elastic.LegCompliance, elastic.FootElasticity, joint.Backlash, body.HipOffset),
+        *(body.MountingRotation, contact.ViscousFriction, contact.CoulombFriction),
+        *(contact.Armature, joint.TorqueScale, joint.TorqueBias, timing.TorqueDelay),
+        *(body.Payload, body.ComOffset, contact.FootSlip, contact.SoftGround),
+        *(timing.ContactDelay, timing.ReferenceDelay, timing.ClockScale, body.LegHeading),
+        *(timing.RateDelay, timing.CommandDelay, links.LinkMass, links.LinkCom),
+        links.LinkInertia,
     )
 }
 

@@ -12,8 +12,8 @@ import numpy as np
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
-from surefoot.sim.physics.leg_loads import LOAD_GROUPS, foot_loads_B, joint_loads, knows_loads
-from surefoot.sim.physics.momentum_balance import feet_jacobian_B, load_parameters
+from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads, knows_loads
+from surefoot.sim.physics.momentum_balance import feet_jacobian_B, once_for_loads
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import last_links
@@ -52,11 +52,8 @@ class LegCompliance(Effect):
             add_joint_spring(spec, robot.joint_names[robot.limbs.joints.index(joint)], self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        deflection = log.once(
-            "deflection of joints",
-            LOAD_GROUPS,
-            lambda: _deflection(log, -joint_loads(log, robot)),
-            *load_parameters(robot),
+        deflection = once_for_loads(
+            "deflection of joints", log, robot, lambda: _deflection(log, -joint_loads(log, robot))
         )
         return _deflected(log, self.value, deflection, self.members(robot.limbs)), robot
 
@@ -87,11 +84,11 @@ class FootElasticity(Effect):
             add_foot_springs(spec, robot, leg, self._axes(), self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        deflection = log.once(
+        deflection = once_for_loads(
             f"deflection of feet, {self.target}",
-            LOAD_GROUPS,
+            log,
+            robot,
             lambda: _deflection(log, _angles_of_yielding_feet(log, robot, self._axes())),
-            *load_parameters(robot),
         )
         return _deflected(log, self.value, deflection, log.joints), robot
 

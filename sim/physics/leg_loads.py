@@ -7,8 +7,8 @@ from surefoot.sim.log.derived import derivative
 from surefoot.sim.physics.momentum_balance import (
     ACCELERATION_WINDOW,
     feet_jacobian_B,
-    load_parameters,
     momentum_balance,
+    once_for_loads,
     rigid_body_wrench,
 )
 from surefoot.sim.robot import Robot
@@ -16,8 +16,6 @@ from surefoot.sim.robot.machine import Modelled
 
 STICTION_RATE = 0.03
 """Rate below which dry friction is smoothed [rad/s]: a few times the noise of a measured rate."""
-LOAD_GROUPS = ("q", "dq", "tau", "imu", "contact", "force")
-"""The groups of a log that the loads of joints and feet depend on."""
 
 
 def knows_loads(log: Log) -> bool:
@@ -31,12 +29,7 @@ def joint_loads(log: Log, robot: Modelled) -> np.ndarray:
     The motor's torque, as logged or else from the momentum balance, less rotor inertia and declared
     friction.
     """
-    return log.once(
-        "joint loads",
-        LOAD_GROUPS,
-        lambda: _joint_loads(log, robot),
-        *load_parameters(robot),
-    )
+    return once_for_loads("joint loads", log, robot, lambda: _joint_loads(log, robot))
 
 
 def _joint_loads(log: Log, robot: Modelled) -> np.ndarray:
@@ -59,12 +52,7 @@ def foot_loads_B(log: Log, robot: Robot) -> np.ndarray:
     From logged torques for legs of three joints, J^T f = inverse dynamics - torque, else from the
     momentum balance.
     """
-    return log.once(
-        "foot loads",
-        LOAD_GROUPS,
-        lambda: _foot_loads_B(log, robot),
-        *load_parameters(robot),
-    )
+    return once_for_loads("foot loads", log, robot, lambda: _foot_loads_B(log, robot))
 
 
 def _foot_loads_B(log: Log, robot: Robot) -> np.ndarray:

@@ -11,7 +11,8 @@ else by its contact, ramped over a few hundredths of a second. Motor torques tha
 against each other do not affect the motion, and are not found.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -20,6 +21,8 @@ from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.log.derived import derivative
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.machine import Machine
+
+T = TypeVar("T")
 
 ACCELERATION_WINDOW = 0.04
 """Window for the differentiation of rates [s]: passes 25 Hz, the rate of a foot's loading."""
@@ -55,19 +58,18 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
     Raises LogError where the log lacks one of them.
     """
     log.require("imu", "q", "contact")
-    uses = ("q", "dq", "imu", "contact", "force")
-    return log.once(
-        "balance of momentum", uses, lambda: _balanced(log, robot), *load_parameters(robot)
-    )
+    return once_for_loads("balance of momentum", log, robot, lambda: _balanced(log, robot))
 
 
-def load_parameters(robot: Machine) -> tuple[Any, ...]:
-    """The parts of a model that loads depend on, as objects that are identical until they
-    change.
+def once_for_loads(what: str, log: Log, robot: Machine, make: Callable[[], T], *given: Any) -> T:
+    """`Log.once` for a value that depends on what determines loads, in the log and in the model,
+    and on `given`.
     """
     legged = robot.legged
     geometry = () if legged is None else (legged.legs, legged.R_BI, legged.p_BI)
-    return *geometry, robot.extras.links
+    # These objects are identical until they change.
+    uses = ("q", "dq", "tau", "imu", "contact", "force")
+    return log.once(what, uses, make, *given, *geometry, robot.extras.links)
 
 
 def feet_jacobian_B(log: Log, robot: Robot) -> np.ndarray:

@@ -60,20 +60,11 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
     walks = moving(log)
     height = np.einsum("jk,nlk->nlj", robot.R_BI, robot.feet_I(log.q))[..., 2]
     contact = log.contact & walks[:, None]
-    lifts = [
-        np.quantile(height[walks, leg], 0.98) - np.median(height[contact[:, leg], leg])
-        for leg in range(4)
-        if contact[:, leg].any()
-    ]
-    q = log.q.reshape(-1, 4, 3)
-    stance = np.array(
-        [
-            np.median(q[contact[:, leg], leg], axis=0)
-            if contact[:, leg].any()
-            else robot.q_home[3 * leg : 3 * leg + 3]
-            for leg in range(4)
-        ]
-    ).ravel()
+    q, stance, lifts = log.q.reshape(-1, 4, 3), robot.q_home.copy(), []
+    for leg, stands in enumerate(contact.T):
+        if stands.any():
+            lifts.append(np.quantile(height[walks, leg], 0.98) - np.median(height[stands, leg]))
+            stance[3 * leg : 3 * leg + 3] = np.median(q[stands, leg], axis=0)
     return WalkingStyle(
         twists,
         float(np.clip(period / gait.period, *PERIODS)) if period else 1.0,

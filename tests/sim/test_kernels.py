@@ -10,8 +10,7 @@ from surefoot.sim.common.kernels import (
     COMPILE_TIME,
     QUIET_TIME,
     RARE_COLLECTION,
-    _CompilationNotice,
-    _RareCollection,
+    _Compilation,
     compiled,
     kernel,
 )
@@ -32,7 +31,7 @@ def test_compiling_is_said_once_to_a_terminal_or_if_it_takes_long(
 ):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     now = [0.0]
-    listener = _CompilationNotice(lambda: now[0])
+    listener = _Compilation(lambda: now[0])
     for _ in range(2):
         listener.on_start(None)  # type: ignore[arg-type]
         now[0] += seconds
@@ -46,7 +45,7 @@ def test_compiling_is_said_once_to_a_terminal_or_if_it_takes_long(
 def test_many_short_compilations_are_not_one_long_one(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
     now = [0.0]
-    listener = _CompilationNotice(lambda: now[0])
+    listener = _Compilation(lambda: now[0])
     for _ in range(10):
         listener.on_start(None)  # type: ignore[arg-type]
         listener.on_end(None)  # type: ignore[arg-type]
@@ -67,7 +66,7 @@ def test_a_kernel_compiled_for_a_signature_refuses_other_arguments():
 
 
 def test_garbage_is_collected_rarely_while_kernels_are_compiled_and_as_usual_afterwards():
-    usual, listener = gc.get_threshold(), _RareCollection()
+    usual, listener = gc.get_threshold(), _Compilation()
     gc.set_threshold(701, 11, 9)
     try:
         for depth in range(2):  # a kernel, and one that it calls
