@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
@@ -222,10 +223,12 @@ class TrajectoryWriter:
         self._schema = schema.with_metadata({_KEY: _SCHEMA} | kept)
 
     def __enter__(self) -> TrajectoryWriter:
-        temporary = self._file.__enter__()
-        self._writer = pq.ParquetWriter(
-            temporary, self._schema, compression="zstd", write_page_checksum=True
-        )
+        with ExitStack() as opened:  # a writer that cannot begin leaves no file
+            temporary = opened.enter_context(self._file)
+            self._writer = pq.ParquetWriter(
+                temporary, self._schema, compression="zstd", write_page_checksum=True
+            )
+            opened.pop_all()
         return self
 
     def __exit__(self, *error) -> bool | None:
