@@ -62,8 +62,14 @@ def momentum_balance(log: Log, robot: Robot) -> MomentumBalance:
 
 
 def once_for_loads(what: str, log: Log, robot: Machine, make: Callable[[], T], *given: Any) -> T:
-    """`Log.once` for a value that depends on what determines loads, in the log and in the model,
-    and on `given`.
+    """`Log.once` for a value that depends on what determines loads, in the log and in the model.
+
+    Args:
+        what: name of the value.
+        log: from whose columns it is made.
+        robot: with its model.
+        make: makes it.
+        given: what else it depends on.
     """
     legged = robot.legged
     geometry = () if legged is None else (legged.legs, legged.R_BI, legged.p_BI)
