@@ -111,7 +111,7 @@ class LogReader:
             check_limit("rows", self.rows, "rows")
             check_limit("columns", len(self.columns), "columns")
             size = 8.0 * self.rows * len(self.columns)
-            check_unpacked(self.path, size, "bytes of columns", at_once=False)
+            check_unpacked(self.path.stat().st_size, size, "bytes of columns", at_once=False)
             check_table(file.schema_arrow)
             self.meta = read_metadata(file.schema_arrow.metadata)
             if 0 < self.rows < FEWEST_ROWS:
