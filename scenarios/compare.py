@@ -184,7 +184,6 @@ def write_comparison(
     title: str,
     ground: Ground | None = None,
     extra: Sequence[Section] = (),
-    force: bool = False,
 ) -> pd.DataFrame:
     """Write table.md, table.csv, figures/, report.html and one recording per log into `out`.
 
@@ -194,16 +193,15 @@ def write_comparison(
         title: of the report.
         ground: drawn in figures and recordings; None for that of each log, if any.
         extra: sections added to the report.
-        force: whether files may be replaced.
     """
     found = table(comparisons)
-    write_whole(out / "table.md", to_markdown(found) + "\n", force)
-    write_whole(out / "table.csv", to_csv(found), force)
+    write_whole(out / "table.md", to_markdown(found) + "\n")
+    write_whole(out / "table.csv", to_csv(found))
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
         for name, picture in pictures.items():
-            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
+            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png")
         heading, shown = f"The log '{comparison.log.name}'", tuple(pictures.values())
         sections.append(Section(heading, _walk_prose(comparison), None, shown))
         if (robot := comparison.drawn) is not None:
@@ -211,10 +209,10 @@ def write_comparison(
             drawn = {r.filter: r.trajectory for r in results if traits(r.filter).drawn}
             learnt = comparison.prediction, comparison.bounds
             walk = RecordedWalk(log, robot, drawn, *learnt, ground)
-            write_recording(out / f"{comparison.log.name}.rrd", walk, force)
+            write_recording(out / f"{comparison.log.name}.rrd", walk)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
-    write_report(out / "report.html", title, sections, force)
+    write_report(out / "report.html", title, sections)
     return found
 
 
