@@ -202,18 +202,30 @@ def write_comparison(
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
         for name, picture in pictures.items():
             save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png")
-        heading, shown = f"The log '{comparison.log.name}'", tuple(pictures.values())
-        sections.append(Section(heading, _walk_prose(comparison), None, shown))
-        if (robot := comparison.drawn) is not None:
-            log, results = comparison.log, comparison.results
-            drawn = {r.filter: r.trajectory for r in results if traits(r.filter).drawn}
-            learnt = comparison.prediction, comparison.bounds
-            walk = RecordedWalk(log, robot, drawn, *learnt, ground)
+        heading = f"The log '{comparison.log.name}'"
+        sections.append(
+            Section(heading, _walk_prose(comparison), pictures=tuple(pictures.values()))
+        )
+        if (walk := _recorded(comparison, ground)) is not None:
             write_recording(out / f"{comparison.log.name}.rrd", walk)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
     write_report(out / "report.html", title, sections)
     return found
+
+
+def _recorded(comparison: Comparison, ground: Ground | None) -> RecordedWalk | None:
+    """What a recording shows of a comparison; None if there is nothing to draw it along."""
+    if comparison.drawn is None:
+        return None
+    return RecordedWalk(
+        comparison.log,
+        comparison.drawn,
+        {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
+        comparison.prediction,
+        comparison.bounds,
+        ground,
+    )
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
@@ -337,13 +349,13 @@ def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
             if column not in marked or len(rows[column].dropna()) < 2:
                 continue
             values = rows[column].astype(float)
-            off = values
+            ranked = values
             if column in _CONSISTENCY:
-                off = np.abs(np.log(np.maximum(values, 1e-12) / CONSISTENT))
-                off = off[values.between(ONE_WALK[0], ONE_WALK[1])]
-            if off.empty:
+                consistent = values[values.between(*ONE_WALK)]
+                ranked = np.abs(np.log(np.maximum(consistent, 1e-12) / CONSISTENT))
+            if ranked.empty:
                 continue
-            best = cell(values[off.idxmin()])
+            best = cell(values[ranked.idxmin()])
             for at in values.index[[cell(value) == best for value in values]]:
                 marked.at[at, column] = f"**{best}**"
     return marked
