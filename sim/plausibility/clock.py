@@ -11,7 +11,7 @@ STEP_OFF = 0.02
 """Relative difference between the median step and the metadata's rate: a computer's clock is good
 to 1e-4; loops that wait for whole time slices are 1 % slow (10.1 ms instead of 10).
 """
-SLOWEST_ROWS, FASTEST_ROWS = 5.0, 2e4
+SLOWEST_ROWS, FASTEST_ROWS = 4.0, 2e4
 """Range of rates [Hz]: two rows per stride, which show nothing of it, and more than any sensor of a
 robot is read at; IMUs have 8 kHz (InvenSense MPU-6050 product specification, gyro output rate).
 """

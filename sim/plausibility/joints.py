@@ -125,10 +125,8 @@ def rates(view: LogView) -> Iterator[Finding]:
     together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)
     error = error[moves]
     # What lies between samples makes rates smaller, never larger.
-    if (
-        not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
-        and 2 * together.sum() > good.sum()
-    ):
+    scaled = not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
+    if scaled and 2 * together.sum() > good.sum():
         columns = tuple(f"dq_{n}" for n, g in zip(names, together, strict=True) if g)
         yield _scaled_rates(columns, typical, f"{typical:.3g} times the change of q")
     else:
