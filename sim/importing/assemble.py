@@ -156,19 +156,19 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     return evened(main, rate), [*said, f"rows at {rate:g} Hz"]
 
 
-def unit_quaternions(path: Path, table: Columns, unit: str = "row", first: int = 1) -> None:
+def unit_quaternions(
+    path: Path, table: Columns, unit: str = "row", rows: np.ndarray | None = None
+) -> None:
     """Normalise quaternions; raise, naming the row, where the norm is too far from one.
 
-    Rows are called `unit` in the message and counted from `first`.
+    Rows are called `unit` in the message, with the numbers `rows` (N,), by default from 1.
     """
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
     norm = np.linalg.norm(q, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
     if bad.size:
-        row = int(bad[0])
-        raise LogError(
-            f"{path}: {unit} {row + first}: not a unit quaternion (norm {norm[row]:.6g})"
-        )
+        number = bad[0] + 1 if rows is None else rows[bad[0]]
+        raise LogError(f"{path}: {unit} {number}: not a unit quaternion (norm {norm[bad[0]]:.6g})")
     for i, axis in enumerate("wxyz"):
         table[f"ref_q_{axis}"] = q[:, i] / norm
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
-from surefoot.sim.importing.clock import Columns
+from surefoot.sim.importing.clock import Columns, span
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.sections import ReferenceTable
 from surefoot.sim.log.reference import Poses
@@ -80,8 +80,8 @@ def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
     inside = (t >= poses.t[0]) & (t <= poses.t[-1])
     if not inside.any():
         raise SurefootError(
-            f"{source}: the reference ({poses.t[0]:.6g} to {poses.t[-1]:.6g} s)"
-            f" and the recording ({t[0]:.6g} to {t[-1]:.6g} s) do not overlap"
+            f"{source}: the reference ({span(poses.t)}) and the recording ({span(t)}) do not"
+            " overlap: another clock? surefoot align finds [reference] offset"
         )
     main = {column: values[inside] for column, values in main.items()}
     p, q, ok = interpolate_reference(main["t"], poses.t, poses.p, poses.q)
