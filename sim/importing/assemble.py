@@ -19,7 +19,12 @@ from surefoot.sim.importing.clock import (
 )
 from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import imu_poses, with_reference
+from surefoot.sim.importing.reference import (
+    REFERENCE_OFFSET,
+    imu_poses,
+    reference_offset,
+    with_reference,
+)
 from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.importing.sections import EvenTable
 from surefoot.sim.log import Log, LogError, Meta
@@ -105,6 +110,7 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         main = with_reference(main, reference, str(rules.path))
     joints = joint_names(main)
     law = _motor_law(rules, joints)
+    offset = reference_offset(rules, name) if reference is not None else 0.0
     if torques := _torques_by_law(main, joints, law):
         main |= torques
         derived.append("tau (motor law)")
@@ -115,7 +121,9 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         motor_law=law,
         derived=tuple(derived),
         versions=_versions(),
-        model=rules.model | _robot_file(rules.robot),
+        model=rules.model
+        | _robot_file(rules.robot)
+        | ({REFERENCE_OFFSET: offset} if offset else {}),
     )
     log = Log(frame, meta, name)
     if rules.contact is not None and rules.contact.of != "force":
