@@ -39,7 +39,7 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
 
     The stamps of a column are those of its messages' headers or, without a header, the times of
     reception; a column of times holds seconds since the start of the bag. Raises SurefootError for
-    a file that is no bag, a missing topic or field, and a value that is not a finite number.
+    a file that is no bag, and a missing topic or field.
     """
     path = Path(path)
     wanted: dict[str, list[str]] = defaultdict(list)
@@ -146,9 +146,6 @@ def _read(bag: AnyReader, path: Path, wanted: dict[str, list[str]]) -> dict[str,
     for topic, found in stamps.items():
         if not found:
             raise SurefootError(f"{path}: topic {topic!r} has no messages")
-    for column, found in values.items():
-        if (bad := np.flatnonzero(~np.isfinite(found))).size:
-            raise SurefootError(f"{path}: column {column!r}, message {bad[0] + 1}: not finite")
     return {c: (np.array(stamps[topic_of(c)]), np.array(found)) for c, found in values.items()}
 
 
