@@ -331,10 +331,10 @@ def _pixels(path: Path) -> int:
     """
     with path.open("rb") as stream:
         head = stream.read(25)
-    if len(head) < 25 or not head.startswith(b"\x89PNG"):
+    if len(head) < 24 or not head.startswith(b"\x89PNG"):
         return 0
-    width, height, bits = int.from_bytes(head[16:20]), int.from_bytes(head[20:24]), head[24]
-    return width * height * (2 if bits > 8 else 1)
+    width, height = int.from_bytes(head[16:20]), int.from_bytes(head[20:24])
+    return width * height * (2 if head[24:] > b"\x08" else 1)
 
 
 @cache
