@@ -28,8 +28,10 @@ class Outcome:
 
     @property
     def refused(self) -> bool:
-        """Whether it ended with exactly one line of error, and changed nothing."""
-        lines = self.err.splitlines()
+        """Whether it ended with exactly one line, after warnings of a log that was read before, and
+        changed nothing.
+        """
+        lines = [line for line in self.err.splitlines() if not line.startswith("warning: ")]
         one = len(lines) == 1 and lines[0].startswith("surefoot: ")
         return one and self.code in (1, 2) and not self.changed
 
