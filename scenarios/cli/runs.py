@@ -13,7 +13,7 @@ from shutil import get_terminal_size
 from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
-from surefoot.scenarios.cli.signals import Interrupted, unwrapped
+from surefoot.scenarios.cli.signals import say_if_interrupted
 from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError
 from surefoot.sim.common.files import (
     cache_folder,
@@ -24,6 +24,7 @@ from surefoot.sim.common.files import (
     is_there,
     open_plain,
     refuse_input,
+    unfinished,
 )
 from surefoot.sim.common.limits import check_limit
 
@@ -87,16 +88,8 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             check_page(given["page"])
         for path in own:
             stack.enter_context(_alone(path))
-        try:
-            with unwrapped():
-                yield
-        except Interrupted as stop:
-            # A command that can continue writes parts of its output first; only complete outputs
-            # count.
-            whole = [Path(os.path.realpath(path)) for path in own]
-            done = [p for p in run.written if name not in GOES_ON or p in whole]
-            stop.written = [str(path) for path in done]
-            raise
+        say_if_interrupted(lambda: how_to_go_on(name, run.written, own))
+        yield
 
 
 def _paths(value: Any) -> list[Path]:
@@ -111,16 +104,15 @@ def _alone(out: Path) -> Iterator[None]:
     empty.
     """
     out = Path(os.path.realpath(out))
-    try:
-        with folder_of(out):
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(folder_of(out))
             check_space(out.parent, SPACE)
             clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
-            with _locked(out.with_name(f".{out.name}.lock"), out):
-                yield
-    except BrokenPipeError:
-        raise  # of what the command prints, not of what it writes
-    except OSError as error:
-        raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
+            stack.enter_context(_locked(out.with_name(f".{out.name}.lock"), out))
+        except OSError as error:
+            raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
+        yield
 
 
 @contextmanager
@@ -139,17 +131,25 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
         if lock.exists() and os.path.samestat(os.fstat(stream.fileno()), lock.stat()):
             break
         stream.close()
-    try:
+    with stream, unfinished(lock):
         yield
-    finally:
-        lock.unlink(missing_ok=True)
-        stream.close()
 
 
-def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
-    """Message of an interrupted command; written: outputs that already existed."""
+def how_to_go_on(name: str, written: Sequence[Path], own: Sequence[Path]) -> str:
+    """Message of an interrupted command.
+
+    Args:
+        name: of the command.
+        written: paths that it has finished.
+        own: its outputs. A command that can continue writes parts of them first, which do not
+            count.
+    """
+    if name in GOES_ON:
+        whole = [Path(os.path.realpath(path)) for path in own]
+        written = [path for path in written if path in whole]
     if written:
-        return f"interrupted; {', '.join(written)} was already written, --force replaces it"
+        done = ", ".join(map(str, written))
+        return f"interrupted; {done} was already written, --force replaces it"
     if name in GOES_ON:
         return "interrupted; run the same command to continue"
     return "interrupted; nothing was written, the same command starts again"

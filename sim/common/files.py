@@ -9,12 +9,13 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from glob import escape
 from importlib.resources import files
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 from platformdirs import user_cache_path
@@ -338,14 +339,14 @@ def _staged(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, where nothing is left."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with folder_of(path):
-            try:
-                yield temporary
-            finally:
-                _remove(temporary)
+        with folder_of(path), unfinished(temporary):
+            yield temporary
     except OSError as error:
         reason = " ".join(str(error.strerror or error).split())
-        raise SurefootError(f"{_short(path)}: cannot be written ({reason})") from error
+        # A file that has a name of its own, such as one of a cache, is not this output.
+        other = error.filename if isinstance(error.filename, str) else None
+        at = path if other is None or _is_temporary(Path(other)) else Path(other)
+        raise SurefootError(f"{_short(at)}: cannot be written ({reason})") from error
 
 
 def _replace(temporary: Path, path: Path) -> None:
@@ -360,16 +361,38 @@ def folder_of(path: Path) -> Iterator[None]:
 
     Raises OSError if one cannot be created.
     """
-    missing = [folder for folder in path.parents if not folder.exists()]
-    try:
+    with ExitStack() as stack:
+        for folder in reversed([folder for folder in path.parents if not folder.exists()]):
+            stack.enter_context(unfinished(folder, _remove_empty))
         path.parent.mkdir(parents=True, exist_ok=True)
         yield
+
+
+_unfinished: list[tuple[Path, Callable[[Path], None]]] = []
+"""Temporary paths, locks and new folders of this process, and how each is removed."""
+_beginning = RLock()
+
+
+@contextmanager
+def unfinished(path: Path, remove: Callable[[Path], None] | None = None) -> Iterator[None]:
+    """Context at whose end a path is removed, also if a signal ends the process within it."""
+    entry = path, remove or _remove
+    with _beginning:
+        _unfinished.append(entry)
+    try:
+        yield
     finally:
-        for folder in missing:
-            try:
-                folder.rmdir()
-            except OSError:
-                break
+        entry[1](path)
+        _unfinished.remove(entry)
+
+
+def remove_unfinished() -> None:
+    """Remove what the contexts of `unfinished` would, before the process ends without leaving them;
+    no thread can enter another from now on.
+    """
+    _beginning.acquire()
+    for path, remove in reversed(_unfinished):
+        remove(path)
 
 
 @contextmanager
@@ -481,3 +504,8 @@ def _remove(path: Path) -> None:
         return
     with suppress(OSError):  # a name that is too long, a folder that is no longer there
         path.unlink(missing_ok=True)
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
