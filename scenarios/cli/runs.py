@@ -67,11 +67,14 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     outputs = OUTPUTS_OF_ONE_RUN + SHARED_OUTPUTS
     read = {name: value for name, value in given.items() if name not in outputs}
     inputs = [path for value in read.values() for path in _paths(value)]
-    refuse_unnamed(read)
-    cache_folder()
     for option, value in given.items():
         if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
             raise SurefootError(f"--{option}: must not be beyond 2^53")
+    for path in (*inputs, *own, *shared):
+        if not _utf8(os.path.abspath(path)):
+            raise SurefootError(f"{os.path.abspath(path)}: the path is not UTF-8; rename it")
+    refuse_unnamed(read)
+    cache_folder()
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):
             check_limit(limit, given[option], f"--{option}")
@@ -90,6 +93,11 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             stack.enter_context(_alone(path))
         say_if_interrupted(lambda: how_to_go_on(name, run.written, own))
         yield
+
+
+def _utf8(path: str) -> bool:
+    """Whether libraries can open a path; Python holds other bytes as half characters."""
+    return path.encode(errors="ignore").decode() == path
 
 
 def _paths(value: Any) -> list[Path]:

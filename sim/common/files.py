@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from typing import Any
 from platformdirs import user_cache_path
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import bounded_json
 
 MANIFEST = ".surefoot.jsonl"
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -191,10 +193,14 @@ def open_plain(path: Path) -> int:
     return os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o666)
 
 
-def check_plain(path: Path) -> None:
-    """Raise SurefootError if a path exists and is not itself a regular file."""
+def check_plain(path: Path, folder: Path | None = None) -> None:
+    """Raise SurefootError if a path exists and is not itself a regular file, or is in `folder` only
+    by a link.
+    """
     if os.path.lexists(path) and not _is_plain(path):
         raise SurefootError(f"{path}: is a link or no regular file; move it away")
+    if folder and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+        raise SurefootError(f"{path}: is outside of {folder}, by a link; move that away")
 
 
 def _is_plain(path: Path) -> bool:
@@ -264,6 +270,46 @@ def check_unchanged(path: str | Path) -> None:
     made = _entries_of(Path(path))
     if made and file_digest(path) not in made:
         raise SurefootError(f"{path}: was changed or damaged since it was made")
+
+
+def as_made(path: Path, digest: str | None = None) -> bool:
+    """Whether an earlier run made a file, and it is unchanged since. A changed one is reported on
+    stderr and removed, so that it is made again.
+
+    Args:
+        path: of the file.
+        digest: its SHA-256 when it was made; None for what manifests list, if anything.
+    """
+    if not os.path.lexists(path):
+        return False
+    made = _entries_of(path) if digest is None else (digest,)
+    if not made:
+        check_plain(path)
+        return True
+    if _is_plain(path) and file_digest(path) in made:
+        return True
+    try:
+        path.unlink()
+    except OSError as error:
+        raise SurefootError(f"{path}: {error.strerror}; move it away") from None
+    say_made_again(path)
+    return False
+
+
+def say_made_again(path: Path) -> None:
+    """Report on stderr that a file of an earlier run is not used."""
+    print(f"note: {path}: changed since it was made, made again", file=sys.stderr)
+
+
+def kept_json(path: Path) -> Any:
+    """Content of a JSON file of an earlier run; None if there is none or, with a note on stderr, if
+    it cannot be read. Raises SurefootError for a link or a pipe.
+    """
+    check_plain(path)
+    try:
+        return bounded_json(path) if path.exists() else None
+    except SurefootError:
+        return say_made_again(path)
 
 
 def file_digest(path: str | Path) -> str:
@@ -417,8 +463,10 @@ def _note_written(path: Path) -> None:
 
 
 def _publish(staging: Path, out: Path, force: bool) -> None:
-    made = {p.relative_to(staging).as_posix(): p for p in staging.rglob("*") if p.is_file()}
+    files = sorted(path for path in staging.rglob("*") if path.is_file())
+    made = {path.relative_to(staging).as_posix(): path for path in files}
     for name in made:
+        check_plain(out / name, out)
         refuse_overwrite(out / name, force)
     before = manifest_entries(out) if force and _run is not None else {}
     stale = [
