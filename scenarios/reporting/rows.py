@@ -45,7 +45,7 @@ def read_case(
     """The row of a case finished by the same code; None where there is none, or a damaged one."""
     values = kept_json(folder / f"{name}.json")
     current = sources_digest(module), json.loads(json.dumps(inputs, default=float))
-    if not isinstance(values, dict) or (values.get("code"), values.get("inputs")) != current:
+    if values is None or (values.get("code"), values.get("inputs")) != current:
         return None
     # Rows of surefoot 0.1.0 have no digest.
     if values.get("sha256") in (None, json_digest(values.get("row"))):

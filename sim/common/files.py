@@ -301,15 +301,18 @@ def say_made_again(path: Path) -> None:
     print(f"note: {path}: changed since it was made, made again", file=sys.stderr)
 
 
-def kept_json(path: Path) -> Any:
-    """Content of a JSON file of an earlier run; None if there is none or, with a note on stderr, if
-    it cannot be read. Raises SurefootError for a link or a pipe.
+def kept_json(path: Path) -> dict[str, Any] | None:
+    """Table in a JSON file of an earlier run; None if there is none or, with a note on stderr, if
+    it is none. Raises SurefootError for a link or a pipe.
     """
     check_plain(path)
-    try:
-        return bounded_json(path) if path.exists() else None
-    except SurefootError:
-        return say_made_again(path)
+    if not path.exists():
+        return None
+    with suppress(SurefootError):
+        found = bounded_json(path)
+        if isinstance(found, dict):
+            return found
+    return say_made_again(path)
 
 
 def file_digest(path: str | Path) -> str:
