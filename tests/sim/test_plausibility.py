@@ -58,6 +58,14 @@ def test_rows_of_a_low_rate_are_plausible(log, rate):
     assert found_in(without(at_rate(log, rate), "ref_")) == []
 
 
+@pytest.mark.parametrize("rate", [8.0, 10.0, 20.0, 25.0, 50.0])
+def test_an_imu_that_is_sampled_at_a_low_rate_is_noticed(log, rate):
+    slow = at_rate(log, rate)
+    rows = np.searchsorted(log.t, slow.t)
+    (found,) = found_in(edited(slow, **{c: log.frame[c].to_numpy()[rows] for c in GYRO + ACCEL}))
+    assert "sampled at the rows, not averaged" in found
+
+
 @pytest.mark.parametrize("kinds", [(), ("ref_", "dq_"), ("ref_", "q_", "dq_", "tau_")])
 def test_rows_of_2_hz_are_slow_and_not_in_ms(log, kinds):
     lines = [line for line in found_in(without(at_rate(log, 2.0), *kinds)) if "rows" in line]
