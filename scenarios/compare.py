@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,9 @@ from surefoot.scenarios.datasets.index import slip_and_creep
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
-from surefoot.scenarios.estimate.run import Result, declared_model, run_all
-from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
+from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
+from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
     height_figure,
     position_error,
@@ -27,8 +28,10 @@ from surefoot.scenarios.reporting.figures import (
 )
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
+from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import write_whole
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import refuse_full, whole_folder, write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
@@ -129,6 +132,29 @@ def compare_log(
         if log.has("reference"):
             held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
     return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held)
+
+
+def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Comparison]]:
+    """Run the filters on the logs of some files and write the outputs of `write_comparison`.
+
+    What is implausible in a log is printed to stderr. Raises SurefootError saying what is missing
+    or wrong, also where two logs have the same name.
+    """
+    refuse_full(settings.out, settings.force)
+    learnt = learnt_from(settings.observer, settings.bounds)
+    logs = read_logs(settings.logs)
+    names = [log.name for log in logs]
+    for path, name in zip(settings.logs, names, strict=True):
+        if names.count(name) > 1:
+            raise SurefootError(f"{path}: another log has the same name; rename one of them")
+    chosen = read_settings(settings.settings, settings.set)
+    warnings = not_plausible(logs, settings.robot, settings.strict)
+    found = []
+    for log in logs:
+        one = compare_log(log, robot_of(log, settings.robot), learnt, settings=chosen)
+        found.append(replace(one, warnings=warnings.get(log.name, ())))
+    with whole_folder(settings.out, settings.force) as folder:
+        return write_comparison(found, folder, "Filters compared"), found
 
 
 def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:

@@ -31,17 +31,8 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
 
     The stamps of a column are those of its messages' headers or, without a header, the times of
     reception; a column of times holds seconds since the start of the bag. Raises SurefootError for
-    a file that is no bag, a missing topic or field, and a value that is not a finite number.
+    a file that is no bag, and a missing topic or field.
     """
-    readings = bag_readings(path, columns)
-    for column, (_, found) in readings.items():
-        if (bad := np.flatnonzero(~np.isfinite(found))).size:
-            raise SurefootError(f"{path}: column {column!r}, message {bad[0] + 1}: not finite")
-    return readings
-
-
-def bag_readings(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
-    """As `read_bag`, with values that are not finite."""
     path = Path(path)
     wanted: dict[str, list[str]] = defaultdict(list)
     for column in columns:

@@ -11,7 +11,8 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.bag import RECEIVED, bag_fields, bag_readings
+from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
+from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.layout import layout_of
@@ -84,6 +85,7 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
         names = _names(part, machine)
         t = column_of_times(part, names)
+        part, t = _at_rising_times(part, t)
         seconds = t.scale * part[t.theirs] if t else None
         label = _label(path, part, columns)
         found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
@@ -130,12 +132,13 @@ def _with_empty_cells(
 
 def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     fields, skipped = bag_fields(path)
-    readings = bag_readings(path, fields)
-    empty = [name for name, (_, values) in readings.items() if np.isnan(values).all()]
-    skipped |= dict.fromkeys(empty, "NaN, text or empty")
-    readings = {n: (t[ok], v[ok]) for n, (t, v) in readings.items() if (ok := np.isfinite(v)).any()}
+    every = read_bag(path, fields)
+    finite = {name: np.isfinite(values) for name, (_, values) in every.items()}
+    readings = {n: (t[finite[n]], x[finite[n]]) for n, (t, x) in every.items() if finite[n].any()}
     if not readings:
         return []
+    skipped |= dict.fromkeys((n for n in every if n not in readings), "NaN, text or empty")
+    layout = {} if all(finite[n].all() for n in readings) else {"sparse": True}
     recorded = {name: values for name, (_, values) in readings.items()}
     names = _names(recorded, machine)
     # The rows are those of the IMU, or else of the most frequent topic.
@@ -145,7 +148,7 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     t = times_of_topic(first.partition(":")[0], recorded, names)
     columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
     label = _plain(path.stem)
-    return [RecordedFile(path, label, columns, recorded, names, {}, {}, t, seconds, skipped)]
+    return [RecordedFile(path, label, columns, recorded, names, {}, layout, t, seconds, skipped)]
 
 
 def times_of_topic(
@@ -158,9 +161,11 @@ def times_of_topic(
 
 def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> Entry | None:
     """The column of times: one with such a name, or else one that increases in even steps."""
-    rising = [n for n, v in columns.items() if len(v) > 2 and np.all(np.diff(v) > 0.0)]
-    named = [n for n in rising if names[n].kind == "t"]
-    even = [n for n in rising if np.std(np.diff(columns[n])) < 0.5 * np.mean(np.diff(columns[n]))]
+    long = {n: v for n, v in columns.items() if len(v) > 2}
+    named = [n for n, v in long.items() if names[n].kind == "t" and mostly_rises(v)]
+    even = [
+        n for n, v in long.items() if rises(v) and np.std(np.diff(v)) < 0.5 * np.mean(np.diff(v))
+    ]
     for name in (*named, *even):
         if (unit := names[name].unit) in UNITS["t"]:
             return Entry("t", name, unit)
@@ -174,6 +179,20 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
     return None
 
 
+def _at_rising_times(
+    part: dict[str, np.ndarray], t: Entry | None
+) -> tuple[dict[str, np.ndarray], Entry | None]:
+    """The rows that an import keeps; all, and no times, where stamps contradict each other."""
+    if t is None or rises(part[t.theirs]):
+        return part, t
+    every = np.arange(len(part[t.theirs]))
+    try:
+        kept, _ = kept_rows(part[t.theirs], [*part.values()], t.theirs, "row", every)
+    except SurefootError:
+        return part, None
+    return {name: values[kept] for name, values in part.items()}, t
+
+
 def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
     return by_their_lists(by_their_legs({name: name_in_file(name, machine) for name in columns}))
 
@@ -183,7 +202,7 @@ def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
         own = {n: v for n, v in columns.items() if len(v) == rows}
-        clocks = [n for n in own if read_name(n).kind == "t" and np.all(np.diff(own[n]) > 0.0)]
+        clocks = [n for n in own if read_name(n).kind == "t" and mostly_rises(own[n])]
         apart = any(not np.array_equal(own[n], own[clocks[0]]) for n in clocks)
         groups = {n.rpartition("/")[0] for n in clocks} if apart else set()
         for name, values in own.items():

@@ -10,6 +10,11 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.sections import Source
 
+
+class NoReadings(SurefootError):
+    """A column without a single reading."""
+
+
 _PLACE = re.compile(r"(.+)\[([^\[\]]+)\]$")
 _SHOWN = 12
 _MOST_PLACES = 1024
@@ -38,7 +43,7 @@ class RecordedTable:
 def column_readings(table: RecordedTable, column: str, source: Source, word: str | None = None):
     """Rows (M,) with a reading of a column, and its values (M,) in their unit, float64.
 
-    Raises SurefootError naming file, column and row.
+    Raises SurefootError naming file, column and row; NoReadings where all are NaN or empty.
 
     Args:
         table: of the file.
@@ -57,11 +62,12 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
             there = ", ".join(sorted({str(one) for one in what})[:_SHOWN])
             raise SurefootError(f"{table.path}: no readings of {column!r} (there are {there})")
         cells = _cells(table, source.long.value, source)[rows]
-    if source.sparse:
-        kept = np.array([not _empty(one) for one in cells], dtype=bool)
+    if source.sparse or (len(cells) and _empty(cells[0])):
+        kept = ~_empties(cells)
         if not kept.any():
-            raise SurefootError(f"{table.path}: column {column!r} has no readings")
-        rows, cells = rows[kept], cells[kept]
+            raise NoReadings(f"{table.path}: column {column!r} is NaN or empty throughout")
+        if source.sparse:
+            rows, cells = rows[kept], cells[kept]
     return rows, _numbers(table, column, cells, rows, word)
 
 
@@ -146,6 +152,13 @@ def _list(cell: object) -> object:
     return cell
 
 
+def _empties(cells: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the cells without a reading."""
+    if cells.dtype.kind in "fiub":
+        return np.isnan(cells)
+    return np.array([_empty(one) for one in cells], dtype=bool)
+
+
 def _empty(cell: object) -> bool:
     if cell is None or (isinstance(cell, str) and not cell.strip()):
         return True
@@ -171,7 +184,8 @@ def _numbers(
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         cell = cells[bad[0]]
-        other = "NaN or empty" if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
+        empty = "NaN or empty; sparse = true in the map leaves such cells out"
+        other = empty if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
         what = "infinite" if np.isinf(values[bad[0]]) else other
         row = table.first + int(rows[bad[0]])
         raise SurefootError(f"{table.path}: column {column!r}, {table.row} {row}: {what}")

@@ -155,8 +155,7 @@ def attitude_fault(
     if abs(late) > LATE and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
         which, how = ("after", "late") if late > 0 else ("before", "early")
         told = f"turns {abs(late):.2f} s {which} the gyro"
-        line = f"[reference] offset = {-late:.3f}"
-        return AttitudeFault(told, f"the reference's clock is {how}", line, late)
+        return AttitudeFault(told, f"the reference's clock is {how}", "", late)
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [

@@ -144,7 +144,7 @@ def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, k
         ("[reference]\n", '[reference]\nfile = "x.csv"\n', "x.csv: no such file"),
         ("[columns]\n", "[source]\nrate = 100\n[columns]\n", "must be given, and not both"),
         ("ref_q_z = ", 'ref_q_z = "/imu:orientation.z" #', "are of /imu and /mocap"),
-        ("/mocap:received", "/mocap:header.stamp", "duplicate stamp"),
+        ("/mocap:received", "/mocap:header.stamp", "message 2: repeats the stamp"),
     ],
 )
 def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
