@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from surefoot.extend import SurefootError
-from surefoot.scenarios.cli.signals import Interrupted, interruptions, unwrapped
+from surefoot.scenarios.cli.signals import catch_signals, say_if_interrupted
 
 OutputFolder = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 
@@ -16,16 +16,15 @@ OutputFolder = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 def run_study(study: Any, arguments: Sequence[str] | None = None) -> None:
     """Run the study, a dataclass with a method `run`, with these options or the command line's.
 
-    Bad input is one line on stderr and exit code 1, bad options exit code 2, an interruption 128
-    plus the signal's number, as of surefoot's own commands. Finished rows are stored, so the same
-    command continues.
+    Bad input is one line on stderr and exit code 1, bad options exit code 2. On the command line a
+    signal ends the study as it ends a command; finished rows are stored, so the study continues
+    when it is run again.
     """
+    if arguments is None:
+        catch_signals()
+        say_if_interrupted(lambda: "interrupted; run the same command to continue")
     options = tyro.cli(study, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
     try:
-        with interruptions(), unwrapped():
-            options.run()
+        options.run()
     except SurefootError as error:
         sys.exit(f"surefoot: {error}")
-    except Interrupted as stop:
-        print("\nsurefoot: interrupted; run the same command to continue", file=sys.stderr)
-        sys.exit(128 + stop.number)
