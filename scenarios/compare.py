@@ -184,7 +184,6 @@ def write_comparison(
     title: str,
     ground: Ground | None = None,
     extra: Sequence[Section] = (),
-    force: bool = False,
 ) -> pd.DataFrame:
     """Write table.md, table.csv, figures/, report.html and one recording per log into `out`.
 
@@ -194,28 +193,39 @@ def write_comparison(
         title: of the report.
         ground: drawn in figures and recordings; None for that of each log, if any.
         extra: sections added to the report.
-        force: whether files may be replaced.
     """
     found = table(comparisons)
-    write_whole(out / "table.md", to_markdown(found) + "\n", force)
-    write_whole(out / "table.csv", to_csv(found), force)
+    write_whole(out / "table.md", to_markdown(found) + "\n")
+    write_whole(out / "table.csv", to_csv(found))
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
         for name, picture in pictures.items():
-            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
-        heading, shown = f"The log '{comparison.log.name}'", tuple(pictures.values())
-        sections.append(Section(heading, _walk_prose(comparison), None, shown))
-        if (robot := comparison.drawn) is not None:
-            log, results = comparison.log, comparison.results
-            drawn = {r.filter: r.trajectory for r in results if traits(r.filter).drawn}
-            learnt = comparison.prediction, comparison.bounds
-            walk = RecordedWalk(log, robot, drawn, *learnt, ground)
-            write_recording(out / f"{comparison.log.name}.rrd", walk, force)
+            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png")
+        heading = f"The log '{comparison.log.name}'"
+        sections.append(
+            Section(heading, _walk_prose(comparison), pictures=tuple(pictures.values()))
+        )
+        if (walk := _recorded(comparison, ground)) is not None:
+            write_recording(out / f"{comparison.log.name}.rrd", walk)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
-    write_report(out / "report.html", title, sections, force)
+    write_report(out / "report.html", title, sections)
     return found
+
+
+def _recorded(comparison: Comparison, ground: Ground | None) -> RecordedWalk | None:
+    """What a recording shows of a comparison; None if there is nothing to draw it along."""
+    if comparison.drawn is None:
+        return None
+    return RecordedWalk(
+        comparison.log,
+        comparison.drawn,
+        {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
+        comparison.prediction,
+        comparison.bounds,
+        ground,
+    )
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
@@ -339,13 +349,13 @@ def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
             if column not in marked or len(rows[column].dropna()) < 2:
                 continue
             values = rows[column].astype(float)
-            off = values
+            ranked = values
             if column in _CONSISTENCY:
-                off = np.abs(np.log(np.maximum(values, 1e-12) / CONSISTENT))
-                off = off[values.between(ONE_WALK[0], ONE_WALK[1])]
-            if off.empty:
+                consistent = values[values.between(*ONE_WALK)]
+                ranked = np.abs(np.log(np.maximum(consistent, 1e-12) / CONSISTENT))
+            if ranked.empty:
                 continue
-            best = cell(values[off.idxmin()])
+            best = cell(values[ranked.idxmin()])
             for at in values.index[[cell(value) == best for value in values]]:
                 marked.at[at, column] = f"**{best}**"
     return marked

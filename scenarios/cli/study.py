@@ -18,7 +18,7 @@ from surefoot.scenarios.settings import (
     RobotSettings,
     TuneSettings,
 )
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, unknown
 
 
 @options.command
@@ -173,8 +173,7 @@ class Suite(GridSettings):
 
     def run(self) -> None:
         if self.name not in SUITES:
-            known = f"known: {', '.join(SUITES)}{did_you_mean(self.name, SUITES)}"
-            raise SurefootError(f"unknown suite '{self.name}'; {known}")
+            raise SurefootError(unknown("suite", self.name, SUITES))
         from surefoot.scenarios.experiments.report import experiment
 
         experiment(self.name, self)

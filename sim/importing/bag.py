@@ -102,16 +102,26 @@ def _remedy(files: list[Path]) -> str:
     return f"; if the recorder was killed, try {' or '.join(sorted(tools))}" if tools else ""
 
 
-def bag_fields(path: Path) -> list[str]:
-    """Every numeric column of a bag, as named in a map, from the first message of each topic."""
+def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
+    """Every numeric column of a bag, as named in a map, from the first message of each topic; and
+    the topics without any but their stamps, with the reason.
+    """
     found: list[str] = []
+    skipped: dict[str, str] = {}
     with _opened(path) as bag:
         for connection in bag.connections:
             for _, _, raw in bag.messages(connections=[connection]):
                 message = bag.deserialize(raw, connection.msgtype)
-                found += [f"{connection.topic}:{field}" for field in _fields(message, "")]
+                fields = [*_fields(message, "")]
+                found += [f"{connection.topic}:{field}" for field in fields]
+                if not any(field != "header.stamp" for field in fields):
+                    skipped[connection.topic] = (
+                        "only lists: write what you need of them to a topic of its own"
+                    )
                 break
-    return list(dict.fromkeys(found))
+            else:
+                skipped[connection.topic] = "NaN, text or empty"
+    return list(dict.fromkeys(found)), skipped
 
 
 def _fields(message: Any, place: str) -> Iterator[str]:
@@ -127,6 +137,11 @@ def _fields(message: Any, place: str) -> Iterator[str]:
             yield from (f"{path}[{one}]" for one in places)
         elif hasattr(value, "__dataclass_fields__"):
             yield from _fields(value, f"{path}.")
+        elif isinstance(value, list) and len(value) <= _MOST_PLACES:
+            # Of motors or feet; stamped elements, as of /tf, are another body in each message.
+            for k, one in enumerate(value):
+                if not hasattr(one, "header"):
+                    yield from _fields(one, f"{path}[{k}].")
 
 
 def topic_of(column: str) -> str:

@@ -189,7 +189,7 @@ def _blank_lines(path: Path, blank: Mapping[str, SurefootError], found: Iterable
 
 def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.ndarray:
     if clock is None:
-        rows = max(len(one) if one.ndim == 1 else max(one.shape) for one in table.cells.values())
+        rows = max(map(len, table.cells.values()))
         return np.arange(rows) / (source.rate or 1.0)
     return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 

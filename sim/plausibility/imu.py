@@ -190,7 +190,7 @@ def _up(view: LogView) -> tuple[np.ndarray | None, str]:
 
 def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference."""
-    if not view.trusts_reference:
+    if not (view.trusts_reference and view.resolves):
         return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     in_body = match_axes(accel, felt)
@@ -198,7 +198,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     # Motion is periodic: half a stride later, a swaying axis is its own negative.
     in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
     fits = max(in_body.own.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
-    delayed = abs(late) > LATE_ACCEL and shifted > max(0.6, fits)
+    delayed = abs(late) > view.least_lag(LATE_ACCEL) and shifted > max(0.6, fits)
     if delayed and not of_another_point(view):
         told = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
@@ -304,6 +304,8 @@ def gyro(view: LogView) -> Iterator[Finding]:
             yield Finding(columns, told, match.words, _lines("gyro", match))
         return
     if not match.alike:
+        if not view.resolves:
+            return
         told = f"correlation of turning {_numbers(match.own)} about x, y, z"
         cause = "another body, other axes or another clock; try surefoot align"
         yield Finding((*_AXES_GYRO, "ref_q"), told, cause)
@@ -340,13 +342,13 @@ def gyro_noise(view: LogView) -> Iterator[Finding]:
     """Check the noise of a gyro, from third differences, which hold little of a body's smooth
     rotation.
     """
-    if view.log.has("imu") and view.comparable:
+    if view.log.has("imu") and view.comparable and view.resolves:
         yield from noise_of(view.log.gyro, _AXES_GYRO, NOISY, "rad/s")
 
 
 def accel_noise(view: LogView) -> Iterator[Finding]:
     """Check the noise of an accelerometer, in the same way."""
-    if view.log.has("imu") and view.comparable:
+    if view.log.has("imu") and view.comparable and view.resolves:
         yield from noise_of(view.log.accel, _AXES_ACCEL, NOISY_ACCEL, "m/s^2")
 
 

@@ -104,7 +104,7 @@ def velocity(view: LogView) -> Iterator[Finding]:
         return
     match = match_axes(logged, moved)
     late, shifted = lag_of(logged, moved, STEP, LATEST)
-    if abs(late) > LATE and shifted > max(_SURELY, match.best.mean()):
+    if abs(late) > view.least_lag(LATE) and shifted > max(_SURELY, match.best.mean()):
         told = f"{1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
         told += " against the change of ref_p"
         yield Finding(_V, told, "a filter, or stamps of another clock")

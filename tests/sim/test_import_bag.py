@@ -167,7 +167,7 @@ def test_columns_are_those_of_the_first_message_of_each_topic(tmp_path, monkeypa
         return whole(message, place)
 
     monkeypatch.setattr(bag, "_fields", counted)
-    fields = bag.bag_fields(write_bag(tmp_path / "run", "ros2"))
+    fields, _ = bag.bag_fields(write_bag(tmp_path / "run", "ros2"))
     assert len(seen) == len(set(seen)) == len(TYPES)
     assert {one.partition(":")[0] for one in fields} == set(TYPES)
 
