@@ -126,3 +126,11 @@ def test_a_pipe_in_the_folder_of_a_bag(tmp_path):
     os.mkfifo(tmp_path / "bag" / "w")
     with pytest.raises(SurefootError, match="regular"):
         bag_fields(tmp_path / "bag")
+
+
+def test_metadata_of_a_megabyte(tmp_path):
+    folder_of(tmp_path / "bag", "none")
+    with (tmp_path / "bag" / "metadata.yaml").open("a") as stream:
+        stream.write("#" * 1_000_000)
+    with pytest.raises(SurefootError, match=r"metadata\.yaml"):
+        bag_fields(tmp_path / "bag")
