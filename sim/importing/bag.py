@@ -31,7 +31,7 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
 
     The stamps of a column are those of its messages' headers or, without a header, the times of
     reception; a column of times holds seconds since the start of the bag. Raises SurefootError for
-    a file that is no bag, a missing topic or field, and a value that is not a finite number.
+    a file that is no bag, and a missing topic or field.
     """
     path = Path(path)
     wanted: dict[str, list[str]] = defaultdict(list)
@@ -56,16 +56,26 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         raise SurefootError(f"{path}: not a readable bag ({type(error).__name__})") from error
 
 
-def bag_fields(path: Path) -> list[str]:
-    """Every numeric column of a bag, as named in a map, from the first message of each topic."""
+def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
+    """Every numeric column of a bag, as named in a map, from the first message of each topic; and
+    the topics without any but their stamps, with the reason.
+    """
     found: list[str] = []
+    skipped: dict[str, str] = {}
     with _opened(path) as bag:
         for connection in bag.connections:
             for _, _, raw in bag.messages(connections=[connection]):
                 message = bag.deserialize(raw, connection.msgtype)
-                found += [f"{connection.topic}:{field}" for field in _fields(message, "")]
+                fields = [*_fields(message, "")]
+                found += [f"{connection.topic}:{field}" for field in fields]
+                if not any(field != "header.stamp" for field in fields):
+                    skipped[connection.topic] = (
+                        "only lists: write what you need of them to a topic of its own"
+                    )
                 break
-    return list(dict.fromkeys(found))
+            else:
+                skipped[connection.topic] = "NaN, text or empty"
+    return list(dict.fromkeys(found)), skipped
 
 
 def _fields(message: Any, place: str) -> Iterator[str]:
@@ -81,6 +91,11 @@ def _fields(message: Any, place: str) -> Iterator[str]:
             yield from (f"{path}[{one}]" for one in places)
         elif hasattr(value, "__dataclass_fields__"):
             yield from _fields(value, f"{path}.")
+        elif isinstance(value, list) and len(value) <= _MOST_PLACES:
+            # Of motors or feet; stamped elements, as of /tf, are another body in each message.
+            for k, one in enumerate(value):
+                if not hasattr(one, "header"):
+                    yield from _fields(one, f"{path}[{k}].")
 
 
 def topic_of(column: str) -> str:
@@ -113,9 +128,6 @@ def _read(bag: AnyReader, path: Path, wanted: dict[str, list[str]]) -> dict[str,
     for topic, found in stamps.items():
         if not found:
             raise SurefootError(f"{path}: topic {topic!r} has no messages")
-    for column, found in values.items():
-        if (bad := np.flatnonzero(~np.isfinite(found))).size:
-            raise SurefootError(f"{path}: column {column!r}, message {bad[0] + 1}: not finite")
     return {c: (np.array(stamps[topic_of(c)]), np.array(found)) for c, found in values.items()}
 
 

@@ -51,7 +51,8 @@ def layout_of(path: Path) -> dict[str, Any]:
     begin = named[-1] if named else max(after, first)
     if begin:
         found["skip"] = begin
-    if _are_numbers(rows[begin]):
+    numbers = [k for k, cell in enumerate(rows[-1]) if _are_numbers([cell])]
+    if numbers and all(_are_numbers([rows[begin][k].strip() or "0"]) for k in numbers):
         found["header"] = False
     if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
         found |= {"separator": separator, "decimal": ","}
