@@ -78,6 +78,7 @@ LOG = [
     ("half a quaternion", lambda c, m: c.pop("ref_q_z"), "ref_q_z"),
     ("a quaternion of length two", lambda c, m: put(c, "ref_q_w", 50, 2.0), "unit quaternion"),
     ("a quaternion of nothing", lambda c, m: [put(c, f"ref_q_{a}", 50, 0.0) for a in "wxyz"], "unit"),
+    ("three rows", lambda c, m: [c.update({n: v[:3]}) for n, v in list(c.items())], "in common"),
     ("no rows", lambda c, m: [c.update({n: v[:0]}) for n, v in list(c.items())], "no rows"),
     ("one row", lambda c, m: [c.update({n: v[:1]}) for n, v in list(c.items())], "rows"),
     ("two rows", lambda c, m: [c.update({n: v[:2]}) for n, v in list(c.items())], "rows"),
