@@ -14,8 +14,8 @@ from rerun.experimental import ViewerClient
 
 import surefoot
 from surefoot.models.observer.predict import predict
-from surefoot.scenarios.cli.options import learnt_from
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, traits
+from surefoot.scenarios.estimate.inputs import learnt_from
 from surefoot.scenarios.estimate.run import declared_model, run_all
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 

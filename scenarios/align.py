@@ -1,6 +1,7 @@
 """Align a reference with the IMU of its log: report, numbers, figure and aligned log."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save
 from surefoot.scenarios.settings import AlignSettings
 from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.importing.recording import read_recording
+from surefoot.sim.importing.reference import REFERENCE_OFFSET, reference_offset, tracked_poses
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.robot import Robot
@@ -31,9 +33,9 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     out, robot = settings.out, settings.robot
     for name in _OUTPUTS:
         refuse_overwrite(out / name, settings.force)
-    log, poses = _read(settings.file, settings.map)
+    log, poses, about = _read(settings.file, settings.map)
     at = Robot.for_log(log, robot) if robot else None
-    found = align(log, poses, settings.most)
+    found = align(log, poses, settings.most, about=about)
     with whole_folder(out, settings.force) as folder:
         write_whole(folder / "alignment.json", json.dumps(found.as_dict(), indent=1) + "\n")
         save_png(figure(log, poses, found), folder / "alignment.png")
@@ -42,7 +44,7 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     if at:
         x, y, z = 1e3 * (at.p_BI + at.R_BI @ found.p_IM)
         said.insert(2, f"       at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base of {robot}")
-    return found, (*said, "", "for the import map:", *found.map_lines)
+    return found, (*said, "", "for the import map, in place of its own:", *found.map_lines)
 
 
 def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
@@ -81,13 +83,18 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
     return drawn
 
 
-def _read(file: Path, map: str | None) -> tuple[Log, Poses]:
+def _read(file: Path, map: str | None) -> tuple[Log, Poses, float]:
+    """The log, the poses of its reference, and the clock offset that its map adds to theirs [s]."""
     recording = read_recording(file, map) if map is not None else None
-    if recording is not None and recording.poses is not None:
-        return recording.without_reference().log(), recording.poses
+    if recording is not None and recording.poses is not None and recording.rules.reference:
+        poses = tracked_poses(recording.poses, recording.rules.reference)
+        about = reference_offset(recording.rules, recording.name)
+        return recording.without_reference().log(), poses, about
     log = recording.log() if recording is not None else Log.read(file)
     log.require("imu", "reference")
-    return log, reference_poses(log)
+    # Its poses have the offset of its map already.
+    poses, about = reference_poses(log), log.meta.model.get(REFERENCE_OFFSET, 0.0)
+    return log, replace(poses, t=poses.t - about), about
 
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:

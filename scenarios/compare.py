@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,9 @@ from surefoot.scenarios.datasets.index import slip_and_creep
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
-from surefoot.scenarios.estimate.run import Result, declared_model, run_all
-from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
+from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
+from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
     height_figure,
     position_error,
@@ -27,8 +28,10 @@ from surefoot.scenarios.reporting.figures import (
 )
 from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
+from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.files import write_whole
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import refuse_full, whole_folder, write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
@@ -131,6 +134,29 @@ def compare_log(
     return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held)
 
 
+def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Comparison]]:
+    """Run the filters on the logs of some files and write the outputs of `write_comparison`.
+
+    What is implausible in a log is printed to stderr. Raises SurefootError saying what is missing
+    or wrong, also where two logs have the same name.
+    """
+    refuse_full(settings.out, settings.force)
+    learnt = learnt_from(settings.observer, settings.bounds)
+    logs = read_logs(settings.logs)
+    names = [log.name for log in logs]
+    for path, name in zip(settings.logs, names, strict=True):
+        if names.count(name) > 1:
+            raise SurefootError(f"{path}: another log has the same name; rename one of them")
+    chosen = read_settings(settings.settings, settings.set)
+    warnings = not_plausible(logs, settings.robot, settings.strict)
+    found = []
+    for log in logs:
+        one = compare_log(log, robot_of(log, settings.robot), learnt, settings=chosen)
+        found.append(replace(one, warnings=warnings.get(log.name, ())))
+    with whole_folder(settings.out, settings.force) as folder:
+        return write_comparison(found, folder, "Filters compared"), found
+
+
 def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
     """One row per log and filter; MEANINGS describes the columns."""
     rows = []
@@ -158,7 +184,6 @@ def write_comparison(
     title: str,
     ground: Ground | None = None,
     extra: Sequence[Section] = (),
-    force: bool = False,
 ) -> pd.DataFrame:
     """Write table.md, table.csv, figures/, report.html and one recording per log into `out`.
 
@@ -168,28 +193,39 @@ def write_comparison(
         title: of the report.
         ground: drawn in figures and recordings; None for that of each log, if any.
         extra: sections added to the report.
-        force: whether files may be replaced.
     """
     found = table(comparisons)
-    write_whole(out / "table.md", to_markdown(found) + "\n", force)
-    write_whole(out / "table.csv", to_csv(found), force)
+    write_whole(out / "table.md", to_markdown(found) + "\n")
+    write_whole(out / "table.csv", to_csv(found))
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
         for name, picture in pictures.items():
-            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png", force)
-        heading, shown = f"The log '{comparison.log.name}'", tuple(pictures.values())
-        sections.append(Section(heading, _walk_prose(comparison), None, shown))
-        if (robot := comparison.drawn) is not None:
-            log, results = comparison.log, comparison.results
-            drawn = {r.filter: r.trajectory for r in results if traits(r.filter).drawn}
-            learnt = comparison.prediction, comparison.bounds
-            walk = RecordedWalk(log, robot, drawn, *learnt, ground)
-            write_recording(out / f"{comparison.log.name}.rrd", walk, force)
+            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png")
+        heading = f"The log '{comparison.log.name}'"
+        sections.append(
+            Section(heading, _walk_prose(comparison), pictures=tuple(pictures.values()))
+        )
+        if (walk := _recorded(comparison, ground)) is not None:
+            write_recording(out / f"{comparison.log.name}.rrd", walk)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
-    write_report(out / "report.html", title, sections, force)
+    write_report(out / "report.html", title, sections)
     return found
+
+
+def _recorded(comparison: Comparison, ground: Ground | None) -> RecordedWalk | None:
+    """What a recording shows of a comparison; None if there is nothing to draw it along."""
+    if comparison.drawn is None:
+        return None
+    return RecordedWalk(
+        comparison.log,
+        comparison.drawn,
+        {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
+        comparison.prediction,
+        comparison.bounds,
+        ground,
+    )
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
@@ -313,13 +349,13 @@ def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
             if column not in marked or len(rows[column].dropna()) < 2:
                 continue
             values = rows[column].astype(float)
-            off = values
+            ranked = values
             if column in _CONSISTENCY:
-                off = np.abs(np.log(np.maximum(values, 1e-12) / CONSISTENT))
-                off = off[values.between(ONE_WALK[0], ONE_WALK[1])]
-            if off.empty:
+                consistent = values[values.between(*ONE_WALK)]
+                ranked = np.abs(np.log(np.maximum(consistent, 1e-12) / CONSISTENT))
+            if ranked.empty:
                 continue
-            best = cell(values[off.idxmin()])
+            best = cell(values[ranked.idxmin()])
             for at in values.index[[cell(value) == best for value in values]]:
                 marked.at[at, column] = f"**{best}**"
     return marked

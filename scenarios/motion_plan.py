@@ -17,7 +17,7 @@ from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linear
 from surefoot.models.attribution.fit import design
 from surefoot.models.attribution.priors import prior_of
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.effects import known_effects
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -74,8 +74,7 @@ def plan_motions(
     known = known_effects()
     for name in effects:
         if name not in known:
-            hint = did_you_mean(name, known)
-            raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
+            raise SurefootError(unknown("effect", name, known))
     found: dict[Key, dict[str, Shown]] = {}
     tried = motions(robot)
     for k, (motion, segments) in enumerate(tried.items()):

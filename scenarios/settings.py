@@ -8,8 +8,80 @@ from dataclasses import dataclass
 from pathlib import Path
 
 
+@dataclass(frozen=True, kw_only=True)
+class OutputSettings:
+    """What all tasks that write files have in common."""
+
+    force: bool = False
+    """Replace what an earlier run of this command wrote."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSettings:
+    """The robot of a log."""
+
+    robot: str | None = None
+    """Name of the robot, or its file (MJCF or URDF); by default the one named in the log."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedSettings(RobotSettings):
+    """How logs are checked for plausibility before they are used."""
+
+    strict: bool = False
+    """Stop with an error, instead of a warning, if a log contains implausible values."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearntSettings:
+    """Files of observers and their bounds."""
+
+    observer: tuple[Path, ...] = ()
+    """Observer, a file from `train`; give one trained with loss mse, one with gml, or both."""
+    bounds: tuple[Path, ...] = ()
+    """Bounds (JSON), a file from `calibrate`, of an observer that is also given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
+    """What filters run with, besides a log."""
+
+    settings: Path | None = None
+    """File of sensor noise, initial state and its standard deviations for the filters (TOML), such
+    as `noise` writes.
+    """
+    set: tuple[str, ...] = ()
+    """One setting as in the file of settings, which it overrides, such as noise.gyro=1e-3
+    [rad/s/sqrt(Hz)].
+    """
+
+
 @dataclass(frozen=True)
-class SimulateSettings:
+class EstimateSettings(FilterFiles):
+    """Estimate of one log, for `scenarios.estimate.file.estimate_file`."""
+
+    log: Path
+    """Log with IMU, and with what the filter needs besides."""
+    filter: str
+    """Name of the filter."""
+    out: Path | None = None
+    """File for the trajectory with covariances (.parquet); its poses are also written beside it as
+    a .tum file.
+    """
+
+
+@dataclass(frozen=True)
+class CompareSettings(FilterFiles):
+    """Comparison of filters on logs, for `scenarios.compare.compare_files`."""
+
+    logs: tuple[Path, ...]
+    """Logs to compare the filters on; errors are computed for those with a reference."""
+    out: Path
+    """Folder for table.csv, table.md, report.html, figures and recordings."""
+
+
+@dataclass(frozen=True)
+class SimulateSettings(OutputSettings):
     """Walks to simulate, for `scenarios.datasets.simulate.simulate`."""
 
     scenarios: Sequence[str | Path]
@@ -30,12 +102,10 @@ class SimulateSettings:
     """Number of parallel walks on this machine, one thread each."""
     cluster: str | None = None
     """Address of a Dask scheduler that runs the work, such as tcp://127.0.0.1:8786."""
-    force: bool = False
-    """Replace what an earlier run of this command wrote."""
 
 
 @dataclass(frozen=True)
-class AlignSettings:
+class AlignSettings(OutputSettings):
     """Files of an alignment, for `scenarios.align.align_file`."""
 
     file: Path
@@ -50,18 +120,22 @@ class AlignSettings:
     """
     most: float = 10.0
     """Largest clock offset that is searched for, in either direction [s]."""
-    force: bool = False
-    """Replace what an earlier run of this command wrote."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerSettings:
+    """Parallel work."""
+
+    workers: int = 1
+    """Number of parallel processes on this machine."""
 
 
 @dataclass(frozen=True)
-class GridSettings:
+class GridSettings(WorkerSettings):
     """How a grid is run and where to, for `scenarios.experiments.report.experiment`."""
 
     out: Path
     """Folder for tables, report.html and recordings."""
-    workers: int = 1
-    """Number of parallel processes on this machine."""
     seeds: str | None = None
     """One seed, or a range such as 0:8, which is 0 to 7; by default the file's (0 to 2 in a
     suite).
@@ -82,22 +156,26 @@ class GridSettings:
     """Write tables and report again; what is in the cache is reused."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class WalkSettings(OutputSettings):
+    """Draws and page of a task that simulates the walks of a measured log."""
+
+    seed: int = 0
+    """Seed of the walks, of a training, and of the intervals."""
+    page: Path | None = None
+    """Page of results to write as well, such as docs/results/loop.md."""
+
+
 @dataclass(frozen=True)
-class LoopSettings:
+class LoopSettings(WalkSettings):
     """Outputs and seed of a loop, for `scenarios.trace.loop.loop`."""
 
     out: Path
     """Folder for all outputs; an interrupted run is resumed from it."""
-    seed: int = 0
-    """Seed of the walks, the training and the intervals."""
-    page: Path | None = None
-    """Page of results to write as well, such as docs/results/loop.md."""
-    force: bool = False
-    """Replace what an earlier run of this command wrote."""
 
 
 @dataclass(frozen=True)
-class RealismSettings:
+class RealismSettings(WalkSettings):
     """Outputs and seed of a comparison, for `scenarios.trace.realism.realism`."""
 
     out: Path
@@ -106,29 +184,17 @@ class RealismSettings:
     """Also compare walks with the gait, sensors and effects measured on a real robot. Effects that
     are given replace the measured ones.
     """
-    seed: int = 0
-    """Seed of the walks and the intervals."""
-    page: Path | None = None
-    """Page of results to write as well, such as docs/results/realism.md."""
-    force: bool = False
-    """Replace what an earlier run of this command wrote."""
 
 
 @dataclass(frozen=True)
-class TuneSettings:
+class TuneSettings(RobotSettings, WorkerSettings, OutputSettings):
     """A search of parameters, for `scenarios.tune.tune`."""
 
     out: Path
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
     filter: tuple[str, ...] = ()
     """Filter to tune; by default all that the inputs allow."""
-    robot: str | None = None
-    """Name of the robot, or its file (MJCF or URDF); by default the one named in the log."""
     budget: int = 16
     """Number of runs of each filter over all logs of a robot."""
     longest: float = 120.0
     """Part of each log, from its start, on which filters are evaluated [s]."""
-    workers: int = 1
-    """Number of parallel processes on this machine."""
-    force: bool = False
-    """Replace what an earlier run of this command wrote."""

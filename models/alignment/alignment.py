@@ -16,10 +16,10 @@ from surefoot.models.alignment.least_squares import (
     fit_placement,
     specific_forces,
 )
-from surefoot.models.alignment.rotation_guess import guess_from_rotation
+from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, guess_from_rotation
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.importing.reference import mounted, with_reference
+from surefoot.sim.importing.reference import REFERENCE_OFFSET, mounted, with_reference
 from surefoot.sim.importing.reference_check import without_jumps
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
@@ -61,6 +61,7 @@ class Alignment:
         turn_missed: share of the gyro's rotation that the tracked body does not have.
         accel_sign: factor of each axis that makes the accelerometer a specific force (3,).
         accel_offset: to add to it (3,) [m/s^2].
+        other_epoch: whether the clocks have no time in common, so that all offsets were searched.
         samples: number of samples of the reference.
         fitted: residuals of the fit.
         faults: reasons to doubt the result, in words.
@@ -79,6 +80,7 @@ class Alignment:
     turn_missed: float
     accel_sign: np.ndarray
     accel_offset: np.ndarray
+    other_epoch: bool
     samples: int
     fitted: PlacementFit
     faults: tuple[str, ...]
@@ -96,7 +98,9 @@ class Alignment:
         return (
             f"clock: add {_numbers(np.array([self.offset]), 4)} s to the reference's stamps "
             f"(+-{1e3 * self.offset_half_width:.2g} ms); the log's halves say "
-            f"{_numbers(np.array([first]), 4)} and {_numbers(np.array([second]), 4)} s",
+            f"{_numbers(np.array([first]), 4)} and {_numbers(np.array([second]), 4)} s"
+            + "; the clocks count from different epochs"
+            * self.other_epoch,
             f"place: the tracked point is at ({_numbers(1e3 * self.p_IM, 0)}) mm in the IMU frame "
             f"(+-{_numbers(1e3 * self.p_IM_half_width, 0)})",
             f"rotation: ({_numbers(angles, 1)}) deg from the tracked body's axes to the IMU's "
@@ -108,9 +112,10 @@ class Alignment:
 
     @property
     def map_lines(self) -> tuple[str, ...]:
-        """Lines of an import map that apply the same alignment."""
+        """Lines of an import map that apply the same alignment, in place of its own."""
         return (
             "[reference]",
+            'frame = "imu"',
             f"offset = {self.offset:.5f} # s",
             f"p_IM = [{_numbers(self.p_IM, 4)}] # m, of the tracked body in the IMU frame",
             f"q_IM = [{_numbers(self.q_IM, 6)}] # w, x, y, z",
@@ -124,15 +129,21 @@ class Alignment:
 
 
 def align(
-    log: Log, poses: Poses | None = None, most: float = LARGEST_OFFSET, seed: int = 0
+    log: Log,
+    poses: Poses | None = None,
+    most: float = LARGEST_OFFSET,
+    seed: int = 0,
+    about: float = 0.0,
 ) -> Alignment:
     """Find clock offset, position and rotation of a reference, from IMU and reference alone.
 
     Args:
         log: with an IMU.
         poses: of the tracked body, on its own clock; by default the log's own reference.
-        most: largest clock offset searched for [s].
+        most: largest difference from `about` that is searched for [s]; if nothing within it gives
+            the clocks enough time in common, all offsets that do are searched.
         seed: of the bootstrap of the intervals.
+        about: known part of the clock offset [s].
 
     Raises SurefootError if the log has no IMU or no reference, or they overlap too little.
     """
@@ -140,6 +151,11 @@ def align(
     poses = without_jumps(reference_poses(log) if poses is None else poses)
     t, gyro, accel = log.t, log.gyro, log.accel
     too_little = SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
+    apart = max(poses.t[0] + about - t[-1], t[0] - poses.t[-1] - about) + LEAST_OVERLAP
+    if other_epoch := bool(apart > most):
+        about = 0.5 * float(t[0] + t[-1] - poses.t[0] - poses.t[-1])
+        most = 0.5 * float(np.ptp(t) + np.ptp(poses.t))
+    poses = replace(poses, t=poses.t + about)
     guess = guess_from_rotation(t, gyro, poses, most)
     if guess is None:
         raise too_little
@@ -155,12 +171,12 @@ def align(
     if fitted is None:
         raise too_little
     found, width = fitted.placement, fitted.half_width
-    halves = found.offset + fitted.halves[:, 0]
+    halves = about + found.offset + fitted.halves[:, 0]
     turning = np.sum(np.var(readings.gyro, axis=0))
     # The median of the residual, since impacts smeared by the IMU's filter are not another body.
     missed = 3.0 * (1.4826 * np.median(np.abs(fitted.rates))) ** 2 / turning
     return Alignment(
-        offset=found.offset,
+        offset=about + found.offset,
         offset_half_width=float(width[0]),
         halves=halves,
         p_IM=found.p_IM,
@@ -173,6 +189,7 @@ def align(
         turn_missed=float(missed),
         accel_sign=sign,
         accel_offset=shift,
+        other_epoch=other_epoch,
         samples=len(fitted.t),
         fitted=fitted,
         faults=_faults(float(missed), halves, sign, shift),
@@ -192,6 +209,7 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
     done = {k: alignment.as_dict()[k] for k in ("offset", "p_IM", "q_IM")}
     derived = (*log.meta.derived, "reference (aligned with the IMU)")
     model = {**log.meta.model, "reference_alignment": done}
+    model.pop(REFERENCE_OFFSET, None)
     frame = log.frame.iloc[:0].reindex(columns=list(columns)).assign(**columns)
     return replace(log, frame=frame, meta=replace(log.meta, derived=derived, model=model))
 
@@ -232,7 +250,8 @@ def _faults(
     for axis, s, d in zip("xyz", sign, shift, strict=True):
         if s < 0 or d:
             found.append(
-                f"accel_{axis} is no specific force; in the map: sign = {s:.0f}, offset = {d:.2f}"
+                f"accel_{axis} is no specific force; in the map: "
+                f"accel_{axis} = {{ ..., sign = {s:.0f}, offset = {d:.2f} }}"
             )
     return tuple(found)
 

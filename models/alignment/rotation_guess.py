@@ -19,7 +19,7 @@ _STEP = 0.005
 """Step between the offsets tried [s]: a fraction of a sample of motion capture."""
 _SMOOTH = 0.06
 """Averaging time of the rates [s]; a lost sample or a stamp off by a frame then hardly matters."""
-_OVERLAP = 3.0
+LEAST_OVERLAP = 3.0
 """Least common time of IMU and reference [s]: some strides."""
 _PEAKS = 12
 """Number of offsets whose rates are compared: the strides within ten seconds."""
@@ -55,7 +55,7 @@ def guess_from_rotation(
     fastest = 1.5 * np.linalg.norm(gyro, axis=1).max()
     size = np.maximum(np.linalg.norm(rates, axis=1), 1e-12)
     rates = rates * np.minimum(1.0, fastest / size)[:, None]
-    t, middle = _with_short_gaps(t, middle, 2.0 * (most + _OVERLAP))
+    t, middle = _with_short_gaps(t, middle, 2.0 * (most + LEAST_OVERLAP))
     here, there = (np.arange(x[0], x[-1], _STEP) for x in (t, middle))
     a, b = smoothed(here, t, gyro), smoothed(there, middle, rates)
     shift = there[0] - here[0]
@@ -105,7 +105,7 @@ def smoothed(at: np.ndarray, t: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Correlation of a (A,) with b (B,) over their overlap at each shift (A + B - 1,); minus
-    infinity where the overlap is shorter than _OVERLAP.
+    infinity where the overlap is shorter than LEAST_OVERLAP.
     """
     back, one_a, one_b = b[::-1], np.ones_like(a), np.ones_like(b)
     count = np.round(convolve(one_a, one_b))
@@ -114,7 +114,7 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     var_a = convolve(a**2, one_b) - sum_a**2 / count
     var_b = convolve(one_a, back**2) - sum_b**2 / count
     size = np.sqrt(np.maximum(var_a * var_b, 1e-18))
-    return np.where(count * _STEP >= _OVERLAP, both / size, -np.inf)
+    return np.where(count * _STEP >= LEAST_OVERLAP, both / size, -np.inf)
 
 
 def _guess_at_offset(
@@ -130,7 +130,7 @@ def _guess_at_offset(
         offset: to add to these times [s].
     """
     inside = (here - offset >= there[0]) & (here - offset <= there[-1])
-    if _STEP * inside.sum() < _OVERLAP:
+    if _STEP * inside.sum() < LEAST_OVERLAP:
         return None
     a = a[inside]
     b = np.column_stack([np.interp(here[inside] - offset, there, x) for x in b.T])

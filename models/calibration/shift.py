@@ -48,17 +48,15 @@ def block_sizes(squared: np.ndarray) -> np.ndarray:
     ]
 
 
-def shift_alarm(
-    calibration: np.ndarray, seen: np.ndarray, chance: float = FALSE_ALARM, period: float = 1.0
-) -> Alarm:
+def shift_alarm(calibration: np.ndarray, seen: np.ndarray, chance: float = FALSE_ALARM) -> Alarm:
     """Monitor block sizes `seen` (m,) as they come, against those of the calibration (n,).
 
-    `period` is that of a block [s]. The chance is exact for exchangeable blocks. It is a test of
+    Blocks last a second each. The chance is exact for exchangeable blocks. It is a test of
     similarity, so a walk may raise it on which the bounds still hold.
     """
     wealth = fortune(calibration, seen)
     raised = np.flatnonzero(wealth >= 1 / chance)
-    at = float((raised[0] + SETTLING_BLOCKS + 1) * period) if len(raised) else None
+    at = float(raised[0] + SETTLING_BLOCKS + 1) if len(raised) else None
     return Alarm(wealth, at, chance)
 
 

@@ -8,7 +8,12 @@ from tyro.conf import Positional, arg
 
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import file_there
-from surefoot.scenarios.settings import AlignSettings, SimulateSettings
+from surefoot.scenarios.settings import (
+    AlignSettings,
+    CheckedSettings,
+    OutputSettings,
+    SimulateSettings,
+)
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
@@ -42,16 +47,14 @@ class Simulate(SimulateSettings):
 
 
 @options.command
-class Import:
+class Import(CheckedSettings, OutputSettings):
     """Convert a recording to a log, by a map of its columns.
 
     Reads CSV and other text tables, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the
     suffix of each file.
     """
 
-    files: Annotated[
-        Positional[tuple[str, ...]], arg(metavar="FILE...", help_behavior_hint=options.NEEDED)
-    ]
+    files: tuple[str, ...]
     """The main file, or the folder that contains it, then further files that the map does not name.
     A leading `csv` or `bag` is ignored.
     """
@@ -67,8 +70,6 @@ class Import:
     """With --guess: name of the robot, or its file (MJCF or URDF), whose joints the columns are
     assigned to.
     """
-    strict: options.Strict = False
-    force: options.Force = False
 
     def run(self) -> None:
         kind = len(self.files) > 1 and self.files[0] in ("csv", "bag")  # alone it is a file's name
@@ -83,6 +84,7 @@ class Import:
             raise SurefootError(f"--{name} is missing; to draft a map, give --guess")
         if self.robot:
             raise SurefootError("--robot is only for --guess; the robot is named in the map")
+        from surefoot.scenarios.estimate.inputs import not_plausible
         from surefoot.sim.importing.recording import read_recording
         from surefoot.sim.importing.report import import_lines
 
@@ -90,7 +92,7 @@ class Import:
         log = recording.log()
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
-        warnings = options.not_plausible([log], strict=self.strict).get(log.name, ())
+        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
@@ -118,16 +120,15 @@ class Import:
 
 
 @options.command
-class Export:
+class Export(OutputSettings):
     """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out."""
 
-    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    file: Path
     """A log, or a trajectory from `estimate` (.parquet)."""
     out: Path
     """File to write: .tum (poses; of a log, those of its reference), .csv (every column), .mcap
     (ROS 2 and Foxglove messages).
     """
-    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.export import export
@@ -136,21 +137,19 @@ class Export:
 
 
 @options.command
-class Info:
+class Info(CheckedSettings, options.JsonOption):
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
-    logs: options.Logs
+    logs: tuple[Path, ...]
     """Logs to show."""
-    robot: options.RobotName = None
-    strict: options.Strict = False
-    as_json: options.Json = False
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.inputs import not_plausible, read_logs
         from surefoot.sim.importing.report import import_lines
 
-        logs = options.read_logs(self.logs)
-        doubts = options.not_plausible(logs, self.robot, self.strict) if self.as_json else {}
-        if self.as_json:
+        logs = read_logs(self.logs)
+        doubts = not_plausible(logs, self.robot, self.strict) if self.json else {}
+        if self.json:
             options.print_json(
                 [
                     {
@@ -179,7 +178,7 @@ class Info:
                     print(f"{what}: {words}")
             for line in import_lines(log):
                 print(line)
-        options.not_plausible(logs, self.robot, self.strict)
+        not_plausible(logs, self.robot, self.strict)
 
 
 def _summary(name: str, log: "Log") -> str:
@@ -193,21 +192,18 @@ def _groups(log: "Log") -> list[str]:
 
 
 @options.command
-class Align(AlignSettings):
+class Align(AlignSettings, options.JsonOption):
     """Find clock offset, position and rotation of a reference from IMU and reference alone."""
-
-    file: Annotated[Positional[Path], arg(metavar="FILE")]
-    as_json: options.Json = False
 
     def run(self) -> None:
         from surefoot.scenarios.align import align_file
 
         found, lines = align_file(self)
-        options.print_json(found.as_dict()) if self.as_json else print("\n".join(lines))
+        options.print_json(found.as_dict()) if self.json else print("\n".join(lines))
 
 
 @options.command
-class View:
+class View(OutputSettings):
     """Open a recording, a log, or a scenario's course before it is walked, in the rerun viewer."""
 
     file: Annotated[Positional[str], arg(metavar="FILE|SCENARIO")]
@@ -220,7 +216,6 @@ class View:
     """Seed of a scenario's course and ground."""
     out: Path | None = None
     """File to write the recording of a log or a scenario to (.rrd), instead of opening it."""
-    force: options.Force = False
 
     def run(self) -> None:
         from tempfile import TemporaryDirectory
@@ -256,7 +251,7 @@ class View:
 
 
 @options.command
-class Robots:
+class Robots(OutputSettings, options.JsonOption):
     """List the known robots, or show what is read from one of them or from a file."""
 
     robot: Annotated[
@@ -265,8 +260,6 @@ class Robots:
     """Robot (name, MJCF or URDF) of which to show legs, limits, masses, feet, IMU and home pose."""
     out: Path | None = None
     """File for a picture of this robot (.png)."""
-    as_json: options.Json = False
-    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.sim.robot.catalog import BUNDLED_ROBOTS, downloadable_robots, known_robots
@@ -275,7 +268,7 @@ class Robots:
             from surefoot.scenarios.robot_card import robot_card
 
             card = robot_card(self.robot, self.out, self.force)
-            options.print_json(card.values) if self.as_json else print(card.text)
+            options.print_json(card.values) if self.json else print(card.text)
             return
         if self.out:
             raise SurefootError("-o is for the picture of one robot; name the robot too")
@@ -284,7 +277,7 @@ class Robots:
             for name, file in known_robots().items()
         }
         origins |= dict.fromkeys(downloadable_robots(), "robot_descriptions, fetched at first use")
-        if self.as_json:
+        if self.json:
             options.print_json(origins)
             return
         for name, origin in origins.items():
@@ -294,16 +287,15 @@ class Robots:
 
 
 @options.command
-class New:
+class New(OutputSettings):
     """Write a working package of your own: an estimator with its test."""
 
     kind: Positional[Literal["estimator"]]
     """What to write."""
-    name: Annotated[Positional[str], arg(metavar="NAME")]
+    name: str
     """Name of the estimator: lower-case letters, digits and underscores, a letter first."""
     out: Path | None = None
     """Folder for the package; by default one called NAME."""
-    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.skeleton import new_estimator

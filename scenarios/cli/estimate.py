@@ -6,13 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS, LOSSES
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.settings import (
+    CheckedSettings,
+    CompareSettings,
+    EstimateSettings,
+    OutputSettings,
+)
 from surefoot.sim.common.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -41,39 +47,36 @@ Method = Annotated[options.one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
 @options.command
-class Train(TrainSettings):
+class Train(TrainSettings, CheckedSettings, OutputSettings, options.JsonOption):
     """Train a velocity observer on one or more logs; an interrupted training is resumed."""
 
-    logs: options.Logs
+    logs: tuple[Path, ...]
     """Logs with a reference, of at least ten seconds each."""
     out: Path
     """File for the observer (.pt)."""
     loss: options.one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
     inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
     model: options.one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
-    robot: options.RobotName = None
-    strict: options.Strict = False
-    as_json: options.Json = False
-    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.models.calibration.walk_length import walk_enough
         from surefoot.models.observer.device import torch_device
         from surefoot.models.observer.training import partial_path, train
+        from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.sim.common.files import refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
         torch_device(self.device)  # before the logs are read
-        recorded = options.read_logs(self.logs, self.robot)
-        warnings = options.not_plausible(recorded, strict=self.strict)
+        recorded = read_logs(self.logs, self.robot)
+        warnings = not_plausible(recorded, strict=self.strict)
         partial = partial_path(self.out)
-        observer = train(options.as_declared(recorded), None, self, True, partial)
+        observer = train(as_declared(recorded), None, self, True, partial)
         seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
         observer = replace(observer, logs=tuple(seen))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
         x, y, z = observer.rmse
-        if self.as_json:
+        if self.json:
             options.print_json({"observer": self.out, "hash": observer.hash, "rmse": observer.rmse})
             return
         print(
@@ -85,12 +88,12 @@ class Train(TrainSettings):
 
 
 @options.command
-class Calibrate(CalibrateSettings):
+class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.JsonOption):
     """Calibrate bounds on an observer's velocity errors, from a log it has not seen."""
 
-    observer: Annotated[Positional[Path], arg(metavar="OBSERVER")]
+    observer: Path
     """Observer, a file from `train`."""
-    log: Annotated[Positional[Path], arg(metavar="LOG")]
+    log: Path
     """Log with a reference that the observer was not trained on."""
     out: Path
     """File for the bounds (JSON)."""
@@ -98,18 +101,15 @@ class Calibrate(CalibrateSettings):
     method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
     report: Path | None = None
     """Folder for a report: decay of dependence, methods, and coverage on the walks of --on."""
-    on: Annotated[tuple[Path, ...], arg(metavar="LOG...", help_behavior_hint=options.OPTIONAL)] = ()
+    on: tuple[Path, ...] = ()
     """Logs on which the report evaluates the bounds; needs --report."""
     page: Path | None = None
     """Page of results to write as well, such as docs/results/bounds.md; needs --report."""
-    robot: options.RobotName = None
-    strict: options.Strict = False
-    as_json: options.Json = False
-    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.models.calibration.calibrate import calibrate
         from surefoot.models.observer.observer import Observer
+        from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.reporting.calibration_report import write_calibration_report
         from surefoot.sim.common.files import refuse_full, refuse_overwrite, whole_folder
 
@@ -117,19 +117,19 @@ class Calibrate(CalibrateSettings):
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
                 raise SurefootError(f"--{name}: needs --report DIR")
-        recorded = options.read_logs((self.log, *self.on), self.robot)
+        recorded = read_logs((self.log, *self.on), self.robot)
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
         log = recorded[0]
-        warnings = options.not_plausible([log], strict=self.strict).get(log.name, ())
-        (log,) = options.as_declared([log])
+        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
+        (log,) = as_declared([log])
         bounds = replace(calibrate(observer, log, self), warnings=warnings)
         with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
             if folder:
                 write_calibration_report(folder, observer, bounds, recorded, self.page)
             bounds.save(self.out, self.force)
-        if self.as_json:
+        if self.json:
             print(self.out.read_text(encoding="utf-8"))
             return
         x, y, z = bounds.epsilon
@@ -148,65 +148,36 @@ class Calibrate(CalibrateSettings):
 
 
 @options.command
-class Estimate:
+class Estimate(EstimateSettings, options.JsonOption):
     """Run one filter over a log; prints metrics if the log has a reference.
 
     Exit code 3: the trajectory is written, but is not to be trusted; the last line says why.
     """
 
-    log: Annotated[Positional[Path], arg(metavar="LOG")]
-    """Log with IMU, and with what the filter needs besides."""
     filter: Annotated[str, arg(metavar="NAME", help=f"One of {', '.join(ESTIMATORS)}.")]
-    robot: options.RobotName = None
-    observer: options.Observers = ()
-    bounds: options.BoundsFiles = ()
-    out: Path | None = None
-    """File for the trajectory with covariances (.parquet); its poses are also written beside it as
-    a .tum file.
-    """
-    settings: options.SettingsFile = None
-    set_lines: options.SettingLines = ()
-    strict: options.Strict = False
-    as_json: options.Json = False
-    force: options.Force = False
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.file import TrajectoryFile, estimate_file, first_minutes
-        from surefoot.scenarios.estimate.settings import read_settings
-        from surefoot.sim.common.files import refuse_overwrite
-        from surefoot.sim.log import LogReader
+        from surefoot.scenarios.estimate.file import estimate_file
 
-        reader = LogReader(self.log)
-        if self.out:
-            refuse_overwrite(self.out, self.force)
-            if self.out.suffix != ".parquet":
-                raise SurefootError(
-                    f"-o {self.out}: give a .parquet file; the .tum is written beside it, and "
-                    "`surefoot export` writes CSV or MCAP"
-                )
-            refuse_overwrite(self.out.with_suffix(".tum"), self.force)
-        learnt = options.learnt_from(self.observer, self.bounds)
-        settings = read_settings(self.settings, self.set_lines)
-        warnings = options.not_plausible([first_minutes(reader)], self.robot, self.strict)
-        doubted = tuple(warnings.get(self.log.stem, ()))
-        out = TrajectoryFile(self.out, self.force, doubted) if self.out else None
-        found, health = estimate_file(self.filter, reader, self.robot, learnt, settings, out)
-        if self.as_json:
+        found, health = estimate_file(self)
+        if self.json:
             values = {"log": self.log, "filter": self.filter, "trajectory": self.out}
             why = {"trusted": not health.lost, "why_not": health.sentence(self.filter)}
             options.print_json(values | why | {"metrics": found, "health": health})
         else:
-            self._show(found, health, reader.rows)
+            self._show(found, health)
         if health.lost:
             print(health.sentence(self.filter), file=sys.stderr)
             sys.exit(NOT_TRUSTED)
 
-    def _show(self, found: "Metrics | None", health: "Health", rows: int) -> None:
+    def _show(self, found: "Metrics | None", health: "Health") -> None:
         from surefoot.scenarios.reporting.tables import metrics_row, to_markdown
+        from surefoot.sim.log import LogReader
 
         if found is not None:
             print(to_markdown([metrics_row(found)]))
         elif not health.lost:
+            rows = LogReader(self.log).rows
             print(f"{self.log.stem}: {rows} samples estimated; no reference to compare with")
         if health.sensors:
             print("\n" + to_markdown(health.table()))
@@ -218,17 +189,15 @@ class Estimate:
 
 
 @options.command
-class NoiseCommand:
+class NoiseCommand(OutputSettings, options.JsonOption):
     """Estimate the sensor noise of a log in which the robot rests, as settings of the filters."""
 
-    log: Annotated[Positional[Path], arg(metavar="LOG")]
+    log: Path
     """Log in which the robot rests; the random walks of the biases need a minute or more."""
     out: Path | None = None
     """File for the settings (.toml), which --settings reads; the Allan deviations are plotted in a
     .png file beside it.
     """
-    as_json: options.Json = False
-    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.noise import noise, noise_text
@@ -236,49 +205,19 @@ class NoiseCommand:
 
         log = Log.read(self.log)
         found = noise(log, self.out, self.force)
-        options.print_json(found) if self.as_json else print(noise_text(log.name, found))
+        options.print_json(found) if self.json else print(noise_text(log.name, found))
 
 
 @options.command
-class Compare:
+class Compare(CompareSettings, options.JsonOption):
     """Run every filter that the inputs allow on every log: table, figures, report, recordings."""
 
-    logs: options.Logs
-    """Logs to compare the filters on; errors are computed for those with a reference."""
-    out: Path
-    """Folder for table.csv, table.md, report.html, figures and recordings."""
-    observer: options.Observers = ()
-    bounds: options.BoundsFiles = ()
-    robot: options.RobotName = None
-    settings: options.SettingsFile = None
-    set_lines: options.SettingLines = ()
-    strict: options.Strict = False
-    as_json: options.Json = False
-    force: options.Force = False
-
     def run(self) -> None:
-        from surefoot.scenarios.compare import compare_log, left_out_lines, write_comparison
-        from surefoot.scenarios.estimate.run import robot_of
-        from surefoot.scenarios.estimate.settings import read_settings
+        from surefoot.scenarios.compare import compare_files, left_out_lines
         from surefoot.scenarios.reporting.tables import to_markdown
-        from surefoot.sim.common.files import refuse_full, whole_folder
 
-        refuse_full(self.out, self.force)
-        learnt = options.learnt_from(self.observer, self.bounds)
-        logs = options.read_logs(self.logs)
-        names = [log.name for log in logs]
-        for path, name in zip(self.logs, names, strict=True):
-            if names.count(name) > 1:
-                raise SurefootError(f"{path}: another log has the same name; rename one of them")
-        settings = read_settings(self.settings, self.set_lines)
-        warnings = options.not_plausible(logs, self.robot, self.strict)
-        found = [
-            compare_log(log, robot_of(log, self.robot), learnt, settings=settings) for log in logs
-        ]
-        found = [replace(one, warnings=warnings.get(one.log.name, ())) for one in found]
-        with whole_folder(self.out, self.force) as folder:
-            results = write_comparison(found, folder, "Filters compared")
-        if self.as_json:
+        results, found = compare_files(self)
+        if self.json:
             left_out = {one.log.name: one.left_out for one in found}
             doubts = {one.log.name: one.doubts for one in found}
             rows = results.to_dict(orient="records")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import bundled, is_file, is_there
 from surefoot.sim.common.log_file import check_first_bytes
 from surefoot.sim.common.plugins import plugins
@@ -64,8 +64,7 @@ def _known_filter(name: str) -> None:
 def _known_effect(name: str) -> None:
     known = (*EFFECT_NAMES, *plugins("surefoot.effects"))
     if name not in known:
-        hint = did_you_mean(name, known)
-        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
+        raise SurefootError(unknown("effect", name, known))
 
 
 _NEEDED = {

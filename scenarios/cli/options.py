@@ -1,14 +1,12 @@
-"""Options shared by several commands."""
+"""How options and their values are shown, and options that commands share."""
 
 import json
 import math
-import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType
 from typing import (
-    TYPE_CHECKING,
     Annotated,
     Any,
     TypeVar,
@@ -21,10 +19,7 @@ from typing import (
 from tyro.conf import Positional, UseAppendAction, arg
 from tyro.extras import literal_type_from_choices
 
-from surefoot.sim.common.errors import SurefootError
-
-if TYPE_CHECKING:
-    from surefoot.sim.log import Log
+from surefoot.scenarios.settings import RobotSettings
 
 C = TypeVar("C")
 
@@ -35,174 +30,80 @@ NEEDED = "(required)"
 """
 FLAG = ""
 """Text of --help for a flag, instead of tyro's `(default: False)`."""
-
-Logs = Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG...", help_behavior_hint=NEEDED)]
-Force = Annotated[
-    bool, arg(help="Replace what an earlier run of this command wrote.", help_behavior_hint=FLAG)
-]
-RobotName = Annotated[
-    str | None,
-    arg(
-        help="Name of the robot, or its file (MJCF or URDF); by default the one named in the log.",
-        metavar="NAME|FILE",
-        help_behavior_hint=OPTIONAL,
-    ),
-]
-Declared = Annotated[
-    Path | None,
-    arg(
-        help="File of effects (TOML, such as the effects.toml of an earlier trace) to include in "
-        "the model, so that only what has changed since is found. Encoder zeros, sensor biases and "
-        "the reference's clock are fitted to each log.",
-        metavar="PATH",
-        help_behavior_hint=OPTIONAL,
-    ),
-]
-Holdout = Annotated[
-    tuple[Path, ...],
-    arg(
-        help="Further logs of the same robot, used by no fit, on which the result is checked.",
-        metavar="LOG...",
-        help_behavior_hint=OPTIONAL,
-    ),
-]
-Observers = Annotated[
-    UseAppendAction[tuple[Path, ...]],
-    arg(
-        help="Observer, a file from `train`; give one trained with --loss mse, one with gml, or "
-        "both."
-    ),
-]
-BoundsFiles = Annotated[
-    UseAppendAction[tuple[Path, ...]],
-    arg(help="Bounds (JSON), a file from `calibrate`, of an observer that is also given."),
-]
-SettingsFile = Annotated[
-    Path | None,
-    arg(
-        help="File of sensor noise, initial state and its standard deviations for the filters "
-        "(TOML), such as `noise` writes.",
-        metavar="PATH",
-        help_behavior_hint=OPTIONAL,
-    ),
-]
-SettingLines = Annotated[
-    UseAppendAction[tuple[str, ...]],
-    arg(
-        name="set",
-        help="One setting as in the file of --settings, which it overrides, such as "
-        "noise.gyro=1e-3 [rad/s/sqrt(Hz)].",
-        metavar="KEY=VALUE",
-    ),
-]
-Json = Annotated[bool, arg(name="json", help="Print the results as JSON.", help_behavior_hint=FLAG)]
-Strict = Annotated[
-    bool,
-    arg(
-        help="Stop with an error, instead of a warning, if a log contains implausible values.",
-        help_behavior_hint=FLAG,
-    ),
-]
+NAMED = ("out", "filter", "robot")
+"""Required options that are given by name; every other one is positional."""
+REPEATED = ("observer", "bounds", "set", "filter")
+"""Lists that are given one by one, each with the option's name."""
 _METAVARS = {
     "seeds": "SEEDS",
     "cluster": "ADDRESS",
     "report": "DIR",
     "device": "DEVICE",
+    "set": "KEY=VALUE",
+    "filter": "NAME",
 } | dict.fromkeys(("robot", "map", "walker"), "NAME|FILE")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JsonOption:
+    """How results are printed."""
+
+    json: bool = False
+    """Print the results as JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceInputs(RobotSettings):
+    """What a trace takes besides its logs."""
+
+    declared: Path | None = None
+    """File of effects (TOML, such as the effects.toml of an earlier trace) to include in the model,
+    so that only what has changed since is found. Encoder zeros, sensor biases and the reference's
+    clock are fitted to each log.
+    """
+    holdout: tuple[Path, ...] = ()
+    """Further logs of the same robot, used by no fit, on which the result is checked."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def command(kind: type[C]) -> type[C]:
     """A dataclass of options, its inherited ones included, with what --help shows of plain types:
-    metavars, and `(optional)` for what may be None. `out` is also `-o`.
+    metavars, `(optional)` for what may be None, and which are positional. `out` is also `-o`.
     """
     made: Any = dataclass(frozen=True, kw_only=True)(kind)
     hints = get_type_hints(made, include_extras=True)
-    made.__annotations__ = {f.name: _shown(f.name, hints[f.name]) for f in fields(made)}
+    made.__annotations__ = {f.name: _shown(f, hints[f.name]) for f in fields(made)}
     return made
 
 
-def _shown(name: str, kind: Any) -> Any:
+def _shown(field: Field, kind: Any) -> Any:
     if get_origin(kind) is Annotated:
         return kind
-    short: dict[str, Any] = {"aliases": ["-o"]} if name == "out" else {}
+    name, several = field.name, get_origin(kind) is tuple
+    shown: dict[str, Any] = {"metavar": _METAVARS[name]} if name in _METAVARS else {}
+    if name == "out":
+        shown["aliases"] = ["-o"]
     if kind is bool:
-        return Annotated[bool, arg(help_behavior_hint=FLAG, **short)]
-    if NoneType in get_args(kind):
+        shown["help_behavior_hint"] = FLAG
+    elif field.default is MISSING and name not in NAMED:
+        kind = Positional[kind]
+        shown["metavar"] = f"{name.removesuffix('s').upper()}..." if several else name.upper()
+        if several:
+            shown["help_behavior_hint"] = NEEDED
+    elif name in REPEATED and several:
+        kind = UseAppendAction[kind]
+    elif several:
+        shown |= {"metavar": "LOG...", "help_behavior_hint": OPTIONAL}
+    elif NoneType in get_args(kind):
         given = next(one for one in get_args(kind) if one is not NoneType)
         # Otherwise tyro would print `{None}|PATH`.
-        metavar = _METAVARS.get(name, given.__name__.upper())
-        return Annotated[kind, arg(metavar=metavar, help_behavior_hint=OPTIONAL, **short)]
-    if name in _METAVARS:
-        short["metavar"] = _METAVARS[name]
-    return Annotated[kind, arg(**short)] if short else kind
+        shown = {"metavar": given.__name__.upper(), "help_behavior_hint": OPTIONAL} | shown
+    return Annotated[kind, arg(**shown)] if shown else kind
 
 
 def one_of(names: Iterable[str]) -> Any:
     """Type of an option that is one of these names, such as a Registry's; --help lists them."""
     return literal_type_from_choices(tuple(names))
-
-
-def read_logs(paths: tuple[Path, ...], robot: str | None = None) -> list:
-    """Read the logs of these files, assigned to `robot` if that is given.
-
-    Raises SurefootError where one is bad.
-    """
-    from surefoot.sim.log import Log
-    from surefoot.sim.robot.model_of_log import of_robot
-
-    return [of_robot(Log.read(path), robot) for path in paths]
-
-
-def not_plausible(
-    logs: Sequence["Log"], robot: str | Path | None = None, strict: bool = False
-) -> dict[str, tuple[str, ...]]:
-    """Check the logs' plausibility: findings, as lines, by name of the log; also printed to stderr.
-
-    `robot` is the logs' own by default. Raises SurefootError if there are any and `strict` is set.
-    """
-    from surefoot.sim.plausibility import check_log
-    from surefoot.sim.robot.machine import machine_for_log
-
-    found: dict[str, tuple[str, ...]] = {}
-    for log in logs:
-        try:
-            machine = machine_for_log(log, robot)
-        except SurefootError:  # whoever needs the robot says why there is none
-            machine = None
-        if lines := tuple(one.line for one in check_log(log, machine)):
-            found[log.name] = lines
-        for line in lines:
-            print(f"{'error' if strict else 'warning'}: {log.name}: {line}", file=sys.stderr)
-    if strict and found:
-        count = sum(map(len, found.values()))
-        what = "finding" if count == 1 else "findings"
-        raise SurefootError(f"--strict: {count} implausible {what} in {', '.join(found)}")
-    return found
-
-
-def as_declared(logs: Sequence["Log"]) -> list:
-    """The logs with their declared effects compensated, as the filters see them."""
-    from surefoot.scenarios.estimate.run import declared_model
-    from surefoot.sim.robot import Robot
-
-    return [declared_model(log, Robot.for_log(log))[0] for log in logs]
-
-
-def learnt_from(observers: tuple[Path, ...], bounds: tuple[Path, ...]):
-    """Load these observers and bounds as `scenarios.estimate.contract.Learnt`."""
-    from surefoot.scenarios.estimate.contract import Learnt
-
-    if not (observers or bounds):
-        return Learnt()
-    # Only learnt filters need torch, which is an extra.
-    from surefoot.models.calibration.bounds import Bounds
-    from surefoot.models.observer.observer import Observer
-
-    return Learnt(
-        tuple(Observer.load(path) for path in observers),
-        tuple(Bounds.load(path) for path in bounds),
-    )
 
 
 def print_json(value: Any) -> None:

@@ -3,24 +3,32 @@
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, UseAppendAction, arg
+from tyro.conf import Positional, arg
 
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
-from surefoot.scenarios.settings import GridSettings, LoopSettings, RealismSettings, TuneSettings
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.scenarios.settings import (
+    CheckedSettings,
+    GridSettings,
+    LearntSettings,
+    LoopSettings,
+    OutputSettings,
+    RealismSettings,
+    RobotSettings,
+    TuneSettings,
+)
+from surefoot.sim.common.errors import SurefootError, unknown
 
 
 @options.command
-class Demo:
+class Demo(OutputSettings):
     """Run the whole workflow in minutes: walk, train, calibrate, compare filters, trace."""
 
     out: Path = Path("out/demo")
     """Folder for all outputs."""
     seed: int = 0
     """Seed of the walks and of the training."""
-    force: options.Force = False
 
     def run(self) -> None:
         from surefoot.scenarios.demo import demo
@@ -29,22 +37,18 @@ class Demo:
 
 
 @options.command
-class TraceCommand:
+class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
-    logs: options.Logs
+    logs: tuple[Path, ...]
     """Logs of one robot, traced together."""
     out: Path
     """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
-    robot: options.RobotName = None
-    declared: options.Declared = None
-    holdout: options.Holdout = ()
     seed: int = 0
     """Seed of the bootstrap from which the intervals are computed."""
-    strict: options.Strict = False
-    force: options.Force = False
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.inputs import not_plausible
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
         from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
@@ -64,7 +68,7 @@ class TraceCommand:
         first = [blocks[0] for blocks in (*read, *read_holdout)]
         robot, *_ = [machine_for_log(log, self.robot) for log in first]
         # The first block of a long log is checked, as `estimate` checks its first minutes.
-        warnings = options.not_plausible(first, self.robot, self.strict)
+        warnings = not_plausible(first, self.robot, self.strict)
         # A trace must not depend on the names of its logs, so its notes number them.
         notes = tuple(
             f"log {k + 1}: {line}" if len(first) > 1 else line
@@ -85,16 +89,14 @@ class TraceCommand:
 
 
 @options.command
-class LoopCommand(LoopSettings):
+class LoopCommand(LoopSettings, options.TraceInputs):
     """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
-    log: Annotated[Positional[Path], arg(metavar="LOG")]
+    log: Path
     """A log with IMU, joint angles and reference."""
-    robot: options.RobotName = None
-    declared: options.Declared = None
-    holdout: options.Holdout = ()
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.inputs import read_logs
         from surefoot.scenarios.reporting.tables import to_markdown
         from surefoot.scenarios.trace.loop import loop
         from surefoot.sim.effects.file import load_effects
@@ -104,21 +106,19 @@ class LoopCommand(LoopSettings):
         log = Log.read(self.log)
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
-        held_out = options.read_logs(self.holdout) if self.holdout else []
-        table, _ = loop(log, robot, self, declared, held_out)
+        table, _ = loop(log, robot, self, declared, read_logs(self.holdout))
         print("\n" + to_markdown(table))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
 @options.command
-class Realism(RealismSettings):
+class Realism(RealismSettings, RobotSettings):
     """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride
     period and posture.
     """
 
-    log: Annotated[Positional[Path], arg(metavar="LOG")]
+    log: Path
     """A log with IMU, joint angles, contacts and reference."""
-    robot: options.RobotName = None
     effects: Path | None = None
     """File of effects (TOML) for the simulated robot."""
     walker: str | None = None
@@ -149,7 +149,7 @@ class Realism(RealismSettings):
 class ExperimentCommand(GridSettings):
     """Run a grid of scenarios, robots, conditions, gammas, filters and seeds: one tidy table."""
 
-    file: Annotated[Positional[str], arg(metavar="FILE")]
+    file: str
     """Experiment file (TOML), or the name of a bundled suite: spot, vision60."""
 
     def run(self) -> None:
@@ -173,15 +173,14 @@ class Suite(GridSettings):
 
     def run(self) -> None:
         if self.name not in SUITES:
-            known = f"known: {', '.join(SUITES)}{did_you_mean(self.name, SUITES)}"
-            raise SurefootError(f"unknown suite '{self.name}'; {known}")
+            raise SurefootError(unknown("suite", self.name, SUITES))
         from surefoot.scenarios.experiments.report import experiment
 
         experiment(self.name, self)
 
 
 @options.command
-class Tune(TuneSettings):
+class Tune(TuneSettings, LearntSettings):
     """Search the best parameters of filters, with the same budget for each; an interrupted run is
     resumed.
 
@@ -189,24 +188,22 @@ class Tune(TuneSettings):
     its path.
     """
 
-    logs: options.Logs
+    logs: tuple[Path, ...]
     """Logs with a reference, not used to train observers or calibrate bounds."""
-    filter: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
-    observer: options.Observers = ()
-    bounds: options.BoundsFiles = ()
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.inputs import learnt_from
         from surefoot.scenarios.tune import tune
 
-        print(tune(self.logs, self, options.learnt_from(self.observer, self.bounds)))
+        print(tune(self.logs, self, learnt_from(self.observer, self.bounds)))
         print(f"parameters: {self.out / 'tuned.toml'}")
 
 
 @options.command
-class PlanCommand:
+class PlanCommand(options.JsonOption):
     """Plan which motion reveals each effect, how long it takes, and which effect could mask it."""
 
-    robot: Annotated[str, arg(metavar="NAME|FILE")]
+    robot: str
     """Name of the robot, or its file (MJCF or URDF): a quadruped that walks in simulation."""
     effects: Annotated[
         Positional[tuple[str, ...]],
@@ -216,7 +213,6 @@ class PlanCommand:
             help_behavior_hint=options.NEEDED,
         ),
     ]
-    as_json: options.Json = False
 
     def run(self) -> None:
         from surefoot.scenarios.motion_plan import (
@@ -230,7 +226,7 @@ class PlanCommand:
 
         with percent_bar("plan") as bar:
             found = plan_motions(Robot.load(self.robot), self.effects, bar)
-        if self.as_json:
+        if self.json:
             options.print_json(
                 {"effects": motion_table(found), "record": recordings_to_make(found)}
             )

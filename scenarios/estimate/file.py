@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,8 @@ from surefoot.estimator.evaluation.trajectory import (
     reference,
 )
 from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
-from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
+from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible
 from surefoot.scenarios.estimate.run import (
     declared_model,
     estimated_in_chunks,
@@ -26,9 +26,10 @@ from surefoot.scenarios.estimate.run import (
     joined_trajectory,
     robot_of,
 )
-from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.scenarios.estimate.settings import read_settings
+from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.log import Log, LogReader
 
 LONG = 1800.0
@@ -47,48 +48,32 @@ errors are of all, within each piece.
 """
 
 
-@dataclass(frozen=True)
-class TrajectoryFile:
-    """Where an estimate is written.
-
-    Attributes:
-        path: of the trajectory (.parquet), with a .tum beside it.
-        force: whether files may be replaced.
-        warnings: about what in the log was not plausible, kept in the trajectory's metadata.
-    """
-
-    path: Path
-    force: bool = False
-    warnings: tuple[str, ...] = ()
-
-
-def estimate_file(
-    name: str,
-    reader: LogReader,
-    robot_name: str | None,
-    learnt: Learnt,
-    settings: FilterSettings | None = None,
-    out: TrajectoryFile | None = None,
-) -> tuple[Metrics | None, Health]:
-    """Estimate a log with one filter.
+def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
+    """Estimate a log with one filter and, with `out`, write the trajectory.
 
     Returns its metrics, None where it has no reference or the filter diverged, and its health. A
     log longer than LONG is processed in pieces, using the memory of one, unless it declares
-    effects, whose compensation needs the whole log. Raises SurefootError saying what is missing or
-    wrong.
-
-    Args:
-        name: of the filter.
-        reader: of the log.
-        robot_name: name or MJCF file; None for the log's own.
-        learnt: observers and bounds.
-        settings: noise, priors and start.
-        out: file for the trajectory; None to write none.
+    effects, whose compensation needs the whole log. What is implausible in its start is printed to
+    stderr. Raises SurefootError saying what is missing or wrong.
     """
-    estimator, whole = estimator_named(name), not is_long(reader) or bool(reader.meta.effects)
+    reader = LogReader(settings.log)
+    if settings.out:
+        if settings.out.suffix != ".parquet":
+            raise SurefootError(
+                f"out {settings.out}: give a .parquet file; the .tum is written beside it, and "
+                "`surefoot export` writes CSV or MCAP"
+            )
+        for path in (settings.out, settings.out.with_suffix(".tum")):
+            refuse_overwrite(path, settings.force)
+    learnt = learnt_from(settings.observer, settings.bounds)
+    chosen = read_settings(settings.settings, settings.set)
+    first = first_minutes(reader)
+    doubts = not_plausible([first], settings.robot, settings.strict).get(first.name, ())
+    estimator, whole = estimator_named(settings.filter), not is_long(reader)
+    whole = whole or bool(reader.meta.effects)
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
-    first, robot = declared_model(first, robot_of(first, robot_name))
+    first, robot = declared_model(first, robot_of(first, settings.robot))
     judge = _Judge(None if whole else reader)
     parts: list[RunSummary] = []
     waiting: deque[Log] = deque()  # pieces that were read but not estimated
@@ -102,28 +87,34 @@ def estimate_file(
         with ExitStack() as files:
             write: Callable[[Trajectory], None] | None = None
             chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
-            for part in estimated_in_chunks(estimator, chunks, robot, learnt, None, settings):
-                if out is not None:
-                    write = write or files.enter_context(_opened(out, part if whole else None))
+            for part in estimated_in_chunks(estimator, chunks, robot, learnt, None, chosen):
+                if settings.out is not None:
+                    write = write or files.enter_context(
+                        _opened(settings.out, settings.force, doubts, part if whole else None)
+                    )
                     write(part)
                 log = waiting.popleft()
                 parts.append(summary_of_run(part, log))
                 judge.add(log, part)
     except SurefootError as error:
-        raise SurefootError(f"filter {name}: {error}") from None
-    found = health_of(parts, estimator, robot, first, settings)
+        raise SurefootError(f"filter {settings.filter}: {error}") from None
+    found = health_of(parts, estimator, robot, first, chosen)
     return (None if parts[-1].diverged else judge.metrics()), found
 
 
 @contextmanager
-def _opened(out: TrajectoryFile, only: Trajectory | None) -> Iterator[Callable[[Trajectory], None]]:
-    """A function that writes the next piece to both files, which are whole or absent; `only` is the
-    one piece, whose columns they have.
+def _opened(
+    out: Path, force: bool, doubts: tuple[str, ...], only: Trajectory | None
+) -> Iterator[Callable[[Trajectory], None]]:
+    """A function that writes the next piece to both files, which are whole or absent.
+
+    doubts: about what in the log was not plausible, kept in the trajectory's metadata. only: the
+    one piece, whose columns the file has.
     """
     columns = None if only is None else tuple(only.columns())
     with (
-        TrajectoryWriter(out.path, out.force, columns, out.warnings) as table,
-        whole_file(out.path.with_suffix(".tum"), out.force) as path,
+        TrajectoryWriter(out, force, columns, doubts) as table,
+        whole_file(out.with_suffix(".tum"), force) as path,
         path.open("w") as lines,
     ):
 

@@ -43,7 +43,7 @@ from surefoot.estimator.initial import (
 )
 from surefoot.scenarios.estimate.contract import Estimator, Parameters
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.limits import check_toml_keys
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.common.toml import Positive, read_toml, typed
@@ -117,10 +117,8 @@ class FilterSettings:
         own = self.filters.get(estimator.name, {})
         for name in own:
             if name not in values:
-                known = ", ".join(values)
-                raise SurefootError(
-                    f"[filters.{estimator.name}]: unknown parameter '{name}'; known: {known}"
-                )
+                where = f"[filters.{estimator.name}]"
+                raise SurefootError(f"{where}: {unknown('parameter', name, values)}")
         given = {name: value for name, value in _given(self.noise).items() if name in values}
         return {**values, **given, **own}
 

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from surefoot.scenarios.estimate.contract import Estimator
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
 from surefoot.sim.robot import Robot
@@ -39,8 +39,7 @@ class Tuned:
         values = {parameter.name: parameter.default for parameter in estimator.parameters}
         for name in own:
             if name not in values:
-                known = ", ".join(values)
-                raise SurefootError(f"{estimator.name}: unknown parameter '{name}'; known: {known}")
+                raise SurefootError(f"{estimator.name}: {unknown('parameter', name, values)}")
         return values | own
 
 

@@ -66,8 +66,8 @@ def by_sequence(
             ax.plot(mine[column], y, ".", color=color, markersize=3.0, alpha=0.7)
             means = mine.groupby("sequence")[column].mean()
             at = [names.index(sequence) + offsets[name] for sequence in means.index]
-            bar = {"markersize": 8, "markeredgewidth": 2.2, "label": estimator_label(name)}
-            ax.plot(means, at, "|", color=color, **bar)
+            label = estimator_label(name)
+            ax.plot(means, at, "|", color=color, markersize=8, markeredgewidth=2.2, label=label)
         if log:
             ax.set_xscale("log")
             label_decades(ax.xaxis)
@@ -101,8 +101,7 @@ def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
             conditions = list(table["condition"].unique())
             style = ("-", "--", ":", "-.")[conditions.index(condition) % 4]
             color, label = estimator_color(str(name)), f"{estimator_label(str(name))}, {condition}"
-            dots = {"marker": "o", "markersize": 4}
-            ax.plot(part["gamma"], part[column], style, **dots, color=color, label=label)
+            ax.plot(part["gamma"], part[column], f"o{style}", ms=4, color=color, label=label)
         ax.set(xlabel="γ", ylabel=column)
         if column == "NEES_pos":  # differs between filters by orders of magnitude
             ax.set_yscale("log")
@@ -163,8 +162,8 @@ def errors_figure(series: Mapping[str, Mapping[str, pd.DataFrame]], title: str) 
             ax.plot(part["t"], part["distance"], **look, linewidth=1.3)
             top = max(top, float(part["distance"].max()))
             if "sigma" in part:
-                dashed = {"color": look["color"], "linestyle": (0, (4, 2)), "alpha": 0.8}
-                ax.plot(part["t"], 3.0 * part["sigma"], **dashed, linewidth=0.8)
+                sigma = ax.plot(part["t"], 3.0 * part["sigma"], color=look["color"], alpha=0.8)
+                sigma[0].set(linestyle=(0, (4, 2)), linewidth=0.8)
         limit_to_errors(ax, top)
         ax.set_xlabel("time [s]")
         set_title(ax, name, 9.0)

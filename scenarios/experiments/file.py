@@ -15,7 +15,7 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.catalog import experiment_file
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import FileName, Level, Name, Seed, read_toml, typed
@@ -268,7 +268,7 @@ class _File:
             raise SurefootError("[sweep] gammas is missing")
         for name in self.filters:
             if name not in ESTIMATORS:
-                raise SurefootError(f"filters: unknown '{name}'; known: {', '.join(ESTIMATORS)}")
+                raise SurefootError(f"filters: {unknown('filter', name, ESTIMATORS)}")
 
 
 def _check_method(method: str) -> None:

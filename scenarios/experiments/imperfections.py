@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
@@ -18,40 +18,17 @@ LAWS = ("normal", "uniform", "fixed")
 
 @dataclass(frozen=True)
 class Imperfection:
-    """One kind of effect, with an independent value for each target.
+    """One kind of effect, with an independent value for each target, by one of three laws.
 
     Attributes:
         effect: name.
-        targets: None for each single joint, leg or axis that the robot has.
-        law: "normal" (standard deviation `size`), "uniform" (within +-`size`) or "fixed" (`size`).
-        size: in the effect's unit.
         source: of the size.
+        targets: None for each single joint, leg or axis that the robot has.
+        normal: standard deviation, in the effect's unit.
+        uniform: largest size, of either sign.
+        fixed: the size itself.
     """
 
-    effect: str
-    targets: tuple[str, ...] | None
-    law: str
-    size: float
-    source: str
-
-    def drawn(self, instance: int, limbs: Limbs) -> list[Effect]:
-        """Effects of this kind on robot number `instance`, with limbs `limbs`.
-
-        Deterministic, and independent of the other imperfections.
-        """
-        # A separate random stream, so that adding an imperfection does not change the others.
-        rng = np.random.default_rng([instance, crc32(self.effect.encode())])
-        shares = {"normal": rng.standard_normal, "uniform": lambda n: rng.uniform(-1.0, 1.0, n)}
-        kind = known_effects()[self.effect]
-        targets = kind.single_targets(limbs) if self.targets is None else self.targets
-        draw = shares.get(self.law, np.ones)(len(targets))
-        low, high = kind.bounds_on(limbs)
-        values = np.clip(self.size * draw, low, high)
-        return [effect(self.effect, t, v) for t, v in zip(targets, values, strict=True)]
-
-
-@dataclass(frozen=True)
-class _Entry:
     effect: str
     source: str
     targets: tuple[str, ...] | None = None
@@ -62,23 +39,41 @@ class _Entry:
     def __post_init__(self):
         known = known_effects()
         if self.effect not in known:
-            raise SurefootError(f"unknown effect '{self.effect}'; known: {', '.join(known)}")
+            raise SurefootError(unknown("effect", self.effect, known))
         if sum(getattr(self, law) is not None for law in LAWS) != 1:
             raise SurefootError(f"needs one of {', '.join(LAWS)}")
         if self.targets == ():
             raise SurefootError("targets must not be empty")
         for target in self.targets or known[self.effect].single_targets(QUADRUPED)[:1]:
-            effect(self.effect, target, self.imperfection.size)
+            effect(self.effect, target, self._size)
 
     @property
-    def imperfection(self) -> Imperfection:
-        law = next(law for law in LAWS if getattr(self, law) is not None)
-        return Imperfection(self.effect, self.targets, law, getattr(self, law), self.source)
+    def _size(self) -> float:
+        return next(size for law in LAWS if (size := getattr(self, law)) is not None)
+
+    def drawn(self, instance: int, limbs: Limbs) -> list[Effect]:
+        """Effects of this kind on robot number `instance`, with limbs `limbs`.
+
+        Deterministic, and independent of the other imperfections.
+        """
+        # A separate random stream, so that adding an imperfection does not change the others.
+        rng = np.random.default_rng([instance, crc32(self.effect.encode())])
+        kind = known_effects()[self.effect]
+        targets = kind.single_targets(limbs) if self.targets is None else self.targets
+        if self.normal is not None:
+            draw = rng.standard_normal(len(targets))
+        elif self.uniform is not None:
+            draw = rng.uniform(-1.0, 1.0, len(targets))
+        else:
+            draw = np.ones(len(targets))
+        low, high = kind.bounds_on(limbs)
+        values = np.clip(self._size * draw, low, high)
+        return [effect(self.effect, t, v) for t, v in zip(targets, values, strict=True)]
 
 
 @dataclass(frozen=True)
 class _File:
-    imperfection: tuple[_Entry, ...] = ()
+    imperfection: tuple[Imperfection, ...] = ()
 
     def __post_init__(self):
         if not self.imperfection:
@@ -90,5 +85,4 @@ def load_imperfections(path: str | Path) -> tuple[Imperfection, ...]:
 
     Raises SurefootError, one line with file, entry and key, if bad.
     """
-    file = read_typed(path, _File, "imperfections")
-    return tuple(entry.imperfection for entry in file.imperfection)
+    return read_typed(path, _File, "imperfections").imperfection

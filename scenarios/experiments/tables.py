@@ -15,7 +15,7 @@ from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.scenarios.reporting.tables import METRICS
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = SUITES_FOLDER / "published.toml"
@@ -157,9 +157,7 @@ def published(name: str) -> tuple[pd.DataFrame, pd.DataFrame, str]:
     """
     table = read_toml(PUBLISHED, "published")
     if name not in table:
-        raise SurefootError(
-            f"published: unknown '{name}'; known: {', '.join(set(table) - {'columns'})}"
-        )
+        raise SurefootError(f"published: {unknown('table', name, set(table) - {'columns'})}")
     part, columns = table[name], table["columns"]
     rows = pd.DataFrame(part["rows"], columns=["sequence", "method", *columns])
     printed = pd.DataFrame(part["printed_averages"], columns=["method", *columns])

@@ -20,11 +20,13 @@ from surefoot.scenarios.reporting.palette import (
     friction_color,
 )
 from surefoot.scenarios.reporting.plotting import (
+    WHITE_BOX,
     legend_below,
     limit_to_errors,
     new_figure,
     set_title,
     show_to_scale,
+    single_axes,
 )
 from surefoot.sim.ground.terrain import HeightField
 from surefoot.sim.log import Log, reference_velocity
@@ -55,24 +57,24 @@ def trajectories(
     span = np.maximum(np.ptp(everywhere, axis=0), 1.0)
     width = 7.5
     height = float(np.clip(width * (span[1] + 0.1) / (span[0] + 0.1), 3.0, 7.5)) + 1.0
-    figure, axes = new_figure(size=(width, height))
-    ax = axes[0, 0]
+    figure, ax = single_axes(width, height)
     margin = 0.06 * span.max()
     low, high = everywhere.min(axis=0) - margin, everywhere.max(axis=0) + margin
     for field in fields:
         _draw_contours(ax, field)
     for patch in patches:
         _draw_patch(ax, patch, low, high)
-    ax.plot(*log.ref_p[:, :2].T, color=TRUTH, linewidth=3.5, label="Truth", solid_capstyle="round")
+    x, y, _ = log.ref_p.T
+    ax.plot(x, y, color=TRUTH, linewidth=3.5, label="Truth", solid_capstyle="round")
     for name, error in errors.items():
-        look = estimator_look(name)
-        look["label"] += f" ({error.distance[-1]:.2f} m off at the end)"
-        ax.plot(*error.p_GI[:, :2].T, **look, linewidth=1.4)
-        end = {"color": look["color"], "markersize": 8, "markeredgecolor": "white"}
-        ax.plot(*error.p_GI[-1, :2], "X", **end)
-    ax.plot(*log.ref_p[0, :2], "o", color=INK, markersize=8, label="Start", linestyle="none")
-    ax.plot(*log.ref_p[-1, :2], "s", color=INK, markersize=7, label="True end", linestyle="none")
-    ax.plot([], [], "X", color=INK, markersize=7, label="Estimated end", linestyle="none")
+        look = estimator_look(name, f"{error.distance[-1]:.2f} m off at the end")
+        there_x, there_y, _ = error.p_GI.T
+        ax.plot(there_x, there_y, linewidth=1.4, **look)
+        ends = ax.plot(there_x[-1], there_y[-1], "X", color=look["color"])
+        ends[0].set(markersize=8, markeredgecolor="white")
+    ax.plot(x[0], y[0], "o", color=INK, markersize=8, label="Start")
+    ax.plot(x[-1], y[-1], "s", color=INK, markersize=7, label="True end")
+    ax.plot([], [], "X", color=INK, markersize=7, label="Estimated end")
     ax.set(xlabel="x [m]", ylabel="y [m]")
     show_to_scale(ax, low, high)
     set_title(ax, "Path seen from above")
@@ -82,13 +84,11 @@ def trajectories(
 
 def height_figure(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
     """Height of truth and estimates over time, whose drift is unobservable."""
-    figure, axes = new_figure(size=(7.5, 3.6))
-    ax = axes[0, 0]
+    figure, ax = single_axes(7.5, 3.6)
     t, z = log.t, log.ref_p[:, 2]
     ax.plot(t, z, color=TRUTH, linewidth=3.0, label="Truth")
     for name, error in errors.items():
-        look = estimator_look(name)
-        look["label"] += f" ({error.position[-1, 2]:+.3f} m at the end)"
+        look = estimator_look(name, f"{error.position[-1, 2]:+.3f} m at the end")
         ax.plot(error.t, error.p_GI[:, 2], **look)
     ax.set(xlabel="time [s]", ylabel="height z [m]", xlim=(t[0], t[-1]))
     set_title(ax, "Height of the IMU over time")
@@ -125,16 +125,15 @@ def velocity_figure(
         panel = f"{axis} of the IMU ({word})"
         if half is not None:
             lower, upper = predicted[:, k] - half[:, k], predicted[:, k] + half[:, k]
-            band = {"color": BOUNDS, "alpha": 0.25, "label": "Observer ± ε (the bounds)"}
-            ax.fill_between(t[shown], lower[shown], upper[shown], **band, linewidth=0)
+            band = ax.fill_between(t[shown], lower[shown], upper[shown], color=BOUNDS, linewidth=0)
+            band.set(alpha=0.25, label="Observer ± ε (the bounds)")
         ax.plot(t[shown], predicted[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
         measured = np.where(ok, truth[:, k], np.nan)
         ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label="Truth")
         if half is not None:
             outside = ok & (np.abs(truth[:, k] - predicted[:, k]) > half[:, k])
-            missed = shown & outside
-            dots = {"color": OUTSIDE, "markersize": 4, "label": "Truth outside"}
-            ax.plot(t[missed], truth[missed, k], ".", **dots)
+            missed = t[shown & outside], truth[shown & outside, k]
+            ax.plot(*missed, ".", color=OUTSIDE, markersize=4, label="Truth outside")
             inside = 100.0 * (1.0 - outside[ok].mean())
             panel += f": {inside:.1f} % of the walk inside ± {half[0, k]:.3g} m/s"
         set_title(ax, panel, 9.5)
@@ -147,8 +146,7 @@ def velocity_figure(
 
 def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     """Position error norm and the filter's own 3 sigma (of the covariance's trace) over time."""
-    figure, axes = new_figure(size=(7.5, 4.0))
-    ax = axes[0, 0]
+    figure, ax = single_axes(7.5, 4.0)
     top = 0.0
     for name, error in errors.items():
         color, label = estimator_color(name), estimator_label(name)
@@ -186,13 +184,11 @@ def _draw_patch(ax, patch, low: np.ndarray, high: np.ndarray) -> None:
     """
     centre = np.array([patch.center_x, patch.center_y])
     size = np.array([patch.size_x, patch.size_y])
-    corner = patch.center_x - 0.5 * patch.size_x, patch.center_y - 0.5 * patch.size_y
-    turned = {"angle": np.degrees(getattr(patch, "yaw", 0.0)), "rotation_point": "center"}
-    look = {"facecolor": friction_color(patch.mu), "edgecolor": "#7FB5CC", "hatch": "///"}
-    look |= {"linewidth": 0.8, "alpha": 0.7, "zorder": 0.5}
-    ax.add_patch(Rectangle(corner, *size, **turned, **look))
+    drawn = Rectangle(tuple(centre - 0.5 * size), *size, rotation_point="center")
+    drawn.set(angle=np.degrees(getattr(patch, "yaw", 0.0)), zorder=0.5, alpha=0.7, linewidth=0.8)
+    drawn.set(facecolor=friction_color(patch.mu), edgecolor="#7FB5CC", hatch="///")
+    ax.add_patch(drawn)
     if (centre > low).all() and (centre < high).all():
         place = centre[0], min(centre[1] + 0.5 * size[1], high[1])
-        look = {"fontsize": 8, "ha": "center", "va": "top", "color": "#33677D"}
-        box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
-        ax.annotate(f"friction {patch.mu:.2f}", place, **look, bbox=box)
+        label = ax.annotate(f"friction {patch.mu:.2f}", place, fontsize=8, bbox=WHITE_BOX)
+        label.set(ha="center", va="top", color="#33677D")

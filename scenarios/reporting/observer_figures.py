@@ -10,7 +10,7 @@ from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.decimate import RATE
 from surefoot.scenarios.reporting.figures import NAMED_AXES
 from surefoot.scenarios.reporting.palette import BOUNDS, INK, OUTSIDE, TEST, TRAIN
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title, single_axes
 
 
 def error_distributions(
@@ -104,8 +104,7 @@ def mixing_curve(mixing: Mixing) -> Figure:
     Bold lines are the excess over the estimator's floor, from which K is determined; pale ones are
     the raw histogram estimate.
     """
-    figure, axes = new_figure(size=(7.0, 4.4))
-    ax = axes[0, 0]
+    figure, ax = single_axes(7.0, 4.4)
     for k, (axis, word) in enumerate(NAMED_AXES):
         style, label = ("-", "--", ":")[k], f"{axis} ({word})"
         ax.plot(mixing.lags, mixing.beta[:, k], style, color="#BDBDBD", linewidth=1.0)

@@ -57,10 +57,10 @@ def estimator_line(name: str) -> str:
     return _style(name)[2] or _SPARE_STYLES[spare]
 
 
-def estimator_look(name: str) -> dict[str, Any]:
-    """Colour, line style and label of the estimator `name`, for `Axes.plot`."""
-    color, line, label = estimator_color(name), estimator_line(name), estimator_label(name)
-    return {"color": color, "linestyle": line, "label": label}
+def estimator_look(name: str, note: str = "") -> dict[str, Any]:
+    """Colour, line style and label of the estimator `name`, with a note, for `Axes.plot`."""
+    label = estimator_label(name) + (f" ({note})" if note else "")
+    return {"color": estimator_color(name), "linestyle": estimator_line(name), "label": label}
 
 
 def _style(name: str) -> tuple[str, str, str]:

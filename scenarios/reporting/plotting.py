@@ -33,6 +33,10 @@ _STYLE: Any = {
 }
 
 
+WHITE_BOX = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
+"""Box behind a text that stands on curves (matplotlib's `bbox`)."""
+
+
 def new_figure(
     rows: int = 1,
     columns: int = 1,
@@ -61,6 +65,12 @@ def new_figure(
     return figure, axes
 
 
+def single_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Create a figure of this size [inches] with one pair of axes."""
+    figure, axes = new_figure(size=(width, height))
+    return figure, axes[0, 0]
+
+
 def set_title(ax: Axes, text: str, size: float = 10.5) -> None:
     """Set a title aligned with the left end of the axes."""
     ax.set_title(text, loc="left", fontsize=size, color=INK)
@@ -76,8 +86,12 @@ def label_decades(axis: Axis) -> None:
     decades = float(np.log10(high / low))
     if decades <= 1.0:
         steps = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+    elif decades <= 1.5:
+        steps = (1.0, 2.0, 5.0)
+    elif decades <= 3.0:
+        steps = (1.0, 3.0)
     else:
-        steps = (1.0, 2.0, 5.0) if decades <= 1.5 else (1.0, 3.0) if decades <= 3.0 else (1.0,)
+        steps = (1.0,)
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -105,9 +119,8 @@ def limit_to_errors(ax: Axes, largest: float) -> None:
     room = 6.0 * largest
     if 0.0 < room < highest:
         ax.set_ylim(0.0, room)
-        look = {"fontsize": 7.5, "ha": "left", "va": "top", "transform": ax.transAxes}
-        box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
-        ax.text(0.01, 0.98, f"3σ up to {highest:.3g} m", bbox=box, **look)
+        text = ax.text(0.01, 0.98, f"3σ up to {highest:.3g} m", transform=ax.transAxes)
+        text.set(fontsize=7.5, ha="left", va="top", bbox=WHITE_BOX)
     elif highest > 0.0:
         ax.set_ylim(0.0, 1.05 * highest)
 
@@ -116,8 +129,8 @@ def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:
     """Add one legend below the whole figure, where it hides no data."""
     handles, labels = ax.get_legend_handles_labels()
     if labels:
-        look = {"loc": "outside lower center", "fontsize": 8.5, "frameon": False}
-        figure.legend(handles, labels, ncols=min(columns, len(labels)), **look)
+        n, place = min(columns, len(labels)), "outside lower center"
+        figure.legend(handles, labels, ncols=n, loc=place, fontsize=8.5, frameon=False)
 
 
 def png(figure: Figure) -> bytes:

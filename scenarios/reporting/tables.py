@@ -83,7 +83,7 @@ def to_csv(table: Table) -> str:
     return as_frame(table).to_csv(index=False, lineterminator="\n")
 
 
-def to_html(table: Table, digits: int = 3) -> str:
+def to_html(table: Table) -> str:
     """An HTML table with every header and cell escaped; numeric columns have the class "number".
 
     A cell that is bold in Markdown (**so**) is bold here too.
@@ -92,7 +92,7 @@ def to_html(table: Table, digits: int = 3) -> str:
     classes = [' class="number"' if numeric else "" for numeric in _numeric(frame)]
     header = [f"<th{c}>{escape(str(n))}</th>" for n, c in zip(frame.columns, classes, strict=True)]
     rows = [
-        [f"<td{c}>{_strong(cell(v, digits))}</td>" for v, c in zip(row, classes, strict=True)]
+        [f"<td{c}>{_strong(cell(v))}</td>" for v, c in zip(row, classes, strict=True)]
         for row in frame.itertuples(index=False)
     ]
     body = "\n".join(f"<tr>{''.join(row)}</tr>" for row in rows)

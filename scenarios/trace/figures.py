@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title, single_axes
 
 _COLUMNS = 4
 _BARS = 15
@@ -31,15 +31,14 @@ def residuals(channels: Mapping[str, Mapping]) -> Figure:
             value = channel.get(key)
             if value is not None:
                 ax.bar(k, value, 0.65, color=color, label=f"RMS {key}")
-                above = {"xytext": (0, 2), "textcoords": "offset points"}
+                text = ax.annotate(f"{value:.3g}", (k, value), (0, 2), textcoords="offset points")
+                text.set(ha="center", va="bottom", fontsize=8)
                 # A noise floor just above a bar would otherwise strike the number out.
-                above["bbox"] = {"color": ax.get_facecolor(), "pad": 0.5}
-                text, place = f"{value:.3g}", (k, value)
-                ax.annotate(text, place, ha="center", va="bottom", fontsize=8, **above)
+                text.set_bbox({"color": ax.get_facecolor(), "pad": 0.5})
         floor = channel.get("noise_floor")
         if floor is not None:
-            dashed = {"color": OUTSIDE, "linewidth": 1.4, "linestyle": (0, (4, 2))}
-            ax.axhline(floor, **dashed, label="noise floor")
+            line = ax.axhline(floor, color=OUTSIDE, linewidth=1.4, label="noise floor")
+            line.set_linestyle((0, (4, 2)))
         set_title(ax, channel.get("label") or name.replace("_", " "), 9.5)
         ax.set_ylabel(f"RMS [{channel.get('unit', '')}]".replace("^2", "²"))
         ax.set_xticks([0, 1], ["before", "after"])
@@ -68,8 +67,7 @@ def candidate_gains(
     values = {name: np.atleast_1d(np.asarray(g, dtype=float)) for name, g in gains.items()}
     order = sorted(values, key=lambda name: -values[name][0])
     shown = order[:_BARS]
-    figure, axes = new_figure(size=(7.5, 0.32 * len(shown) + 1.6))
-    ax = axes[0, 0]
+    figure, ax = single_axes(7.5, 0.32 * len(shown) + 1.6)
     places = np.arange(len(shown))[::-1]
     for place, name in zip(places, shown, strict=True):
         gain = values[name]
@@ -78,9 +76,9 @@ def candidate_gains(
         if len(gain) == 3:
             ax.plot(100 * gain[1:], [place, place], color=INK, linewidth=1.2, marker="|")
             right = max(right, gain[2])
-        beside = {"xytext": (5, 0), "textcoords": "offset points"}
         end = (100 * max(right, 0.0), place)
-        ax.annotate(f"{100 * gain[0]:.1f} %", end, va="center", fontsize=8, **beside)
+        text = ax.annotate(f"{100 * gain[0]:.1f} %", end, (5, 0), textcoords="offset points")
+        text.set(va="center", fontsize=8)
     ax.set_yticks(places, [name.replace("_", " ") for name in shown])
     ax.axvline(0, color=INK, linewidth=0.8)
     more = f" (best {_BARS} of {len(order)} candidates)" if len(order) > _BARS else ""

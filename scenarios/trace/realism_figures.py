@@ -17,7 +17,7 @@ from surefoot.models.realism.quantities import (
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.reporting.html import Picture
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title, single_axes
 from surefoot.scenarios.trace.walk_comparison import WalkComparison
 
 PHASES = 20
@@ -83,8 +83,7 @@ def _band(ax, phase: np.ndarray, values: np.ndarray, label: str, color: str) -> 
 
 
 def _by_speed(walks: Walks) -> Figure:
-    figure, axes = new_figure(1, 1, size=(7.5, 4.0))
-    ax = axes[0, 0]
+    figure, ax = single_axes(7.5, 4.0)
     for label, color, group in walks:
         values = np.concatenate([walk_stance_means(w)[0] for w in group])
         ax.scatter(values[:, 0], values[:, 1], s=6, color=color, alpha=0.35, linewidth=0)
@@ -110,7 +109,7 @@ def _gait(walks: Walks) -> Figure:
 
 
 def _force(walks: Walks) -> Figure:
-    figure, axes = new_figure(1, 1, size=(7.5, 3.6))
+    figure, ax = single_axes(7.5, 3.6)
     for label, color, group in walks:
         phase, force = [], []
         for w in group:
@@ -119,9 +118,9 @@ def _force(walks: Walks) -> Figure:
             scaled /= np.nanmedian(np.where(middle, scaled, np.nan), axis=0)
             phase.append(np.where(w.walks[:, None], w.phase, np.nan).ravel())
             force.append(scaled.ravel())
-        _band(axes[0, 0], np.concatenate(phase), np.concatenate(force), label, color)
-    axes[0, 0].set(xlabel="phase of stance", ylabel="force / its middle")
-    legend_below(figure, axes[0, 0])
+        _band(ax, np.concatenate(phase), np.concatenate(force), label, color)
+    ax.set(xlabel="phase of stance", ylabel="force / its middle")
+    legend_below(figure, ax)
     return figure
 
 

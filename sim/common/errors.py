@@ -19,6 +19,12 @@ def check_seed(seed: int) -> None:
         raise SurefootError("seed: must not be beyond 2^53")
 
 
+def unknown(what: str, name: object, known: Iterable[str]) -> str:
+    """`unknown effect 'wings'; known: ...`, with a similar name if there is one."""
+    names = list(known)
+    return f"unknown {what} '{name}'; known: {', '.join(names)}{did_you_mean(name, names)}"
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """`; did you mean 'go1'?` if a known name is similar, else ""."""
     near = get_close_matches(str(name)[:100], list(known), n=1)

@@ -7,8 +7,8 @@ declares a faster way.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, TypeVar
 
 import mujoco
 import numpy as np
@@ -22,7 +22,18 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Reference, Streams
 
-__all__ = ["AXES", "Effect", "changed_columns", "joint_sizes", "turn_about", "with_columns"]
+__all__ = [
+    "AXES",
+    "Effect",
+    "along",
+    "changed_columns",
+    "declared_on",
+    "joint_sizes",
+    "turn_about",
+    "with_columns",
+]
+
+M = TypeVar("M", bound=Any)
 
 _ESTIMATED = 1.25
 """What a machine may lose of a declared size, as a multiple: the size is an estimate too."""
@@ -264,6 +275,17 @@ def joint_sizes(one: Effect, limbs: Limbs) -> np.ndarray:
 def turn_about(axis: str, angle: float) -> np.ndarray:
     """Rotation matrix (3, 3) by an angle [rad] about an axis, one of AXES."""
     return Rotation.from_rotvec(angle * np.eye(3)[AXES.index(axis)]).as_matrix()
+
+
+def along(axis: str, value: float) -> np.ndarray:
+    """A vector (3,) of this length along an axis, one of AXES."""
+    return value * np.eye(3)[AXES.index(axis)]
+
+
+def declared_on(robot: M, **sizes: Any) -> M:
+    """The machine with these sizes added to those that its model declares (`extras`), by name."""
+    known = {name: getattr(robot.extras, name) + size for name, size in sizes.items()}
+    return replace(robot, extras=replace(robot.extras, **known))
 
 
 def with_columns(log: Log, columns: Mapping[str, np.ndarray]) -> Log:

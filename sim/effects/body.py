@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects.base import AXES, Effect, turn_about
+from surefoot.sim.effects.base import AXES, Effect, along, declared_on, turn_about
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import add_payload
 from surefoot.sim.physics.springs import foot_parts
@@ -89,8 +89,8 @@ class HipOffset(Effect):
     chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        hinge, _, along = _hip(self, spec, robot)
-        hinge.parent.pos = hinge.parent.pos + along * self.value
+        hinge, _, axis_B = _hip(self, spec, robot)
+        hinge.parent.pos = hinge.parent.pos + axis_B * self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         offset = robot.legs.offset.copy()
@@ -121,10 +121,10 @@ class LegHeading(Effect):
     chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        hinge, model, along = _hip(self, spec, robot)
+        hinge, model, axis_B = _hip(self, spec, robot)
         moved, joint = model.body(hinge.parent.name), model.joint(hinge.name)
         turn, quat = np.empty(4), np.empty(4)
-        mujoco.mju_axisAngle2Quat(turn, along, self.value)
+        mujoco.mju_axisAngle2Quat(turn, axis_B, self.value)
         mujoco.mju_mulQuat(quat, turn, moved.quat)
         # Keep the hinge's anchor in place.
         before, after = np.empty(3), np.empty(3)
@@ -223,8 +223,7 @@ class Payload(Effect):
             add_payload(spec, robot, self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        known = replace(robot.extras, payload=robot.extras.payload + self.value)
-        return log, replace(robot, extras=known)
+        return log, declared_on(robot, payload=self.value)
 
 
 class ComOffset(Effect):
@@ -243,12 +242,10 @@ class ComOffset(Effect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         base = with_own_inertia(spec, robot.base_name)
-        base.ipos = base.ipos + self.value * np.eye(3)[AXES.index(self.target)]
+        base.ipos = base.ipos + along(self.target, self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        along = self.value * np.eye(3)[AXES.index(self.target)]
-        known = replace(robot.extras, com_shift=robot.extras.com_shift + along)
-        return log, replace(robot, extras=known)
+        return log, declared_on(robot, com_shift=along(self.target, self.value))
 
 
 def _in_frame(data: mujoco.MjData, body: int, along_G: np.ndarray) -> np.ndarray:

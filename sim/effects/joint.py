@@ -6,6 +6,7 @@ no source for the bounds, none was found and they were chosen wide.
 """
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -20,7 +21,48 @@ TORQUE_WINDOW = 0.03
 """
 
 
-class EncoderOffset(Effect):
+class _ReadingError(Effect):
+    """An error of readings of a joint."""
+
+    readings: ClassVar[tuple[str, ...]]
+    """The readings that err: some of q, dq, tau."""
+    targets = "joint"
+    chain_rule = "readings"
+
+
+class _Offset(_ReadingError):
+    """A joint's readings have a constant offset."""
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        added = joint_sizes(self, robot.limbs)
+        return replace(streams, **{n: getattr(streams, n) + added for n in self.readings})
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        names = _columns(self, log, robot)
+        return with_columns(log, {n: log.columns[n] - self.value for n in names}), robot
+
+
+class _Scale(_ReadingError):
+    """A joint's readings are 1 + size times the true values."""
+
+    unit = "ratio"
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        factor = 1.0 + joint_sizes(self, robot.limbs)
+        return replace(streams, **{n: getattr(streams, n) * factor for n in self.readings})
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        names = _columns(self, log, robot)
+        return with_columns(log, {n: log.columns[n] / (1 + self.value) for n in names}), robot
+
+
+def _columns(one: _ReadingError, log: Log, robot: Robot) -> list[str]:
+    """Columns of the readings at the effect's joints, as far as a log has them."""
+    names = [f"{kind}_{joint}" for joint in one.members(robot.limbs) for kind in one.readings]
+    return [name for name in names if name in log.columns]
+
+
+class EncoderOffset(_Offset):
     """A joint's encoder has a constant offset.
 
     Besides "Walk These Ways": Haarnoja et al. (Science Robotics 2024) draw +-2.9 degrees, 0.05 rad.
@@ -31,38 +73,18 @@ class EncoderOffset(Effect):
     bounds = (-0.2, 0.2)
     unit_of_slides = "m"
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = "joint"
+    readings = ("q",)
     step = 1e-3
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return replace(streams, q=streams.q + joint_sizes(self, robot.limbs))
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        names = [f"q_{joint}" for joint in self.members(robot.limbs)]
-        return with_columns(log, {n: log.columns[n] - self.value for n in names}), robot
 
 
-class EncoderScale(Effect):
+class EncoderScale(_Scale):
     """A joint's encoder has a scale error: it reads 1 + size times the angle and rate."""
 
     name = "encoder_scale"
-    unit = "ratio"
     bounds = (-0.2, 0.2)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = "joint"
+    readings = ("q", "dq")
     step = 1e-3
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        factor = 1.0 + joint_sizes(self, robot.limbs)
-        return replace(streams, q=streams.q * factor, dq=streams.dq * factor)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        both = [f"{kind}_{joint}" for joint in self.members(robot.limbs) for kind in ("q", "dq")]
-        names = [name for name in both if name in log.columns]
-        scaled = {name: log.columns[name] / (1 + self.value) for name in names}
-        return with_columns(log, scaled), robot
 
 
 class Backlash(Effect):
@@ -105,7 +127,7 @@ class Backlash(Effect):
         return with_columns(log, columns), robot
 
 
-class TorqueScale(Effect):
+class TorqueScale(_Scale):
     """A joint's torque, measured by the motor's current, has a scale error of 1 + size.
 
     The cause is a torque constant of the motor that differs from the nominal one. "Walk These Ways"
@@ -113,24 +135,14 @@ class TorqueScale(Effect):
     """
 
     name = "torque_scale"
-    unit = "ratio"
     bounds = (-0.5, 0.5)
     channels = ("joint_torque", "base_wrench", "command")
-    targets = "joint"
     groups = True
+    readings = ("tau",)
     step = 1e-2
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return replace(streams, tau=streams.tau * (1.0 + joint_sizes(self, robot.limbs)))
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        names = [f"tau_{joint}" for joint in self.members(robot.limbs)]
-        scaled = {n: log.columns[n] / (1 + self.value) for n in names}
-        return with_columns(log, scaled), robot
 
 
-class TorqueBias(Effect):
+class TorqueBias(_Offset):
     """A joint's measured torque has a constant offset.
 
     The bounds leave room for large arms.
@@ -142,16 +154,8 @@ class TorqueBias(Effect):
     bounds_on_legs = (-200.0, 200.0)
     unit_of_slides = "N"
     channels = ("joint_torque", "base_wrench", "command")
-    targets = "joint"
+    readings = ("tau",)
     step = 0.1
-    chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return replace(streams, tau=streams.tau + joint_sizes(self, robot.limbs))
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        names = [f"tau_{joint}" for joint in self.members(robot.limbs)]
-        return with_columns(log, {n: log.columns[n] - self.value for n in names}), robot
 
 
 def _window(log: Log) -> int:

@@ -5,13 +5,11 @@ base. The bounds are wide: CAD models omit cables, screws and covers, a tenth to
 mass, and a gantry carries a hundred kilograms.
 """
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects.base import AXES, Effect
+from surefoot.sim.effects.base import Effect, along, declared_on
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import LinkChange, with_own_inertia
@@ -38,8 +36,8 @@ class LinkMass(Effect):
             body.mass = body.mass + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        changes = [LinkChange(j, mass=self.value) for j in _joints(self, robot)]
-        return log, _changed(robot, changes)
+        changes = tuple(LinkChange(j, mass=self.value) for j in _joints(self, robot))
+        return log, declared_on(robot, links=changes)
 
 
 class LinkCom(Effect):
@@ -57,13 +55,13 @@ class LinkCom(Effect):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         joint, axis = self._place()
         body = _link(spec, robot, joint)
-        body.ipos = body.ipos + self.value * np.eye(3)[AXES.index(axis)]
+        body.ipos = body.ipos + along(axis, self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         joint, axis = self._place()
-        along = self.value * np.eye(3)[AXES.index(axis)]
-        change = LinkChange(robot.limbs.joints.index(joint), com=tuple(along))
-        return log, _changed(robot, [change])
+        at = robot.limbs.joints.index(joint)
+        change = LinkChange(at, com=tuple(along(axis, self.value)))
+        return log, declared_on(robot, links=(change,))
 
     def _place(self) -> tuple[str, str]:
         joint, axis = self.target.rsplit("_", 1)
@@ -104,8 +102,8 @@ class LinkInertia(Effect):
             body.inertia = body.inertia + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        changes = [LinkChange(j, inertia=self.value) for j in _joints(self, robot)]
-        return log, _changed(robot, changes)
+        changes = tuple(LinkChange(j, inertia=self.value) for j in _joints(self, robot))
+        return log, declared_on(robot, links=changes)
 
 
 def _joints(one: Effect, robot: Robot) -> list[int]:
@@ -125,8 +123,3 @@ def _link(spec: mujoco.MjSpec, robot: Robot, joint: str) -> mujoco.MjsBody:
     """The body that a joint moves, with its inertia given explicitly."""
     name = robot.joint_names[robot.limbs.joints.index(joint)]
     return with_own_inertia(spec, spec.joint(name).parent.name)
-
-
-def _changed(robot: Robot, changes: list[LinkChange]) -> Robot:
-    known = replace(robot.extras, links=(*robot.extras.links, *changes))
-    return replace(robot, extras=known)

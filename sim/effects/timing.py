@@ -8,7 +8,7 @@ Science Robotics 2024, 10 to 50 ms. The bounds include these ranges.
 import operator
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,7 +19,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import slerp
 from surefoot.sim.common.series import convolve
-from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.base import Effect, declared_on, with_columns
 from surefoot.sim.effects.median_slope import median_slope
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
@@ -54,50 +54,52 @@ feet's forces, from which they are derived.
 """
 
 
-class JointDelay(Effect):
+class _Delay(Effect):
+    """Some streams of the sensors arrive late by a constant time."""
+
+    delayed: ClassVar[tuple[str, ...]]
+    """The streams that are late."""
+    unit = "s"
+    bounds = (-0.05, 0.05)
+    targets = ("all",)
+    lossy = True
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        return _at(streams, self.delayed, streams.t - self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _moved(log, self.delayed, log.t + self.value), robot
+
+
+class JointDelay(_Delay):
     """Joint positions, rates and torques arrive late by a constant time, and so do positions of the
     feet that were computed from them.
     """
 
     name = "joint_delay"
-    unit = "s"
-    bounds = (-0.05, 0.05)
+    delayed = STREAMS["joints"]
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = ("all",)
     needs = ("reference",)
     on_given_feet = True
-    lossy = True
     # Longer than a row, so that noise is not differentiated as the slope of torques and rates.
     # Delays of 1 and 6 ms are found to 0.01 ms with any step from 0.5 to 4 ms; started from zero,
     # the longest step comes closest.
     step = 4e-3
 
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return _late(streams, ("q", "dq", "tau"), self.value)
-
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _moved(log, STREAM_COLUMNS["joints"], log.t + self.value), robot
 
 
-class ImuDelay(Effect):
+class ImuDelay(_Delay):
     """Angular rates and specific forces arrive late by a constant time."""
 
     name = "imu_delay"
-    unit = "s"
-    bounds = (-0.05, 0.05)
+    delayed = STREAMS["imu"]
     channels = ("imu_gyro", "imu_accel", "leg_velocity")
-    targets = ("all",)
     needs = ("imu",)
     on_given_feet = True
-    lossy = True
     step = 1e-3
     chain_rule = "readings"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return _late(streams, STREAMS["imu"], self.value)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _moved(log, ("gyro", "accel"), log.t + self.value), robot
 
     @classmethod
     def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
@@ -105,46 +107,28 @@ class ImuDelay(Effect):
         return _starts(cls, -reference_lag(log, cls.bounds[1])) if here else (cls.step,)
 
 
-class TorqueDelay(Effect):
+class TorqueDelay(_Delay):
     """Joint torques alone arrive late by a constant time."""
 
     name = "torque_delay"
-    unit = "s"
-    bounds = (-0.05, 0.05)
+    delayed = ("tau",)
     channels = ("joint_torque", "base_wrench", "command")
-    targets = ("all",)
-    lossy = True
     step = 1e-3
     chain_rule = "readings"
 
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return _late(streams, ("tau",), self.value)
 
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _moved(log, ("tau",), log.t + self.value), robot
-
-
-class RateDelay(Effect):
+class RateDelay(_Delay):
     """Joint rates arrive late relative to the angles by a constant time.
 
     Drives that differentiate and filter the angles cause this.
     """
 
     name = "rate_delay"
-    unit = "s"
-    bounds = (-0.05, 0.05)
+    delayed = ("dq",)
     channels = ("joint_rate", "leg_velocity", "joint_torque", "base_wrench")
-    targets = ("all",)
     needs = ("dq",)
-    lossy = True
     # Longer than a row, so that noise is not differentiated as the slope of rates.
     step = 4e-3
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        return _late(streams, ("dq",), self.value)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _moved(log, ("dq",), log.t + self.value), robot
 
 
 class CommandDelay(Effect):
@@ -178,8 +162,7 @@ class CommandDelay(Effect):
                 motor.dynprm[0] = TIMESTEP / np.log1p(TIMESTEP / late)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        late = robot.extras.command_late + self.value
-        return log, replace(robot, extras=replace(robot.extras, command_late=late))
+        return log, declared_on(robot, command_late=self.value)
 
 
 def _lag(motor: mujoco.MjsActuator) -> float:
@@ -237,9 +220,8 @@ class ContactDelay(Effect):
                 contact[max(edge - max(rows, 0), 0) : edge + max(-rows, 0), leg] = False
         columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
         # The part that is not undone in the log is declared in the model.
-        name, rest = f"{self.target}_late", self.value - rows / log.rate
-        known = replace(robot.extras, **{name: getattr(robot.extras, name) + rest})
-        return with_columns(log, columns), replace(robot, extras=known)
+        known = declared_on(robot, **{f"{self.target}_late": self.value - rows / log.rate})
+        return with_columns(log, columns), known
 
     @classmethod
     def is_lossy(cls, target: str) -> bool:
@@ -408,10 +390,6 @@ class ClockScale(Effect):
 
     def _then(self, t: np.ndarray) -> np.ndarray:
         return t[0] + (1.0 + self.value) * (t - t[0])
-
-
-def _late(streams: Streams, names: tuple[str, ...], delay: float) -> Streams:
-    return _at(streams, names, streams.t - delay)
 
 
 def _at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> Streams:

@@ -5,6 +5,7 @@ No code in a file is executed, and a file that declares itself larger than a log
 
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -124,19 +125,43 @@ def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
 def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
     """The table of a file's contents; raises SurefootError where they are of several episodes."""
     cells = _arrays(found)
-    deep = {n: v for n, v in found.items() if isinstance(v, np.ndarray) and v.ndim == 3}
-    several = {n: v for n, v in deep.items() if n not in cells and v.size}
-    for name, (episodes, rows, _) in ((n, v.shape) for n, v in several.items()):
-        if all(one.shape[:2] == (episodes, rows) for one in cells.values()):
+    wide = {n: v for n, v in cells.items() if v.ndim > 1}
+    for name, (episodes, rows, *_) in ((n, v.shape) for n, v in wide.items() if v.ndim == 3):
+        shared = all(one.shape[:2] == (episodes, rows) for one in wide.values())
+        if shared and (episodes <= rows or len({one.shape[2:] for one in wide.values()}) > 1):
             raise SurefootError(
                 f"{path}: {name} is of {episodes} episodes of {rows} rows, and a log is of one: "
                 "save each to a file of its own"
             )
-    return RecordedTable(path, cells)
+    cells, parameters = rows_first(cells)
+    return RecordedTable(path, cells, parameters=parameters)
+
+
+def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Arrays with the axis of their rows first, and the names of those that have no rows.
+
+    Rows are the axis whose length most values share; an array as long as the rows of another are
+    wide, such as the gains of joints, has none.
+    """
+    shared = Counter(n for one in arrays.values() for n in {*one.shape})
+    found: dict[str, np.ndarray] = {}
+    for name, one in arrays.items():
+        rows = max(range(one.ndim), key=lambda k, shape=one.shape: shape[k] * shared[shape[k]])
+        found[name] = np.moveaxis(one, rows, 0)
+    longest: dict[int, int] = {}
+    for one in found.values():
+        for width in one.shape[1:]:
+            longest[width] = max(longest.get(width, 0), len(one))
+    lasting = {
+        name: one
+        for name, one in found.items()
+        if one.dtype.kind == "U" or longest.get(len(one), 0) <= len(one)
+    }
+    return lasting, tuple(name for name in found if name not in lasting)
 
 
 def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
-    """Columns (N,) and (N, K) of a file's contents; fields of structs under their own names."""
+    """Arrays of up to three axes of a file's contents; fields of structs under their own names."""
     cells: dict[str, np.ndarray] = {}
     for name, value in found.items():
         if not isinstance(value, np.ndarray | np.void):
@@ -148,7 +173,7 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({name: value.item()})
         elif value.dtype.kind in "fiubU" and value.ndim == 3 and len(value) == 1 and value.size:
             cells[name] = value[0]  # the only episode, as gym-quadruped writes it
-        elif value.dtype.kind in "fiubU" and value.ndim in (1, 2) and value.size:
+        elif value.dtype.kind in "fiubU" and value.ndim in (1, 2, 3) and value.size:
             cells[name] = np.asarray(value)
     return cells
 

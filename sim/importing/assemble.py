@@ -19,7 +19,12 @@ from surefoot.sim.importing.clock import (
 )
 from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import imu_poses, with_reference
+from surefoot.sim.importing.reference import (
+    REFERENCE_OFFSET,
+    imu_poses,
+    reference_offset,
+    with_reference,
+)
 from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.importing.sections import EvenTable
 from surefoot.sim.log import Log, LogError, Meta
@@ -105,6 +110,7 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         main = with_reference(main, reference, str(rules.path))
     joints = joint_names(main)
     law = _motor_law(rules, joints)
+    offset = reference_offset(rules, name) if reference is not None else 0.0
     if torques := _torques_by_law(main, joints, law):
         main |= torques
         derived.append("tau (motor law)")
@@ -115,7 +121,9 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         motor_law=law,
         derived=tuple(derived),
         versions=_versions(),
-        model=rules.model | _robot_file(rules.robot),
+        model=rules.model
+        | _robot_file(rules.robot)
+        | ({REFERENCE_OFFSET: offset} if offset else {}),
     )
     log = Log(frame, meta, name)
     if rules.contact is not None and rules.contact.of != "force":
@@ -156,19 +164,19 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     return evened(main, rate), [*said, f"rows at {rate:g} Hz"]
 
 
-def unit_quaternions(path: Path, table: Columns, unit: str = "row", first: int = 1) -> None:
+def unit_quaternions(
+    path: Path, table: Columns, unit: str = "row", rows: np.ndarray | None = None
+) -> None:
     """Normalise quaternions; raise, naming the row, where the norm is too far from one.
 
-    Rows are called `unit` in the message and counted from `first`.
+    Rows are called `unit` in the message, with the numbers `rows` (N,), by default from 1.
     """
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
     norm = np.linalg.norm(q, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
     if bad.size:
-        row = int(bad[0])
-        raise LogError(
-            f"{path}: {unit} {row + first}: not a unit quaternion (norm {norm[row]:.6g})"
-        )
+        number = bad[0] + 1 if rows is None else rows[bad[0]]
+        raise LogError(f"{path}: {unit} {number}: not a unit quaternion (norm {norm[bad[0]]:.6g})")
     for i, axis in enumerate("wxyz"):
         table[f"ref_q_{axis}"] = q[:, i] / norm
 

@@ -18,11 +18,20 @@ from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
+from surefoot.sim.common.limits import admitted, bounded_text
 from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
 _MOST_PLACES = 64
 """Largest array in a message whose elements may be columns; longer ones are images or scans."""
+BAGS = (".bag", ".mcap", ".db3")
+"""Endings of bags."""
+_REPAIRS = {
+    ".bag": "rosbag reindex",
+    ".mcap": "mcap recover",
+    ".db3": "ros2 bag reindex, or sqlite3 with .recover",
+}
+_PART_OF_BAG = re.compile(r"_\d+$")
 _PART = re.compile(r"(\w+)(?:\[([^\]]+)\])?$")
 
 
@@ -31,7 +40,7 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
 
     The stamps of a column are those of its messages' headers or, without a header, the times of
     reception; a column of times holds seconds since the start of the bag. Raises SurefootError for
-    a file that is no bag, a missing topic or field, and a value that is not a finite number.
+    a file that is no bag, and a missing topic or field.
     """
     path = Path(path)
     wanted: dict[str, list[str]] = defaultdict(list)
@@ -45,27 +54,74 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
 def _opened(path: Path) -> Iterator[AnyReader]:
     if not is_there(path):
         raise SurefootError(f"{path}: no such file")
+    files = _storage(path) if path.is_dir() else [path]
+    for one in files:
+        admitted(one, "recording")
+    described = not files or _is_described(path)
+    if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
+        names = ", ".join(one.name for one in files)
+        raise SurefootError(f"{path}: has several bags, name one of them: {names}")
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+        with AnyReader(
+            [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+        ) as bag:
             yield bag
     except SurefootError:
         raise
     except (AnyReaderError, OSError) as error:
-        raise SurefootError(f"{path}: {' '.join(str(error).split())}") from None
+        reason = " ".join(str(error).split())
+        raise SurefootError(f"{path}: {reason}{_remedy(files)}") from None
     except Exception as error:  # the parsers of broken bags raise whatever they stumble on
-        raise SurefootError(f"{path}: not a readable bag ({type(error).__name__})") from error
+        reason = type(error).__name__
+        raise SurefootError(f"{path}: not a readable bag ({reason}){_remedy(files)}") from error
 
 
-def bag_fields(path: Path) -> list[str]:
-    """Every numeric column of a bag, as named in a map, from the first message of each topic."""
+def is_bag(path: Path) -> bool:
+    """Whether a path is a ROS 1, ROS 2 or MCAP bag, by its name; or the folder of one, with or
+    without its metadata.
+    """
+    if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
+        return True
+    return path.is_dir() and bool(_storage(path)) and not any(path.glob("*.csv"))
+
+
+def _is_described(path: Path) -> bool:
+    """Whether a folder has metadata that name its files; those of a killed recorder are empty."""
+    about = path / "metadata.yaml"
+    return about.is_file() and "relative_file_paths" in bounded_text(about)
+
+
+def _storage(path: Path) -> list[Path]:
+    """The files of messages in the folder of a ROS 2 bag."""
+    return sorted(one for one in path.iterdir() if one.suffix.lower() in (".mcap", ".db3"))
+
+
+def _remedy(files: list[Path]) -> str:
+    """What may help if these files are damaged, as those of a recorder that was killed."""
+    tools = {_REPAIRS.get(one.suffix.lower(), "") for one in files} - {""}
+    return f"; if the recorder was killed, try {' or '.join(sorted(tools))}" if tools else ""
+
+
+def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
+    """Every numeric column of a bag, as named in a map, from the first message of each topic; and
+    the topics without any but their stamps, with the reason.
+    """
     found: list[str] = []
+    skipped: dict[str, str] = {}
     with _opened(path) as bag:
         for connection in bag.connections:
             for _, _, raw in bag.messages(connections=[connection]):
                 message = bag.deserialize(raw, connection.msgtype)
-                found += [f"{connection.topic}:{field}" for field in _fields(message, "")]
+                fields = [*_fields(message, "")]
+                found += [f"{connection.topic}:{field}" for field in fields]
+                if not any(field != "header.stamp" for field in fields):
+                    skipped[connection.topic] = (
+                        "only lists: write what you need of them to a topic of its own"
+                    )
                 break
-    return list(dict.fromkeys(found))
+            else:
+                skipped[connection.topic] = "NaN, text or empty"
+    return list(dict.fromkeys(found)), skipped
 
 
 def _fields(message: Any, place: str) -> Iterator[str]:
@@ -81,6 +137,11 @@ def _fields(message: Any, place: str) -> Iterator[str]:
             yield from (f"{path}[{one}]" for one in places)
         elif hasattr(value, "__dataclass_fields__"):
             yield from _fields(value, f"{path}.")
+        elif isinstance(value, list) and len(value) <= _MOST_PLACES:
+            # Of motors or feet; stamped elements, as of /tf, are another body in each message.
+            for k, one in enumerate(value):
+                if not hasattr(one, "header"):
+                    yield from _fields(one, f"{path}[{k}].")
 
 
 def topic_of(column: str) -> str:
@@ -113,9 +174,6 @@ def _read(bag: AnyReader, path: Path, wanted: dict[str, list[str]]) -> dict[str,
     for topic, found in stamps.items():
         if not found:
             raise SurefootError(f"{path}: topic {topic!r} has no messages")
-    for column, found in values.items():
-        if (bad := np.flatnonzero(~np.isfinite(found))).size:
-            raise SurefootError(f"{path}: column {column!r}, message {bad[0] + 1}: not finite")
     return {c: (np.array(stamps[topic_of(c)]), np.array(found)) for c, found in values.items()}
 
 

@@ -1,8 +1,10 @@
 """Resample streams of several files and topics, each with its own times, to the rows of one log."""
 
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LogError
@@ -17,6 +19,14 @@ _GAP = 3.0
 """Least length of such a gap in usual intervals."""
 _AVERAGING_RATIO = 1.5
 """Ratio to the log's rate from which an IMU is averaged over a row instead of interpolated."""
+_MOST_LEFT_OUT = 0.05
+"""Share of a stream's rows whose stamps may be wrong; more of them are no accident."""
+_MOST_SET_BACK = 3.5
+"""Number of rows by which stamps may go back and on from there, as messages overtake each other."""
+_ROWS_TO_A_FAR_ONE = 100
+"""Number of rows to one that may lie far from all others, at either end."""
+_EPOCH = 1e6
+"""Time beyond which a clock counts from an epoch, such as Unix time [s]: eleven days."""
 
 
 def is_event(name: str) -> bool:
@@ -36,7 +46,12 @@ def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Colum
     end = min([t[-1], *(stamps[-1] for n, (stamps, _) in streams.items() if not is_event(n))])
     inside = (t >= begin) & (t <= end)
     if not inside.any():
-        raise SurefootError(f"{where}: the topics and files of the map do not overlap in time")
+        times = {"t": t} | {name: stamps for name, (stamps, _) in streams.items()}
+        early, late = (pick(times, key=lambda name: times[name][0]) for pick in (min, max))
+        raise SurefootError(
+            f"{where}: the topics and files of the map do not overlap in time: {early} is"
+            f" {span(times[early])}, {late} {span(times[late])}; t of a further file has an offset"
+        )
     table = {"t": t[inside]}
     for name, (stamps, values) in streams.items():
         if len(stamps) == len(t) and np.array_equal(stamps, t):
@@ -145,24 +160,123 @@ def column_kind(name: str) -> str:
     return prefix[:-1] if prefix else name.split("_")[0]
 
 
-def check_rising(t: np.ndarray, path: object, column: str, unit: str, rows: np.ndarray) -> None:
-    """Raise LogError at the first time that is not later than the one before.
+def kept_rows(
+    t: np.ndarray, values: Sequence[np.ndarray], column: str, unit: str, rows: np.ndarray
+) -> tuple[np.ndarray, str]:
+    """Rows (K,) of a stream that have a stamp of their own, and a note on the others.
+
+    A sample that repeats an earlier one, stamp and values, is left out, and so are the fewest rows
+    without which the stamps rise: one that leaps, one in the wrong place, the second of two with
+    one stamp. Stamps at either end from before a clock was set are, too. The note is "" if none is
+    left out. Raises LogError where these are more than single rows.
 
     Args:
         t: (N,) [s].
-        path: of the file, for the message.
-        column: its column, for the message.
-        unit: name of a row in the message: "line", "message".
+        values: of the samples, each (N,).
+        column: file and column of the stamps, for messages.
+        unit: name of a row: "line", "message".
         rows: (N,) their numbers in the file.
     """
-    bad = np.flatnonzero(np.diff(t) <= 0.0)
-    if bad.size:
-        row = int(bad[0]) + 1
-        how = "duplicate stamp" if t[row] == t[row - 1] else "jumps back"
-        raise LogError(
-            f"{path}: column {column!r}, {unit} {rows[row]}: {how},"
-            f" {t[row - 1]:.9g} s then {t[row]:.9g} s"
+    kept = np.arange(len(t))
+    if not rises(t):
+        kept = np.flatnonzero(~pd.DataFrame(np.column_stack([t, *values])).duplicated())
+    repeated, unlike = len(t) - len(kept), kept
+    kept = kept[_longest_rise(t[kept])]
+    kept = kept[_without_far_ends(t[kept])]
+    out = np.setdiff1d(unlike, kept)
+    if len(out) > max(1.0, _MOST_LEFT_OUT * len(t)) or _goes_back(t[unlike], np.isin(unlike, kept)):
+        raise LogError(f"{column}, {_contradiction(t, out, kept, unit, rows)}")
+    said = [f"{repeated} repeated samples"] if repeated else []
+    if len(out):
+        said += [f"{len(out)} rows whose stamps do not rise with the others'"]
+        said[-1] += f" (the first in {unit} {rows[out[0]]}, {seconds(t[out[0]])} s)"
+    return kept, f"{column}: left out: {' and '.join(said)}" if said else ""
+
+
+def rises(t: np.ndarray) -> bool:
+    """Whether every time of t (N,) is later than the one before."""
+    return bool(np.all(np.diff(t) > 0.0))
+
+
+def mostly_rises(t: np.ndarray) -> bool:
+    """Whether t (N,) rises but for single times, and samples that are repeated."""
+    if rises(t):
+        return True
+    changes = t[np.concatenate([[True], np.diff(t) != 0.0])]
+    if len(changes) < 3 or np.mean(np.diff(changes) > 0.0) < 1.0 - _MOST_LEFT_OUT:
+        return False
+    return len(_longest_rise(changes)) >= (1.0 - _MOST_LEFT_OUT) * len(changes)
+
+
+def _goes_back(t: np.ndarray, kept: np.ndarray) -> bool:
+    """Whether t (N,) lacks the time of rows that were left out between those in the mask `kept`, as
+    after a clock was set back; a row in the wrong place lacks one or two.
+    """
+    rows, step = np.flatnonzero(kept), np.diff(t[kept])
+    if kept.all() or not len(step):
+        return False
+    return bool(np.any(np.diff(rows) - step / np.median(step) > _MOST_SET_BACK))
+
+
+def _contradiction(
+    t: np.ndarray, out: np.ndarray, kept: np.ndarray, unit: str, rows: np.ndarray
+) -> str:
+    """Describe stamps of which too many do not rise; arguments as in `kept_rows`."""
+    if np.isin(t[out], t[kept]).mean() > 0.5:
+        return (
+            f"{unit} {rows[out[0]]}: repeats the stamp {seconds(t[out[0]])} s with other values, as"
+            f" {len(out)} of {len(t)} do: too coarse a clock; give another t, or the rate of the"
+            " rows"
         )
+    row = int(np.argmin(np.diff(t))) + 1
+    return (
+        f"{unit} {rows[row]}: jumps back, {seconds(t[row - 1])} s then {seconds(t[row])} s: a clock"
+        f" that was restarted; import what is before {unit} {rows[row]} and the rest separately"
+    )
+
+
+def _longest_rise(t: np.ndarray) -> np.ndarray:
+    """Indices (K,) of the longest rising subsequence of t (N,) (Fredman, Discrete Mathematics 11,
+    1975).
+    """
+    if rises(t):
+        return np.arange(len(t))
+    ends: list[float] = []
+    at: list[int] = []
+    before: list[int] = []
+    for k, x in enumerate(t.tolist()):
+        place = bisect_left(ends, x)
+        before.append(at[place - 1] if place else -1)
+        if place == len(ends) or x < ends[place]:  # of equal ones, the first
+            ends[place : place + 1], at[place : place + 1] = [x], [k]
+    chain = [at[-1]]
+    while before[chain[-1]] >= 0:
+        chain.append(before[chain[-1]])
+    return np.array(chain[::-1])
+
+
+def _without_far_ends(t: np.ndarray) -> slice:
+    """The rows of rising t (N,) without a few at an end, beyond a gap longer than all the rest."""
+    few = len(t) // _ROWS_TO_A_FAR_ONE
+    step = np.diff(t)
+    first = next((k for k in range(few, 0, -1) if step[k - 1] > t[-1] - t[k]), 0)
+    last = next((k for k in range(few, 0, -1) if step[-k] > t[-k - 1] - t[first]), 0)
+    return slice(first, len(t) - last)
+
+
+def epoch_of(t: np.ndarray) -> float:
+    """Whole seconds to subtract from times t (N,) [s] that count from an epoch; 0 from others."""
+    return float(np.floor(t[0])) if len(t) and abs(t[0]) > _EPOCH else 0.0
+
+
+def span(t: np.ndarray) -> str:
+    """First and last of times t (N,) [s]."""
+    return f"from {seconds(t[0])} to {seconds(t[-1])} s"
+
+
+def seconds(t: float) -> str:
+    """A time [s] with all digits down to a microsecond."""
+    return f"{t:.6f}".rstrip("0").rstrip(".")
 
 
 def _rate(t: np.ndarray) -> float:

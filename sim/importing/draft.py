@@ -10,6 +10,9 @@ from pathlib import Path
 
 from surefoot.sim.importing.columns import UNITS, kind_of
 
+_LISTED = 20
+"""Largest number of unused columns that are listed for a reason."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -50,7 +53,7 @@ class Draft:
         robot: name.
         contact: on and off force of [contact].
         notes: questions that concern no single column.
-        unused: columns of the main file without a use.
+        unused: columns and arrays without a use, by the reason.
     """
 
     files: tuple[Path, ...]
@@ -63,7 +66,7 @@ class Draft:
     robot: str | None = None
     contact: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
-    unused: tuple[str, ...] = ()
+    unused: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
@@ -103,8 +106,10 @@ class Draft:
             on, off = self.contact
             lines += ["", "[contact] # ? half way between swing and stance", f"on = {on:.4g}"]
             lines += [f"off = {off:.4g}"]
-        if self.unused:
-            lines += ["", f"# not used: {' '.join(', '.join(self.unused).split())}"]
+        lines += [""] * bool(self.unused)
+        for reason, names in self.unused.items():
+            listed = ", ".join(names[:_LISTED]) + ", ..." * (len(names) > _LISTED)
+            lines.append(f"# not used ({reason}): {' '.join(listed.split())}")
         return "\n".join(lines) + "\n"
 
     def _layout(self, path: Path) -> list[str]:

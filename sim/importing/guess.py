@@ -5,25 +5,28 @@ entries carry a question in the draft (`draft`). This module assigns the files: 
 further ones with columns of their own, and the reference.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.bag import is_bag
 from surefoot.sim.importing.columns import EULER, UNITS
 from surefoot.sim.importing.draft import Draft, Entry
-from surefoot.sim.importing.guess_columns import guess_columns, three_axes
+from surefoot.sim.importing.guess_columns import guess_columns, vectors
 from surefoot.sim.importing.guess_units import unit_of_angles
-from surefoot.sim.importing.names import read_name, words_of
+from surefoot.sim.importing.names import Named, read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
-from surefoot.sim.importing.recording import is_bag
 from surefoot.sim.log.schema import joint_prefix
-from surefoot.sim.robot.machine import load_machine
+from surefoot.sim.robot.machine import Machine, load_machine
+from surefoot.sim.sensors.streams import SLOWEST
 
 _FEW = 8
 """Largest number of columns that are listed for an unused file."""
+_POSES = {"reference": 0, "": 1, "estimate": 2}
+"""Sources of poses, in the order in which they are a reference."""
 
 
 def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
@@ -51,7 +54,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
             continue
         label = one.label
         there = {"t", *(entry.name for entry in entries)}
-        added = guess_columns(one, machine, commands=_is_command(label)).entries
+        added = guess_columns(one, machine, commands=read_name(label).commanded).entries
         added = [e for e in added if e.name not in there]
         if added:
             sources[label] = (one.path, one.t)
@@ -63,13 +66,15 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
             notes.append(f"nothing of {what} is used: what are its columns {columns}?")
     entries, dropped = _complete(entries)
     notes += [*found.notes, *dropped]
-    if not any(one.name != "t" for one in entries):
-        notes.append("no name says what a column is: which of those not used below is what?")
     at = poses[0] if poses else main
     reference = _reference(at)
     if reference and at is not main:
         notes += _overlap(main, at)
-    used = {entry.theirs for entry in (*entries, *reference)}
+    notes += _missing(main, entries, found.rate, machine)
+    used = {entry.theirs for entry in entries} | {f"{at.label}:{e.theirs}" for e in reference}
+    used |= {f"{main.label}:{name}" for name in used}
+    used |= {f"{label}:{clock.theirs}" for label, (_, clock) in sources.items()}
+    partly = [one for one in read if any(f"{one.label}:{name}" in used for name in one.columns)]
     return Draft(
         files=tuple(dict.fromkeys((main.path, *(one.path for one in others)))),
         main=tuple(entries),
@@ -81,7 +86,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         robot=robot,
         contact=_threshold(main, entries),
         notes=tuple(notes),
-        unused=tuple(name for name in main.columns if name not in used),
+        unused=_unused(main, partly or [main], used),
     )
 
 
@@ -94,9 +99,8 @@ def _parts(path: Path) -> list[Path]:
 
 def _richness(one: RecordedFile) -> int:
     names = one.names.values()
-    inertial = sum(n.kind in ("gyro", "accel") for n in names)
-    measured = [n for n in names if n.kind in ("q", "dq", "tau") and not n.reference]
-    joints = sum(n.kind != "q" or not n.axis for n in measured)
+    inertial = sum(n.kind in ("gyro", "accel") and not n.source for n in names)
+    joints = sum(n.kind in ("q", "dq", "tau") and not n.axis for n in names)
     return 100 * inertial + joints * (10 if any(n.commanded for n in names) else 11)
 
 
@@ -105,7 +109,7 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
     if not is_bag(one.path):
         return _pose(one)
     topics = list(dict.fromkeys(name.partition(":")[0] for name in one.recorded))
-    topics.sort(key=lambda topic: not read_name(topic.strip("/") + "/x").reference)
+    topics.sort(key=lambda topic: _POSES.get(read_name(f"{topic}/x").source, 1))
     for topic in topics:
         columns = {n: v for n, v in one.recorded.items() if n.startswith(f"{topic}:")}
         t = times_of_topic(topic, columns, one.names)
@@ -117,25 +121,34 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
 
 def _pose(one: RecordedFile) -> tuple[Entry, ...]:
     """Entries of a pose: three positions, and four or three values of an attitude."""
-    t = one.t
-    if t is None:
+    own = {n: named for n, named in one.names.items() if not named.leg and named.source in _POSES}
+    positions = vectors({n: x for n, x in own.items() if x.kind == "ref_p"}, tuple(_POSES))
+    if one.t is None or not positions:
         return ()
-    own = {n: named for n, named in one.names.items() if not named.leg and not named.commanded}
-    inertial = any(named.kind in ("gyro", "q") and not named.reference for named in own.values())
-    positions = {n: x for n, x in own.items() if x.kind == "ref_p"} or {
-        n: x for n, x in own.items() if x.kind == "q" and (x.reference or (x.axis and not inertial))
-    }
-    p = three_axes(positions)
-    if p is None:
-        return ()
+    p = positions[0]
     most = max(float(np.ptp(one.columns[n])) for n in p)
     said = {own[n].unit for n in p} & set(UNITS["ref_p"])
     unit = said.pop() if len(said) == 1 else "m" if most < 50.0 else "mm"
-    found = [Entry(f"ref_p_{a}", n, unit) for a, n in zip("xyz", p, strict=True)]
-    attitude = {n: x for n, x in own.items() if x.kind == "ref_q"}
-    by_axis = {x.axis: n for n, x in attitude.items() if x.axis}
-    euler = {x.part: n for n, x in own.items() if x.kind == "euler"}
-    places = sorted((x.place, n) for n, x in attitude.items() if x.place is not None)
+    why = "an estimate, no measurement: compare with it?" if own[p[0]].source == "estimate" else ""
+    found = [Entry(f"ref_p_{a}", n, unit, doubt=why) for a, n in zip("xyz", p, strict=True)]
+    attitudes: dict[str, dict[str, Named]] = {}
+    for name, named in own.items():
+        if named.kind in ("ref_q", "euler") and named.source == own[p[0]].source:
+            stem = " ".join(w for w in named.stem.split() if w not in ("roll", "pitch", "yaw"))
+            attitudes.setdefault(stem, {})[name] = named
+    # That of the most words in common with the position.
+    words = set(own[p[0]].stem.split())
+    for stem in sorted(attitudes, key=lambda stem: -len(words & set(stem.split()))):
+        if turned := _attitude(one, attitudes[stem]):
+            return (one.t, *found, *turned)
+    return ()
+
+
+def _attitude(one: RecordedFile, own: Mapping[str, Named]) -> list[Entry]:
+    """Entries of an attitude from columns of one stem; none where they are no attitude."""
+    by_axis = {x.axis: n for n, x in own.items() if x.kind == "ref_q" and x.axis}
+    euler = {x.part.split("_")[-1]: n for n, x in own.items() if x.kind == "euler"}
+    places = sorted((x.place, n) for n, x in own.items() if x.place is not None)
     columns, unit, doubt = [n for _, n in places], None, ""
     if set(by_axis) == set("wxyz"):
         axes, columns = [f"ref_q_{a}" for a in "wxyz"], [by_axis[a] for a in "wxyz"]
@@ -152,9 +165,8 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
         unit, _ = unit_of_angles([one.columns[n] for n in columns], set())
         axes, doubt = EULER, "roll, pitch, yaw in this order?"
     else:
-        return ()
-    turned = [Entry(a, n, unit, doubt=doubt) for a, n in zip(axes, columns, strict=True)]
-    return (t, *found, *turned)
+        return []
+    return [Entry(a, n, unit, doubt=doubt) for a, n in zip(axes, columns, strict=True)]
 
 
 def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
@@ -167,6 +179,80 @@ def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
             kept = [e for e in kept if e.name not in own]
             said.append(f"{', '.join(sorted(own)[:3])}: not of every joint, left out")
     return kept, said
+
+
+def _missing(
+    main: RecordedFile, entries: Sequence[Entry], rate: float | None, machine: Machine | None
+) -> list[str]:
+    """Questions for what is missing beside what was found.
+
+    Args:
+        main: the main file.
+        entries: of the map.
+        rate: of the rows by the joints' rates, or None.
+        machine: robot, or None.
+    """
+    there = {entry.name for entry in entries}
+    groups = {name.partition("_")[0] for name in there}
+    legs = machine is not None and bool(machine.limbs.legs)
+    legs |= any(one.leg for name in there for one in [read_name(name)] if joint_prefix(name))
+    found = []
+    if groups <= {"t"}:
+        found.append("no name says what a column is: which of those not used below is what?")
+    if main.seconds is None and rate is None:
+        found.append("no times found: which column are they, or what is the [source] rate?")
+    elif main.seconds is not None and (hz := 1.0 / np.median(np.diff(main.seconds))) < SLOWEST:
+        found.append(f"rows at {hz:.3g} Hz are too slow for filters: is there a faster recording?")
+    for one, other, name in (("gyro", "accel", "gyro"), ("accel", "gyro", "accelerometer")):
+        if one not in groups and other in groups:
+            found.append(f"half an IMU: which columns are the {name}?")
+    if legs and groups & {"gyro", "accel", "q"} and not groups & {"contact", "force"}:
+        found.append(
+            "legs without contacts: which columns are contacts or forces of the feet, or is"
+            ' [contact] of "torque", "kinematics" or "gait"?'
+        )
+    return found
+
+
+def _unused(
+    main: RecordedFile, read: Sequence[RecordedFile], used: Set[str]
+) -> dict[str, list[str]]:
+    """Columns without a use, and what else the files contain, by the reason.
+
+    Args:
+        main: the main file, whose columns are listed by their names alone.
+        read: files that are used.
+        used: columns with a use, as file:column.
+    """
+    groups: dict[tuple[str, str, str], list[str]] = {}
+    for one in read:
+        label = "" if one is main else f"{one.label}:"
+        for name, named in one.names.items():
+            if f"{one.label}:{name}" not in used:
+                reason = _why_unused(named)
+                groups.setdefault((reason, label, named.stem or name), []).append(f"{label}{name}")
+        for name, reason in one.skipped.items():
+            stem = read_name(name).stem or name
+            groups.setdefault((reason, label, stem), []).append(f"{label}{name}")
+    found: dict[str, list[str]] = {}
+    for (reason, _, _), names in groups.items():
+        more = f" and {len(names) - 1} more" * (len(names) > 1)
+        found.setdefault(reason, []).append(f"{names[0]}{more}")
+    return found
+
+
+def _why_unused(one: Named) -> str:
+    if one.source in ("bias", "error", "parameter"):
+        return "biases, errors, parameters"
+    if one.commanded:
+        return "set points"
+    if one.source in ("estimate", "filtered"):
+        return "estimates, filtered values"
+    if one.world or one.source or one.kind in ("ref_p", "ref_q", "ref_v", "euler"):
+        return "motion of a body, no reading of a sensor"
+    if one.kind == "other":
+        return "of no use in a log"
+    return "beside others of their kind" if one.kind else "names not understood"
 
 
 def _threshold(main: RecordedFile, entries: list[Entry]) -> tuple[float, float] | None:
@@ -182,7 +268,3 @@ def _overlap(main: RecordedFile, at: RecordedFile) -> list[str]:
         return []
     apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
     return ["the reference's clock is another: which [reference] offset?"] * bool(apart)
-
-
-def _is_command(label: str) -> bool:
-    return any(word in label.lower() for word in ("cmd", "command", "control", "target", "des"))

@@ -1,6 +1,5 @@
 """Entries of an import map for one file of a recording, from names and values of its columns."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.sim.importing.columns import DEGREE
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.guess_units import (
     gravity_doubt,
@@ -18,8 +18,8 @@ from surefoot.sim.importing.guess_units import (
     unit_of_rates,
 )
 from surefoot.sim.importing.layout import is_number
-from surefoot.sim.importing.names import Named, read_name, words_of
-from surefoot.sim.importing.recorded_file import RecordedFile
+from surefoot.sim.importing.names import HINGES, Named, by_their_legs, words_of
+from surefoot.sim.importing.recorded_file import RecordedFile, name_in_file
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.machine import Machine
 
@@ -27,6 +27,14 @@ _SMALL = 4096
 """Size [bytes] below which a text may be a list of joints."""
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
 """Order of the legs in software of Unitree and MIT."""
+_SOURCES = ("", "filtered", "estimate")
+"""Sources of readings, the best first."""
+_INSIDE = 0.9
+"""Share of angles within a joint's limits from which a column may be of that joint."""
+_BEYOND = 0.1
+"""Angle by which a joint may be beyond its limits, as its zero is not exact [rad]."""
+_TURN = 400.0
+"""Largest angle of a joint [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +63,11 @@ def guess_columns(
         commands: whether its joint columns are targets and not readings.
     """
     imu, imu_notes = _imu_entries(file)
-    joints, legs, rate = _joint_entries(file, machine, commands, imu)
+    joints, joint_notes, legs, rate = _joint_entries(file, machine, commands, imu)
     feet, feet_notes = _feet_entries(file, legs, machine)
     times = [file.t] if file.t else []
-    return GuessedColumns((*times, *imu, *joints, *feet), (*imu_notes, *feet_notes), rate)
+    notes = (*imu_notes, *joint_notes, *feet_notes)
+    return GuessedColumns((*times, *imu, *joints, *feet), notes, rate)
 
 
 def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
@@ -72,30 +81,45 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     notes: list[str] = []
     triples: dict[str, tuple[str, ...]] = {}
     values: dict[str, np.ndarray] = {}
+    asked: dict[str, str] = {}
     for kind in ("gyro", "accel"):
-        own = {n: one for n, one in _of(file, kind).items() if not one.leg and not one.commanded}
-        axes = three_axes(own)
-        if axes is not None:
-            triples[kind] = axes
+        own = {n: one for n, one in _of(file, kind).items() if not (one.leg or one.world)}
+        found = vectors(own, _SOURCES[:2])
+        if found:
+            axes = triples[kind] = found[0]
             values[kind] = np.column_stack([file.columns[name] for name in axes])
-        elif own:
+            source = own[axes[0]].source
+            others = [other for other in found[1:] if own[other[0]].source == source]
+            asked[kind] = f"this, or {others[0][0]}?" if others else _source_doubt(source)
+        elif own := {n: one for n, one in own.items() if not one.source}:
             notes.append(f"which of {', '.join(own)} are the {kind}'s x, y and z?")
     if "gyro" in triples:
         named = {file.names[name].unit for name in triples["gyro"]}
         unit, doubt = unit_of_gyro(file.seconds, values["gyro"], values.get("accel"), named)
         for axis, name in zip("xyz", triples["gyro"], strict=True):
-            entries.append(Entry(f"gyro_{axis}", name, unit, doubt=doubt))
+            entries.append(Entry(f"gyro_{axis}", name, unit, doubt=asked["gyro"] or doubt))
     if "accel" in triples:
         unit, gain, doubt = unit_of_accel(values["accel"])
         doubts = gravity_doubt(values["accel"].mean(axis=0))
         for axis, name in zip("xyz", triples["accel"], strict=True):
-            why = doubt or doubts.get(axis, "")
+            why = asked["accel"] or doubt or doubts.get(axis, "")
             entries.append(Entry(f"accel_{axis}", name, unit, gain=gain, doubt=why))
     return entries, notes
 
 
-def three_axes(own: Mapping[str, Named]) -> tuple[str, ...] | None:
-    """The three columns of a vector in the order x, y, z; None if unclear."""
+def vectors(own: Mapping[str, Named], sources: Sequence[str]) -> list[tuple[str, ...]]:
+    """The columns of each vector in the order x, y, z: three of a stem, those of the first of the
+    sources first.
+    """
+    own = {name: one for name, one in own.items() if one.source in sources}
+    stems: dict[tuple[str, str], dict[str, Named]] = {}
+    for name, one in own.items():
+        stems.setdefault((one.source, one.stem), {})[name] = one
+    found = [axes for group in (*stems.values(), own) if (axes := _three_axes(group))]
+    return sorted(dict.fromkeys(found), key=lambda axes: sources.index(own[axes[0]].source))
+
+
+def _three_axes(own: Mapping[str, Named]) -> tuple[str, ...] | None:
     along = [(one.axis, name) for name, one in own.items() if one.axis]
     if len(along) == 3 and set(dict(along)) == set("xyz"):
         return tuple(dict(along)[axis] for axis in "xyz")
@@ -103,6 +127,10 @@ def three_axes(own: Mapping[str, Named]) -> tuple[str, ...] | None:
     if len(own) == 3 and len(by_place) == 3:
         return tuple(by_place[place] for place in sorted(by_place))
     return None
+
+
+def _source_doubt(source: str) -> str:
+    return f"{'an' if source == 'estimate' else 'a'} {source} value, no reading?" if source else ""
 
 
 class _JointColumn(NamedTuple):
@@ -119,8 +147,8 @@ _Joints = dict[str, dict[str, _JointColumn]]
 
 def _joint_entries(
     file: RecordedFile, machine: Machine | None, commands: bool, imu: Sequence[Entry]
-) -> tuple[list[Entry], Sequence[str], float | None]:
-    """Entries of the joints, order of the legs, and rate of the rows."""
+) -> tuple[list[Entry], list[str], Sequence[str], float | None]:
+    """Entries of the joints, notes, order of the legs, and rate of the rows."""
     joints = _joint_columns(file, machine, commands)
     swapped = _sides_doubt(file, joints.get("q", {}), imu)
     legs: Sequence[str] = LEGS
@@ -133,12 +161,14 @@ def _joint_entries(
             for kind, of in joints.items()
         }
     entries: list[Entry] = []
+    notes: list[str] = []
     rate = None
     for kind in joints:
-        of_kind, rows = _entries_of_kind(file, kind, joints, swapped)
+        of_kind, limits, rows = _entries_of_kind(file, kind, joints, swapped, machine)
         entries += of_kind
+        notes += [limits] * bool(limits)
         rate = rows or rate
-    return entries, legs, rate
+    return entries, notes, legs, rate
 
 
 def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) -> _Joints:
@@ -147,57 +177,150 @@ def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) 
     found = {
         name: one
         for name, one in _of(file, "q", "dq", "tau").items()
-        if one.joint or not (one.axis or one.reference or one.leg in poses)
+        if one.source in (*_SOURCES, "command")
+        and (one.joint or not (one.axis or one.leg in poses))
     }
-    raw = {(one.kind, one.commanded) for one in found.values() if not one.filtered}
-    found = {n: x for n, x in found.items() if not x.filtered or (x.kind, x.commanded) not in raw}
-    named = any(one.part or one.leg or one.joint for one in found.values() if one.kind == "q")
-    joints: _Joints = {}
+    if not any(one.kind == "q" and not one.commanded for one in found.values()):
+        found |= _bare_angles(file)
+    lists: dict[tuple[str, bool], dict[str, Named]] = {}
     for name, one in found.items():
-        if named and not (one.part or one.leg or one.joint):
-            continue
-        kind = one.kind
-        if one.commanded or commands:
+        lists.setdefault((one.kind, one.commanded), {})[name] = one
+    joints: _Joints = {}
+    for (kind, commanded), own in lists.items():
+        if not commanded:
+            best = min(_SOURCES.index(one.source) for one in own.values())
+            own = {n: one for n, one in own.items() if one.source == _SOURCES[best]}
+        if commanded or commands:
             kind = {"q": "q_des", "dq": "dq_des", "tau": "tau_ff"}[kind]
-        joint, column = _joint_of(file, machine, name, found)
         of = joints.setdefault(kind, {})
-        if joint in of:
-            column = of[joint]._replace(doubt=f"this, or {name}?")
-        of[joint] = column
+        for joint, column in _joints_of(file, machine, own, lists.get(("q", False), {})):
+            if joint in of:
+                column = of[joint]._replace(doubt=f"this, or {column.column}?")
+            of[joint] = column
     return joints
 
 
-def _joint_of(
-    file: RecordedFile, machine: Machine | None, name: str, found: Mapping[str, Named]
-) -> tuple[str, _JointColumn]:
-    """The joint of a column, among all `found` columns of joints."""
-    one = found[name]
-    if one.joint:
-        return one.joint, _JointColumn(name, "")
-    leg = _leg(one.leg, {n.leg for n in found.values() if n.leg})
-    alike = [n for n in found.values() if n.kind == one.kind and n.commanded == one.commanded]
-    if leg:
-        places = ("hip", "thigh", "calf")
-        part = one.part or ("" if one.place is None else places[one.place % 3])
-        joint = f"{leg if leg in LEGS else one.written}_{part}".rstrip("_")
-        return joint, _JointColumn(name, "" if one.part else f"which joint of {leg} is {name}?")
+def _bare_angles(file: RecordedFile) -> dict[str, Named]:
+    """Columns that are named after a joint and say nothing else, if their sizes are of angles."""
+    return {
+        name: replace(one, kind="q")
+        for name, one in file.names.items()
+        if not (one.kind or one.source)
+        and (one.joint or (one.leg and one.part in HINGES))
+        and np.abs(file.columns[name]).max() <= _TURN
+    }
+
+
+def _joints_of(
+    file: RecordedFile,
+    machine: Machine | None,
+    own: Mapping[str, Named],
+    angles: Mapping[str, Named],
+) -> list[tuple[str, _JointColumn]]:
+    """The joint of each column, for columns of one kind; where some have names, of those alone.
+
+    Args:
+        file: of the recording.
+        machine: robot, or None.
+        own: the columns.
+        angles: columns of angles, which determine the order of unnamed joints.
+    """
+    found: list[tuple[str, _JointColumn]] = []
+    legs = {one.leg for one in own.values() if one.leg}
     # A word common to all elements of a list names a group, not a joint.
-    if one.part and len({n.place for n in alike if n.part == one.part}) <= 1:
-        return one.part, _JointColumn(name, "")
-    if one.place is None or len(alike) == 1:
-        return "joint", _JointColumn(name, "" if len(alike) == 1 else f"which joint is {name}?")
+    places: dict[str, set[int | None]] = {}
+    for one in own.values():
+        places.setdefault(one.part, set()).add(one.place)
+    for name, one in own.items():
+        if one.joint or one.leg or (one.part and len(places[one.part]) == 1):
+            doubt = "" if file.names[name].kind else "angles, by their sizes?"
+            part = one.part or ("" if one.place is None else HINGES[one.place % 3])
+            joint = joint_of_words(replace(one, leg=_leg(one.leg, legs), part=part))
+            if one.leg and not (one.part or one.joint):
+                doubt = f"which joint of {one.leg} is {name}?"
+            if machine is not None and joint not in machine.limbs.joints:
+                doubt = f"{machine.name} has no joint {joint}: which is it?"
+            found.append((joint, _JointColumn(name, doubt)))
+    if found:
+        return found
+    if len(own) == 1:
+        return [("joint", _JointColumn(name, "")) for name in own]
     # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
-    order = sorted({(n.limb or 0, n.place or 0) for n in alike})
-    place, count = order.index((one.limb or 0, one.place)), len(order)
-    # Unnamed joints: in the order of a list, of the robot, or the usual one.
-    orders = [*{**file.lists, **_lists_beside(file.path)}.items()]
-    orders += [(machine.name, machine.limbs.joints)] if machine is not None else []
-    for source, listed in orders:
-        if len(listed) == count:
-            return listed[place], _JointColumn(name, f"are its joints in the order of {source}?")
-    if count == len(JOINTS):
-        return JOINTS[place], _JointColumn(name, _legs_doubt(LEGS), assumed=True)
-    return f"joint{place}", _JointColumn(name, "which joint is it?")
+    order = sorted(
+        {(one.limb or 0, one.place or 0) for one in own.values() if one.place is not None}
+    )
+    names, doubt, assumed = _order(file, machine, angles, order)
+    for name, one in own.items():
+        if one.place is None:
+            found.append(("joint", _JointColumn(name, f"which joint is {name}?")))
+        else:
+            joint = names[order.index((one.limb or 0, one.place))]
+            found.append((joint, _JointColumn(name, doubt, assumed)))
+    return found
+
+
+def joint_of_words(one: Named) -> str:
+    """Name of a joint in the log by the words of a column, or of a list of joints."""
+    leg = one.leg if one.leg in LEGS else one.written
+    return one.joint or f"{leg}_{one.part}".strip("_")
+
+
+def _order(
+    file: RecordedFile,
+    machine: Machine | None,
+    angles: Mapping[str, Named],
+    places: Sequence[tuple[int, int]],
+) -> tuple[Sequence[str], str, bool]:
+    """Names for unnamed joints, a doubt, and whether they are only the usual ones: in the order of
+    a list, or of the robot, or by the robot's limits, or in the usual order.
+
+    Args:
+        file: of the recording.
+        machine: robot, or None.
+        angles: columns of angles.
+        places: limb and place of each joint, in their order.
+    """
+    for source, listed in {**file.lists, **_lists_beside(file.path)}.items():
+        if len(listed) == len(places):
+            read = by_their_legs({one: name_in_file(one, machine) for one in listed})
+            names = [
+                joint_of_words(one) if one.joint or (one.leg in LEGS and one.part) else text
+                for text, one in read.items()
+            ]
+            names = names if len(set(names)) == len(places) else listed
+            return names, f"are its joints in the order of {source}?", False
+    if machine is not None and len(machine.limbs.joints) == len(places):
+        joints = machine.limbs.joints
+        kinds = [machine.limbs.kind(k) for k in range(len(joints))]
+        by_kind = [
+            joints[k] for k in sorted(range(len(joints)), key=lambda k: kinds.index(kinds[k]))
+        ]
+        values = {
+            places.index(place): file.columns[name]
+            for name, one in angles.items()
+            if (place := (one.limb or 0, one.place)) in places
+        }
+        turns = bool(values) and unit_of_angles(values.values(), set())[0] == "deg"
+        scale = DEGREE if turns else 1.0
+        fits = {
+            names: sum(_share_inside(machine, names[k], scale * v) for k, v in values.items())
+            for names in (joints, tuple(by_kind))
+        }
+        names = max(fits, key=lambda one: fits[one])
+        of = f"of {machine.name}" if names == joints else ", ".join(names)
+        return names, f"are its joints in the order {of}?", False
+    if len(places) == len(JOINTS):
+        return JOINTS, _legs_doubt(LEGS), True
+    return [f"joint{k}" for k in range(len(places))], "which joint is it?", False
+
+
+def _share_inside(machine: Machine | None, joint: str, angles: np.ndarray) -> float:
+    """Share of the angles (N,) [rad] within the limits of the robot's joint; 1 without limits."""
+    robot = machine.legged if machine is not None else None
+    if robot is None or joint not in robot.limbs.joints:
+        return 1.0
+    low, high = robot.joint_range[robot.limbs.joints.index(joint)]
+    return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
 def _sides_doubt(
@@ -219,19 +342,30 @@ def _sides_doubt(
 
 
 def _entries_of_kind(
-    file: RecordedFile, kind: str, joints: _Joints, swapped: str
-) -> tuple[list[Entry], float | None]:
-    """Entries of one kind of joint columns, and the rate of the rows [Hz] where joint rates
-    determine it.
+    file: RecordedFile, kind: str, joints: _Joints, swapped: str, machine: Machine | None
+) -> tuple[list[Entry], str, float | None]:
+    """Entries of one kind of joint columns; a question about the robot's limits, or ""; and the
+    rate of the rows [Hz] where joint rates determine it.
 
-    swapped: a doubt about left and right, for columns without another.
+    Args:
+        file: of the recording.
+        kind: of the columns.
+        joints: all columns.
+        swapped: a doubt about left and right, for columns without another.
+        machine: whose limits angles are compared with, or None.
     """
     own = joints[kind]
     values = {joint: file.columns[one.column] for joint, one in own.items()}
     prefix, rate = kind, None
+    limits = ""
     if kind.startswith("q"):
         named = {file.names[one.column].unit for one in own.values()}
         unit, doubt = unit_of_angles(list(values.values()), named)
+        scale = DEGREE if unit == "deg" else 1.0
+        beyond = [j for j, v in values.items() if _share_inside(machine, j, scale * v) < _INSIDE]
+        if machine is not None and beyond:
+            which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
+            limits = f"{which} beyond the limits of {machine.name}: other joints, signs or zeros?"
     elif kind.startswith("dq"):
         angles = joints.get("q" if kind == "dq" else "q_des", {})
         both = [joint for joint in values if joint in angles]
@@ -247,11 +381,13 @@ def _entries_of_kind(
         if all(v.min() >= 0.0 for v in values.values()) and most > 0.0:
             prefix, unit = f"x_{kind}", None
             doubt = "never negative: magnitudes, of which unit?"
+    if kind in ("q", "dq"):
+        doubt = doubt or _source_doubt(file.names[next(iter(own.values())).column].source)
     entries = [
         Entry(f"{prefix}_{joint}", one.column, unit, doubt=one.doubt or doubt or swapped)
         for joint, one in own.items()
     ]
-    return entries, rate
+    return entries, limits, rate
 
 
 def _feet_entries(
@@ -264,76 +400,98 @@ def _feet_entries(
         legs: order of the legs for feet without names.
         machine: robot whose legs are recognised by the words of their joints.
     """
-    entries: list[Entry] = []
-    found = _of(file, "contact", "force", "foot")
-    own_words = _words_of_legs(machine)
-    for name, one in found.items():
-        words = set(words_of(name))
-        named = [leg for leg, theirs in own_words.items() if theirs <= words]
-        if len(named) == 1:
-            found[name] = replace(one, leg=named[0], part="")
+    found = {n: x for n, x in _of(file, "contact", "force", "foot").items() if x.source in _SOURCES}
+    found = _with_legs_of(machine, found)
     named_legs = {one.leg for one in file.names.values() if one.leg}
+    if machine is not None and machine.limbs.legs:
+        legs = machine.limbs.legs
+    counted = _counted_legs(found, legs)
+    entries: dict[str, Entry] = {}
     for kind in ("contact", "force"):
-        own = {n: x for n, x in found.items() if x.kind == kind and x.leg and x.axis in ("", "z")}
-        plain = {n: one for n, one in own.items() if not one.part}
-        # A word that all names begin with belongs to the robot and is ignored.
-        own = own if not plain and len({one.leg for one in own.values()}) == len(own) else plain
-        lists: dict[str, list[str]] = {}
+        groups: dict[tuple[int, int, str], dict[str, str]] = {}
         for name, one in found.items():
-            if one.kind == kind and _is_counted(name, one):
-                lists.setdefault(re.sub(r"[0-9]+", "", name), []).append(name)
-        of_legs = [names for names in lists.values() if len(names) == len(legs)]
-        counted = of_legs[0] if len(of_legs) == 1 else []
-        if not own and counted:
-            counted.sort(key=lambda n: found[n].place or found[n].limb or 0)
-            prefix = _contact_or_force(file, kind, counted)
-            entries += [
-                Entry(f"{prefix}_{leg}", n, doubt=_legs_doubt(legs))
-                for leg, n in zip(legs, counted, strict=True)
-            ]
-        vectors = {one.leg for one in found.values() if one.kind == kind and one.axis in ("x", "y")}
-        for name, one in own.items():
-            if one.leg not in vectors:
-                prefix = _contact_or_force(file, kind, [name])
-                doubt = "" if prefix == kind else "is not 0 or 1: a force?"
-                entries.append(Entry(f"{prefix}_{_leg(one.leg, named_legs)}", name, doubt=doubt))
-    feet = {n: one for n, one in found.items() if one.kind == "foot" and one.leg and one.axis}
+            leg = _leg(one.leg, named_legs) or counted.get(name)
+            if leg and one.kind == kind and one.axis in ("", "z"):
+                order = _SOURCES.index(one.source), len(one.stem.split()), one.stem
+                groups.setdefault(order, {})[leg] = name
+        if not groups:
+            continue
+        # The stem of fewest words: "contact" goes before "contact threshold".
+        first = min(groups)
+        own = groups[first]
+        others = [one for order, one in groups.items() if order[:2] == first[:2] and one != own]
+        prefix = _contact_or_force(file, kind, [*own.values()])
+        doubt = "" if prefix == kind else "is not 0 or 1: a force?"
+        if any(found[name].axis for name in own.values()):
+            doubt = "the z of a force: is that what presses on the foot?"
+        if others:
+            doubt = f"this, or {next(iter(others[0].values()))}?"
+        for leg, name in own.items():
+            entry = f"{prefix}_{leg}"
+            why = _legs_doubt(legs) if name in counted else doubt
+            entries.setdefault(entry, Entry(entry, name, doubt=why))
+    feet = {n: one for n, one in found.items() if one.kind == "foot" and one.axis}
     most = max((float(np.abs(file.columns[n]).max()) for n in feet), default=0.0)
     unit = "m" if most < 3.0 else "mm"
-    entries += [
-        Entry(f"foot_{_leg(one.leg, named_legs)}_{one.axis}", name, unit)
-        for name, one in feet.items()
-    ]
-    return entries, ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
+    for name, one in feet.items():
+        if leg := _leg(one.leg, named_legs) or counted.get(name):
+            entry = f"foot_{leg}_{one.axis}"
+            why = _legs_doubt(legs) if name in counted else ""
+            entries.setdefault(entry, Entry(entry, name, unit, doubt=why))
+    placed = any(name.startswith("foot_") for name in entries)
+    notes = ["are foot_<leg> along the IMU's axes, from its origin?"] * placed
+    return list(entries.values()), notes
 
 
-def _words_of_legs(machine: Machine | None) -> dict[str, set[str]]:
-    """Words that all joints of a leg share and that not all legs share, for machines with other
-    than two or four legs, whose legs have no names of their own.
+def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, str]:
+    """The leg of each column of a list of as many feet as there are legs."""
+    lists: dict[tuple[str, str, str], dict[int, list[str]]] = {}
+    for name, one in found.items():
+        number = one.limb if one.axis and one.limb is not None else one.place
+        number = one.limb if number is None else number
+        if not one.leg and number is not None:
+            members = lists.setdefault((one.kind, one.source, one.stem), {})
+            members.setdefault(number, []).append(name)
+    return {
+        name: leg
+        for members in lists.values()
+        if len(members) == len(legs)
+        for leg, number in zip(legs, sorted(members), strict=True)
+        for name in members[number]
+    }
+
+
+def _with_legs_of(machine: Machine | None, found: Mapping[str, Named]) -> dict[str, Named]:
+    """Names with the legs of a machine with other than two or four legs, whose legs have no names
+    of their own: the words that all joints of a leg share and that not all legs share.
     """
     if machine is None or len(machine.limbs.legs) in (0, 2, 4):
-        return {}
+        return dict(found)
     limbs = machine.limbs
     shared = [
         set.intersection(*(set(words_of(limbs.joints[joint])) for joint in chain))
         for chain in limbs.chains
     ]
     of_all = set.intersection(*shared)
-    return {
-        leg: words - of_all for leg, words in zip(limbs.legs, shared, strict=True) if words - of_all
-    }
+    read = {}
+    for name, one in found.items():
+        words = set(words_of(name))
+        of = [
+            (leg, theirs - of_all)
+            for leg, theirs in zip(limbs.legs, shared, strict=True)
+            if theirs - of_all and theirs - of_all <= words
+        ]
+        if len(of) == 1:
+            stem = " ".join(word for word in one.stem.split() if word not in of[0][1])
+            one = replace(one, leg=of[0][0], part="", stem=stem)
+        read[name] = one
+    return read
 
 
 def _contact_or_force(file: RecordedFile, kind: str, names: Sequence[str]) -> str:
     """Kind of these columns: contacts with values other than 0 and 1 are forces."""
     binary = all(np.isin(file.columns[name], (0.0, 1.0)).all() for name in names)
     return "force" if kind == "contact" and not binary else kind
-
-
-def _is_counted(name: str, one: Named) -> bool:
-    """Whether a foot's column, in any group of a file, has a number instead of a leg's name."""
-    own = read_name(name.rpartition("/")[2])
-    return not (one.leg or own.part or one.axis or (one.place is None and one.limb is None))
 
 
 def _other_side(joint: str) -> str:

@@ -1,85 +1,92 @@
-"""Interpretation of a column's name: kind, leg and joint, axis and unit."""
+"""Interpretation of a column's name.
+
+Each word of a name votes: for a quantity, for the kind of its source (a sensor by default), for
+what it belongs to (a joint, a foot, the body), for a leg, a joint, an axis, a unit. `_WORDS` says
+what each word votes for; `read_name` weighs the votes.
+"""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from surefoot.sim.log.schema import LEGS
 
-
-def _words(text: str) -> frozenset[str]:
-    return frozenset(text.split())
-
-
-_KINDS: dict[str, str] = {
-    word: kind
-    for kind, words in {
-        "t": "t time stamp timestamp timestamps secs sec seconds clock ts tick utime epoch",
-        "gyro": "gyro gyros gyr gyroscope omega angvel w angular",
-        "accel": "acc accel acceleration accelerometer a",
-        "q": "q qpos pos position positions angle angles jpos enc encoder theta translation p",
-        "dq": "dq qd qvel vel velocity velocities speed speeds jvel encvel qdot dtheta rate rates",
-        "tau": "tau torque torques effort trq jtau moment",
-        "force": "force forces load grf fsr pressure",
-        "contact": "contact contacts stance touch touchdown",
-        "ref_q": "quat quaternion orientation attitude rot rotation rpy euler",
-        "euler": "roll pitch yaw",
+_WORDS: dict[str, tuple[str, str]] = {
+    word: vote
+    for vote, words in {
+        ("quantity", "t"): "t time stamp timestamp timestamps secs sec seconds clock ts tick"
+        " utime epoch",
+        ("quantity", "gyro"): "gyro gyros gyr gyroscope omega angvel w",
+        ("quantity", "accel"): "acc accel acceleration accelerometer a",
+        ("quantity", "q"): "q qpos jpos angle angles enc encoder theta",
+        ("quantity", "dq"): "dq qd qvel jvel encvel qdot dtheta",
+        ("quantity", "position"): "pos position positions p translation",
+        ("quantity", "velocity"): "vel velocity velocities speed speeds",
+        ("quantity", "rate"): "rate rates",
+        ("quantity", "tau"): "tau torque torques effort efforts trq jtau moment",
+        ("quantity", "force"): "force forces load grf fsr pressure",
+        ("quantity", "contact"): "contact contacts stance touch touchdown",
+        ("quantity", "ref_q"): "quat quaternion orientation attitude rot rotation rpy euler",
+        ("quantity", "euler"): "roll pitch yaw",
+        ("quantity", "other"): "ddq qdd jerk gravity temperature temp voltage power magnetometer",
+        ("source", "bias"): "bias biases drift",
+        ("source", "error"): "fric friction err error std var variance cov covariance noise",
+        ("source", "parameter"): "default nominal kp kd gain gains stiffness damping armature"
+        " limit limits min max initial",
+        ("source", "command"): "des desired cmd command commands commanded target targets setpoint"
+        " goal sp ff feedforward con ctrl control action actions lowcmd",
+        ("source", "estimate"): "est estimate estimated estimator ekf ukf kf iekf inekf fused odom"
+        " odometry vio twist computed predicted",
+        ("source", "filtered"): "filt filtered smooth smoothed lp lpf lowpass",
+        ("source", "reference"): "ref reference vicon mocap gt truth groundtruth optitrack opti"
+        " motive qualisys",
+        ("of", "foot"): "foot feet toe",
+        ("of", "joint"): "joint joints jnt dof dofs motor motors actuator actuators",
+        ("of", "body"): "imu body base root pose",
+        ("turning", ""): "ang angular rotational",
+        ("linear", ""): "lin linear",
+        ("world", ""): "world global",
+        ("leg", "FL"): "fl lf",
+        ("leg", "FR"): "fr rf",
+        ("leg", "RL"): "rl hl lh bl lr",
+        ("leg", "RR"): "rr hr rh br",
+        ("leg", "left"): "left l",
+        ("leg", "right"): "right r",
+        ("limb", ""): "leg",
+        ("unit", ""): "ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s",
+        ("filler", ""): "state states link measured meas actual of robot data sensor header msg"
+        " value raw per is in flag field wrench",
     }.items()
     for word in words.split()
 }
-_COMMANDED = _words(
-    "des desired cmd command commanded target setpoint goal sp ff feedforward con ctrl control"
-)
-_FILTERED = _words("filt filtered smooth smoothed lp lpf lowpass")
-_NOT_READ = _words("fric friction err error")
-"""Words of joint columns that are neither readings nor commands, such as compensated friction."""
-_REFERENCE = _words(
-    "ref reference vicon mocap gt truth groundtruth optitrack opti motive qualisys base pose"
-)
-_FEET = _words("foot feet toe")
+"""Word -> what it votes for, and which."""
+_SOURCES = ("bias", "error", "parameter", "command", "reference", "estimate", "filtered")
+"""Kinds of source, the deciding one of several first: an estimated bias is a bias."""
 _SIDES = {"left": "L", "l": "L", "right": "R", "r": "R"}
 _ENDS = {"front": "F", "fore": "F", "rear": "R", "hind": "R", "back": "R"}
-_LEGS = {
-    **dict.fromkeys(("fl", "lf"), "FL"),
-    **dict.fromkeys(("fr", "rf"), "FR"),
-    **dict.fromkeys(("rl", "hl", "lh", "bl", "lr"), "RL"),
-    **dict.fromkeys(("rr", "hr", "rh", "br"), "RR"),
-    **dict.fromkeys(("left", "l"), "left"),
-    **dict.fromkeys(("right", "r"), "right"),
-}
-_ABDUCTIONS = _words(
-    "haa abad abd abduct abductor abduction adduction hx hipx hip_x hip_aa hip_roll"
-)
-_FLEXIONS = _words("thigh hfe hy hipy hip_y hip_fe hip_pitch upper femur")
-_OF_A_LEG = {
-    "hip": "hip",
-    **dict.fromkeys(_ABDUCTIONS, "hip"),
-    **{f"hip_{word}": "hip" for word in ("abduct", "abduction", "adduction")},
-    **dict.fromkeys(_FLEXIONS, "thigh"),
-    **{f"hip_{word}": "thigh" for word in ("flexion", "extension")},
-    **dict.fromkeys(_words("calf knee kfe kn shank shin lower tibia knee_fe knee_pitch"), "calf"),
+_HINGES: dict[str, str] = {
+    word: hinge
+    for hinge, words in {
+        "abduction": "haa abad abd abduct abductor abduction adduction hx hipx hip_aa hip_roll"
+        " hip_abduct hip_abduction hip_adduction",
+        "hip": "hip",
+        "thigh": "thigh hfe hy hipy hip_fe hip_pitch upper femur hip_flexion hip_extension",
+        "calf": "calf knee kfe kn shank shin lower tibia knee_fe knee_pitch",
+    }.items()
+    for word in words.split()
 }
 """Word -> hinge of a quadruped in our convention. If a leg also has an abduction joint, "hip" means
 our thigh (`by_their_legs`).
 """
-_UNITS = _words("ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s")
+HINGES = ("hip", "thigh", "calf")
 _OF_A_SECOND = {"dps": "deg/s", "degs": "deg/s", "rads": "rad/s"}
-_FILLER = _words(
-    "joint joints jnt motor motors state states imu body link linear measured meas actual of robot"
-    " data estimator sensor header msg value raw leg ang per est estimate estimated lin is in flag"
-    " field"
-)
-_QUALIFIERS = _COMMANDED | _FILTERED | _NOT_READ
-_NO_PART = _QUALIFIERS | _FILLER
-"""Words that do not belong to a joint's name."""
-_TURNING = _words("ang rot rotational imu body")
-_RATES = _words("vel velocity rate rates speed")
-_KINDS_OF_VECTORS = {
+_VECTORS = {
     **dict.fromkeys(("ang", "w", "omega", "gyro", "gyr", "g"), "gyro"),
     **dict.fromkeys(("a", "acc", "accel"), "accel"),
     **dict.fromkeys(("q", "quat"), "ref_q"),
     **dict.fromkeys(("p", "pos", "t"), "ref_p"),
 }
+"""Letters of a vector that its axis may follow at once, as in "gx"."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +95,13 @@ class Named:
 
     Attributes:
         kind: of the log's column, `euler` for an angle of an attitude, `foot` for a foot's
-            position.
+            position, `ref_v` for the body's velocity, `other` for what no log has.
+        source: "" for a sensor, else bias, error, parameter, command, estimate, filtered or
+            reference (of a tracked body).
+        stem: the words that say neither axis, number, unit, leg nor hinge; those of one vector or
+            list share it.
+        body: whether it is of the body.
+        world: whether its axes are the world's.
         leg: FL, FR, RL, RR, left or right.
         written: the leg as written in the name.
         part: the joint's name without the leg's; hip, thigh or calf for FL to RR.
@@ -97,12 +110,13 @@ class Named:
         limb: number of the leg.
         axis: of a vector.
         unit: as written.
-        commanded: whether it is a command.
-        filtered: whether it is a filtered reading.
-        reference: whether it is of a tracked body.
     """
 
     kind: str = ""
+    source: str = ""
+    stem: str = ""
+    body: bool = False
+    world: bool = False
     leg: str = ""
     written: str = ""
     part: str = ""
@@ -111,9 +125,11 @@ class Named:
     limb: int | None = None
     axis: str = ""
     unit: str = ""
-    commanded: bool = False
-    filtered: bool = False
-    reference: bool = False
+
+    @property
+    def commanded(self) -> bool:
+        """Whether it is a set point."""
+        return self.source == "command"
 
 
 def words_of(name: str) -> list[str]:
@@ -141,81 +157,127 @@ def _legs_in_one(words: list[str]) -> list[str]:
 def read_name(name: str) -> Named:
     """Interpret a single name."""
     words = words_of(name)
-    kind, leg, written, axis, unit, place, limb = "", "", "", "", "", None, None
+    leg, written, axis, unit, limb = "", "", "", "", None
+    quantities: list[str] = []
+    numbers: list[int] = []
     part: list[str] = []
+    stem: list[str] = []
+    votes: dict[str, set[str]] = {}
     # A vector's letter needs an axis or index; without one, as in "motor 0A", it is not a vector.
     vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
-        if digits and letters in _QUALIFIERS:
-            place = int(digits)
-            continue
         vector = re.fullmatch(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])", word)
-        if word in _NO_PART or (word in _REFERENCE and len(words) > 1):
-            continue
+        what, which = _WORDS.get(word) or (_WORDS.get(letters) if digits else None) or ("", "")
         if word.isdigit():
-            place = int(word)
-        elif word in _LEGS and not leg and len(words) > 1:
-            leg, written = _LEGS[word], word
-        elif word in _FEET:
-            kind = kind or "foot"
-        elif (word in "xyz" or (word == "w" and kind in ("q", "ref_q"))) and len(words) > 1:
+            numbers.append(int(word))
+            continue
+        if word in ("x", "y", "z") or (word == "w" and {"q", "ref_q"} & set(quantities)):
             axis = word
-        elif word in _UNITS and (kind or axis):
+            continue
+        if what == "leg" and not leg and len(words) > 1 and not digits:
+            leg, written = which, word
+            continue
+        if what == "unit" and (quantities or axis) and not digits:
             unit = f"{unit}/{word}" if unit else word
-        elif vector and vector[1] not in _KINDS_OF_VECTORS:
-            part.append(word)
-        elif vector:
-            kind, axis = _KINDS_OF_VECTORS[vector[1]], vector[2]
-        elif (word in ("a", "w") and not vectors) or (
-            _KINDS.get(word) == "euler" and (leg or part or kind == "q")
+            continue
+        if vector:
+            quantities.append(_VECTORS[vector[1]])
+            axis = vector[2]
+            stem.append(vector[1])
+            continue
+        if word == "w" and (quantities or "turning" in votes or "linear" in votes):
+            what, which = "world", ""  # as in Isaac Lab's root_ang_vel_w
+        if what == "quantity" and (
+            (word in ("a", "w") and not vectors)
+            or (which == "euler" and (leg or part or "q" in quantities))
+            or (digits and quantities)
         ):
+            what = ""
+        if what == "quantity":
+            quantities.append(which)
+            part += [word] if which == "euler" else []
+        elif what in ("", "leg", "unit"):
             part.append(word)
-        elif word in _KINDS:
-            found = _KINDS[word]
-            # "linear acceleration", "angular velocity" and "foot force" have two words for a kind.
-            kind = found if kind in ("", "foot") or (kind, found) == ("t", "q") else kind
-            part += [word] if found == "euler" else []
-        elif letters in _KINDS and digits and not kind:
-            kind, place = _KINDS[letters], int(digits)
-        elif letters in _FEET and digits:
-            kind, place = kind or "foot", int(digits)
-        elif letters == "leg" and digits:
-            limb = int(digits)
-        elif letters in _FILLER and digits:
-            place = int(digits)
+            what = ""
         else:
-            part.append(word)
-    if kind == "force" and leg in LEGS and _of_a_leg(part) in ("hip", "thigh", "calf"):
+            votes.setdefault(what, set()).add(which)
+        if digits and what == "limb":
+            limb = int(digits)
+        elif digits and what:
+            numbers.append(int(digits))
+        stem += [letters if what else word] * (what != "" or word not in _HINGES)
+    if len(numbers) > 1 and limb is None:
+        limb = numbers[-2]
+    hinge = _of_a_leg(part) if leg in LEGS else "_".join(part)
+    source = next((one for one in _SOURCES if one in votes.get("source", ())), "")
+    kind = _kind(quantities, votes, axis, bool(numbers), leg, part)
+    if kind == "force" and leg in LEGS and hinge in HINGES:
         kind = "tau"  # the load of a joint
-    tracked = bool(_REFERENCE & set(words))
-    roots = {word.rstrip("0123456789") for word in words}
-    if roots & _NOT_READ:
-        kind = ""
-    if kind == "gyro" and leg and not axis:
-        kind = "dq"  # "angular velocity" of a joint
-    if not kind and axis and tracked and not part and not leg:
-        kind = "ref_p"
-    if kind == "q" and axis and tracked and "q" in words:
-        kind = "ref_q"
-    if not kind and [word for word in words if word not in _UNITS] in (["x"], ["y"], ["z"]):
-        kind, axis = "ref_p", axis or words[0]
-    if kind in ("dq", "ref_q") and axis and not leg and _TURNING & set(words):
-        # "ang_vel", "imu_rate" and similar; "rot" alone is an attitude.
-        kind = "gyro" if kind == "dq" or _RATES & set(words) else kind
+    if kind in ("q", "dq", "tau") and source == "reference":
+        source = "command"
+    if not (kind or quantities or part or leg) and axis:
+        alone = not stem or source == "reference" or votes.get("of") == {"body"}
+        kind = "ref_p" if alone else ""  # "x [mm]", "vicon_x"
     return Named(
         kind=kind,
+        source=source,
+        stem=" ".join(stem),
+        body="body" in votes.get("of", ()),
+        world="world" in votes,
         leg=leg,
         limb=limb,
-        part=_of_a_leg(part) if leg in LEGS else "_".join(part),
+        part=hinge,
         written=written,
-        place=place,
+        place=numbers[-1] if numbers else None,
         axis=axis,
         unit=_OF_A_SECOND.get(unit, unit),
-        commanded=bool(_COMMANDED & roots),
-        filtered=bool(_FILTERED & roots),
-        reference=tracked,
     )
+
+
+def _kind(
+    quantities: Sequence[str],
+    votes: Mapping[str, set[str]],
+    axis: str,
+    counted: bool,
+    leg: str,
+    part: Sequence[str],
+) -> str:
+    """The quantity that the votes of a name agree on: its last noun, by what it belongs to.
+
+    Args:
+        quantities: in the order of the words.
+        votes: of the other words, by what they are for.
+        axis: of a vector, or "".
+        counted: whether there is an index.
+        leg: its name, or "".
+        part: words of a joint.
+    """
+    of, turning = votes.get("of", set()), "turning" in votes
+    of_joint = bool(leg or "joint" in of)
+    before, kind = ("", "", *quantities)[-2:]
+    if kind in ("velocity", "rate"):
+        turning = turning or before == "ref_q" or (kind == "rate" and axis != "")
+        if before in ("gyro", "dq", "q"):
+            return "dq" if before == "q" else before
+        if "foot" in of or (before == "euler" and not of_joint and len(part) == 1):
+            return "other"
+        if turning and not of_joint and (axis or counted):
+            return "gyro"
+        of_body = not of_joint and (axis or "body" in of or "linear" in votes)
+        return "ref_v" if of_body else "dq"
+    if kind == "accel":
+        return "other" if turning or of_joint or "foot" in of else kind
+    if kind == "gyro" and not axis and (of_joint or "foot" in of):
+        return "dq" if of_joint else "other"  # "omega" of a joint
+    if kind == "position":
+        tracked = axis or "body" in of or "reference" in votes.get("source", ())
+        return "foot" if "foot" in of else "ref_p" if tracked and not of_joint else "q"
+    if kind == "q" and not of_joint and (axis or (before == "euler" and len(part) == 1)):
+        return "ref_q" if axis else "euler"
+    if not kind and turning:
+        return "q" if of_joint else "gyro" if axis else ""
+    return kind or ("foot" if "foot" in of else "")
 
 
 def _of_a_leg(part: list[str]) -> str:
@@ -223,8 +285,8 @@ def _of_a_leg(part: list[str]) -> str:
     robot's.
     """
     for first in range(len(part)):
-        if known := _OF_A_LEG.get("_".join(part[first:])):
-            return known
+        if known := _HINGES.get("_".join(part[first:])):
+            return known.replace("abduction", "hip")
     return "_".join(part)
 
 
@@ -233,10 +295,40 @@ def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
     hip, thigh, calf.
     """
     found = dict(names)
-    hinges = {n: set(words_of(n)) for n, one in names.items() if one.leg in LEGS and one.part}
-    written = set().union(*hinges.values()) if hinges else set()
-    if written & _ABDUCTIONS and not written & _FLEXIONS:
-        for name, words in hinges.items():
-            if names[name].part == "hip" and "hip" in words and not words & _ABDUCTIONS:
+    hinges = {
+        n: {_HINGES.get(word) for word in words_of(n)}
+        for n, one in names.items()
+        if one.leg in LEGS and one.part
+    }
+    written = set().union(*hinges.values())
+    if "abduction" in written and "thigh" not in written:
+        for name, said in hinges.items():
+            if names[name].part == "hip" and "hip" in said and "abduction" not in said:
                 found[name] = replace(names[name], part="thigh")
+    return found
+
+
+def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
+    """Interpret the elements of each list of one recording together: vectors of the feet, joints
+    where a vector has too many elements, and the pose (and velocities) of a body in one list.
+    """
+    found = dict(names)
+    lists: dict[tuple[str, str, str], list[str]] = {}
+    for name, one in names.items():
+        if one.place is not None and not (one.axis or one.leg or one.joint):
+            lists.setdefault((one.kind, one.source, one.stem), []).append(name)
+    for (kind, source, _), members in lists.items():
+        limbs = {names[n].limb for n in members}
+        places = sorted({names[n].place or 0 for n in members})
+        for name in members:
+            one, at = names[name], places.index(names[name].place or 0)
+            if kind in ("force", "foot") and len(limbs) > 1 and len(places) == 3:
+                found[name] = replace(one, axis="xyz"[at])
+            elif kind in ("gyro", "ref_p", "ref_v") and len(members) > 3:
+                as_joint = "q" if kind == "ref_p" else "dq"
+                commanded = "command" if source == "reference" else source
+                found[name] = replace(one, kind=as_joint, source=commanded)
+            elif not kind and one.body and len(members) in (7, 13):
+                what = "ref_p" if at < 3 else "ref_q" if at < 7 else "ref_v"
+                found[name] = replace(one, kind=what)
     return found

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,23 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
+from surefoot.sim.importing.bag import RECEIVED, bag_fields, is_bag, read_bag
+from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.layout import layout_of
-from surefoot.sim.importing.names import Named, by_their_legs, read_name
-from surefoot.sim.importing.recording import is_bag, is_text, read_table
+from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name
+from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of
 from surefoot.sim.log.schema import JOINTS
 from surefoot.sim.robot.machine import Machine
 
-_RATES = (8.0, 5000.0)
+_RATES = (0.5, 5000.0)
 """Range of plausible rates of a log [Hz]."""
+_USUAL_RATES = (8.0, 2500.0)
+"""Range of usual rates of a log [Hz]."""
+_OF_JOINTS = ("q", "dq", "tau")
 _MOST_JOINTS = 100
 """Largest number of words in a list of joints."""
 _FEW = 10
@@ -44,6 +48,7 @@ class RecordedFile:
         layout: keys of [source] for a text.
         t: the column of times, or None.
         seconds: its times (N,) [s].
+        skipped: what else the file contains, and why it is no column.
     """
 
     path: Path
@@ -55,6 +60,7 @@ class RecordedFile:
     layout: dict[str, Any]
     t: Entry | None
     seconds: np.ndarray | None
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
 
 def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
@@ -79,9 +85,15 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
         names = _names(part, machine)
         t = column_of_times(part, names)
+        part, t = _at_rising_times(part, t)
         seconds = t.scale * part[t.theirs] if t else None
         label = _label(path, part, columns)
         found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
+    if found:
+        there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
+        skipped = dict.fromkeys((n for n in table.cells if n not in there), "NaN, text or empty")
+        skipped |= dict.fromkeys(table.parameters, "parameters: not one for each row")
+        found[0] = replace(found[0], skipped=skipped)
     return found
 
 
@@ -107,7 +119,7 @@ def _with_empty_cells(
     if not readings or len({*map(len, table.cells.values())}) > 1:
         return {}
     names = _names([*readings, *full], machine)
-    gyro = [n for n in readings if names[n].kind == "gyro" and not names[n].reference]
+    gyro = [n for n in readings if names[n].kind == "gyro" and not names[n].source]
     at = readings[gyro[0] if gyro else max(readings, key=lambda n: len(readings[n][0]))][0]
     t = column_of_times({name: values[at] for name, values in full.items()}, names)
     if t is None:
@@ -119,19 +131,24 @@ def _with_empty_cells(
 
 
 def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
-    fields = bag_fields(path)
-    if not fields:
+    fields, skipped = bag_fields(path)
+    every = read_bag(path, fields)
+    finite = {name: np.isfinite(values) for name, (_, values) in every.items()}
+    readings = {n: (t[finite[n]], x[finite[n]]) for n, (t, x) in every.items() if finite[n].any()}
+    if not readings:
         return []
-    readings = read_bag(path, fields)
+    skipped |= dict.fromkeys((n for n in every if n not in readings), "NaN, text or empty")
+    layout = {} if all(finite[n].all() for n in readings) else {"sparse": True}
     recorded = {name: values for name, (_, values) in readings.items()}
     names = _names(recorded, machine)
     # The rows are those of the IMU, or else of the most frequent topic.
-    gyro = [n for n, one in names.items() if one.kind == "gyro" and not one.reference]
+    gyro = [n for n, one in names.items() if one.kind == "gyro" and not one.source]
     first = gyro[0] if gyro else max(recorded, key=lambda n: len(recorded[n]))
     seconds = readings[first][0]
     t = times_of_topic(first.partition(":")[0], recorded, names)
     columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
-    return [RecordedFile(path, _plain(path.stem), columns, recorded, names, {}, {}, t, seconds)]
+    label = _plain(path.stem)
+    return [RecordedFile(path, label, columns, recorded, names, {}, layout, t, seconds, skipped)]
 
 
 def times_of_topic(
@@ -144,23 +161,40 @@ def times_of_topic(
 
 def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> Entry | None:
     """The column of times: one with such a name, or else one that increases in even steps."""
-    rising = [n for n, v in columns.items() if len(v) > 2 and np.all(np.diff(v) > 0.0)]
-    named = [n for n in rising if names[n].kind == "t"]
-    even = [n for n in rising if np.std(np.diff(columns[n])) < 0.5 * np.mean(np.diff(columns[n]))]
+    long = {n: v for n, v in columns.items() if len(v) > 2}
+    named = [n for n, v in long.items() if names[n].kind == "t" and mostly_rises(v)]
+    even = [
+        n for n, v in long.items() if rises(v) and np.std(np.diff(v)) < 0.5 * np.mean(np.diff(v))
+    ]
     for name in (*named, *even):
+        if (unit := names[name].unit) in UNITS["t"]:
+            return Entry("t", name, unit)
         step = float(np.median(np.diff(columns[name])))
-        named_unit = names[name].unit
-        fits = [u for u, s in UNITS["t"].items() if _RATES[0] < 1.0 / (step * s) < _RATES[1]]
-        if named_unit in fits:
-            return Entry("t", name, named_unit)
-        if fits:
-            doubt = "" if name in named and len(fits) == 1 else "is this the time?"
-            return Entry("t", name, fits[0], doubt=doubt)
+        for low, high in (_USUAL_RATES, _RATES):
+            fits = [u for u, s in UNITS["t"].items() if low < 1.0 / (step * s) < high]
+            if fits:
+                sure = name in named and len(fits) == 1 and low == _USUAL_RATES[0]
+                doubt = "" if sure else f"is this the time, in {fits[0]}?"
+                return Entry("t", name, fits[0], doubt=doubt)
     return None
 
 
+def _at_rising_times(
+    part: dict[str, np.ndarray], t: Entry | None
+) -> tuple[dict[str, np.ndarray], Entry | None]:
+    """The rows that an import keeps; all, and no times, where stamps contradict each other."""
+    if t is None or rises(part[t.theirs]):
+        return part, t
+    every = np.arange(len(part[t.theirs]))
+    try:
+        kept, _ = kept_rows(part[t.theirs], [*part.values()], t.theirs, "row", every)
+    except SurefootError:
+        return part, None
+    return {name: values[kept] for name, values in part.items()}, t
+
+
 def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
-    return by_their_legs({name: _read(name, machine) for name in columns})
+    return by_their_lists(by_their_legs({name: name_in_file(name, machine) for name in columns}))
 
 
 def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
@@ -168,7 +202,7 @@ def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
         own = {n: v for n, v in columns.items() if len(v) == rows}
-        clocks = [n for n in own if read_name(n).kind == "t" and np.all(np.diff(own[n]) > 0.0)]
+        clocks = [n for n in own if read_name(n).kind == "t" and mostly_rises(own[n])]
         apart = any(not np.array_equal(own[n], own[clocks[0]]) for n in clocks)
         groups = {n.rpartition("/")[0] for n in clocks} if apart else set()
         for name, values in own.items():
@@ -189,7 +223,7 @@ def _plain(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "_", text)
 
 
-def _read(name: str, machine: Machine | None) -> Named:
+def name_in_file(name: str, machine: Machine | None) -> Named:
     """Interpret a name that may contain a joint's name from the robot's file.
 
     Words of the joint's name are ignored for the kind of the column: "wrist_rotation_joint_effort".
@@ -198,7 +232,8 @@ def _read(name: str, machine: Machine | None) -> Named:
         alone = _alone(joint)
         if joint not in JOINTS and re.search(alone, name, re.IGNORECASE):
             rest, whole = read_name(re.sub(alone, " ", name, flags=re.IGNORECASE)), read_name(name)
-            if (found := rest if rest.kind else whole).kind in ("q", "dq", "tau"):
+            found = whole if whole.kind in _OF_JOINTS and not rest.kind else rest
+            if not found.kind or found.kind in _OF_JOINTS:
                 return replace(found, joint=joint, leg=whole.leg)
     return read_name(_in_our_words(name, machine))
 

@@ -1,6 +1,6 @@
 """Import a recording of any files as a Log, by an import map (`sim.importing.map`)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,21 +12,33 @@ from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.limits import admitted, check_unpacked
 from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
-from surefoot.sim.importing.bag import read_bag, topic_of
-from surefoot.sim.importing.clock import Columns, Stamped, check_rising, gap_lines, on_clock
+from surefoot.sim.importing.bag import is_bag, read_bag, topic_of
+from surefoot.sim.importing.clock import (
+    Columns,
+    Stamped,
+    column_kind,
+    epoch_of,
+    gap_lines,
+    kept_rows,
+    on_clock,
+    seconds,
+)
 from surefoot.sim.importing.columns import EULER, MapColumn
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import poses_of, quaternions_of
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable, column_readings
+from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings
 from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import Log
 
+_Rows = tuple[np.ndarray, np.ndarray]
+"""Indices of rows, and the values there, both (M,)."""
+_MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
+"""Kinds of columns without which a log is complete."""
 Files = str | Path | Sequence[str | Path]
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
-BAGS = (".bag", ".mcap", ".db3")
 
 
 def import_log(files: Files, map_path: str | Path) -> Log:
@@ -58,15 +70,22 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
         path = beside[source.file.replace(STEM, main.stem)] if source.file else next(further, None)
         if path is None:
             raise SurefootError(f"{rules.path}: [sources.{name}] has no file, and none is given")
-        found, _, _ = _streams(path, source, rules, name)
+        found, _, said = _streams(path, source, rules, name)
         streams |= found
-    poses = None
+        notes += said
+    epoch, poses = epoch_of(clock), None
+    if epoch:
+        notes.append(f"t: counts from {seconds(epoch)} s of the recording's clock")
     if rules.reference is not None:
         own = rules.reference.file
         path = beside[own.replace(STEM, main.stem)] if own else next(further, main)
-        poses = poses_of(_reference(path, rules, shared=path == main))
+        table, said = _reference(path, rules, shared=path == main)
+        poses = poses_of(table | {"t": table["t"] - epoch})
+        notes += [said] if said else []
     if (extra := next(further, None)) is not None:
         raise SurefootError(f"{extra}: {rules.path} has no use for this file")
+    clock = clock - epoch
+    streams = {column: (stamps - epoch, values) for column, (stamps, values) in streams.items()}
     shared = on_clock(clock, streams, str(main))
     rules = replace(rules, robot=_robot_file(rules, main))
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
@@ -94,12 +113,9 @@ def is_text(path: Path) -> bool:
     return not (is_bag(path) or path.suffix.lower() in _READERS)
 
 
-def is_bag(path: Path) -> bool:
-    """Whether a path is a ROS 1, ROS 2 or MCAP bag, by its name."""
-    return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
-
-
 def _main_file(path: Path, rules: ImportMap) -> Path:
+    if rules.source.file and is_file(path / rules.source.file):
+        return path / rules.source.file
     if is_bag(path) or not path.is_dir():
         return path
     if rules.source.file is None:
@@ -109,52 +125,83 @@ def _main_file(path: Path, rules: ImportMap) -> Path:
 
 def _streams(
     path: Path, source: Source, rules: ImportMap, name: str | None
-) -> tuple[dict[str, Stamped], np.ndarray, tuple[str, ...]]:
-    """Columns of a file by the log's names, in SI; times of its rows; and notes."""
+) -> tuple[dict[str, Stamped], np.ndarray, list[str]]:
+    """Columns of a file by the log's names, in SI; times of its rows, if the log has them; and
+    notes.
+    """
     columns = {n: c for n, c in rules.columns.items() if c.source == name and n != "t"}
     clock = rules.columns.get("t") if name is None else rules.clocks.get(name)
-    if is_bag(path):
-        return _of_bag(path, source, columns, clock if name is None else None, rules)
-    table = read_table(path, source)
-    if clock is None and source.rate is None:
-        raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
-    found: dict[str, Stamped] = {}
-    times = _times(table, clock, source)
-    apart = source.sparse or source.long is not None
-    if not apart and clock is not None:
-        check_rising(times, path, clock.theirs, table.row, table.first + np.arange(len(times)))
+    bag = is_bag(path)
+    if bag:
+        table, times = _messages(path, source, columns, clock if name is None else None, rules)
+    else:
+        table = read_table(path, source)
+        if clock is None and source.rate is None:
+            raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
+        times = {"": _times(table, clock, source)}
+    ours = topic_of(clock.theirs) if bag and clock and name is None else ""
+    alone = source.sparse or source.long is not None
+    # Columns that share their stamps lose the same rows.
+    groups: dict[tuple[str, str], dict[str, _Rows]] = (
+        {} if alone or (bag and name) else {(ours, ""): {}}
+    )
+    blank: dict[str, SurefootError] = {}
     for log_name, column in columns.items():
-        rows, values = column_readings(table, column.theirs, source, column.word)
+        try:
+            rows, values = column_readings(table, column.theirs, source, column.word)
+        except NoReadings as error:
+            blank[log_name] = error
+            continue
+        place = topic_of(column.theirs) if bag else ""
         count = rows[-1] + 1 if len(rows) else 0
-        if count > len(times) or (count < len(times) and not apart):
+        if count > len(times[place]) or (count < len(times[place]) and not alone):
             raise SurefootError(
-                f"{path}: column {column.theirs!r} has {count} rows, the times {len(times)}"
+                f"{path}: column {column.theirs!r} has {count} rows, the times {len(times[place])}"
             )
-        if apart:
-            check_rising(times[rows], path, column.theirs, table.row, rows + table.first)
-        found[log_name] = times[rows], column.read(values)
-    if not apart or not found:
-        return found, times, ()
-    # If columns have different times, the rows are those of the most frequent one.
-    first = max(found, key=lambda n: len(found[n][0]))
-    return found, found[first][0], (f"rows: at the readings of {first}",)
+        group = groups.setdefault((place, log_name if alone else ""), {})
+        group[log_name] = rows, column.read(values)
+    found: dict[str, Stamped] = {}
+    t, notes = np.zeros(0), []
+    for (place, log_name), members in groups.items():
+        rows = next((rows for rows, _ in members.values()), np.arange(len(times[place])))
+        stamps, values = times[place][rows], [x for _, x in members.values()]
+        column = columns[next(iter(members))] if alone or place != ours else clock
+        where = f"{path}: column {column.theirs if column else 't'!r}"
+        kept, said = kept_rows(stamps, values, where, table.row, rows + table.first)
+        found |= {n: (stamps[kept], x[kept]) for n, (_, x) in members.items()}
+        notes += [said] if said else []
+        # If columns have different times, the rows are those of the most frequent one.
+        if place == ours and len(kept) > len(t):
+            t, first = stamps[kept], log_name
+    if alone and found:
+        notes.append(f"rows: at the readings of {first}")
+    return found, t, [*notes, *_blank_lines(path, blank, found)]
+
+
+def _blank_lines(path: Path, blank: Mapping[str, SurefootError], found: Iterable[str]) -> list[str]:
+    """A note on columns without a reading; raises the error of one that a log cannot lack."""
+    there = {column_kind(name) for name in found}
+    for name, error in blank.items():
+        if column_kind(name) not in _MAY_LACK or column_kind(name) in there:
+            raise error
+    return [f"{path}: left out, NaN or empty throughout: {', '.join(blank)}"] if blank else []
 
 
 def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.ndarray:
     if clock is None:
-        rows = max(len(one) if one.ndim == 1 else max(one.shape) for one in table.cells.values())
+        rows = max(map(len, table.cells.values()))
         return np.arange(rows) / (source.rate or 1.0)
     return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 
 
-def _of_bag(
+def _messages(
     path: Path,
     source: Source,
     columns: dict[str, MapColumn],
     clock: MapColumn | None,
     rules: ImportMap,
-) -> tuple[dict[str, Stamped], np.ndarray, tuple[str, ...]]:
-    """`_streams` for a bag.
+) -> tuple[RecordedTable, dict[str, np.ndarray]]:
+    """Columns of a bag, and the times of each topic's messages.
 
     Args:
         path: of the bag.
@@ -167,25 +214,24 @@ def _of_bag(
         raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
     wanted = {c.theirs for c in (*columns.values(), *([clock] if clock else []))}
     seen = read_bag(path, sorted(wanted))
-    found: dict[str, Stamped] = {}
-    t = clock.read(seen[clock.theirs][1]) if clock else np.zeros(0)
+    table = RecordedTable(path, {name: values for name, (_, values) in seen.items()}, "message")
+    times = {topic_of(name): stamps for name, (stamps, _) in seen.items()}
     if clock:
-        check_rising(t, path, clock.theirs, "message", 1 + np.arange(len(t)))
+        times[topic_of(clock.theirs)] = _times(table, clock, source)
     for name, column in columns.items():
-        stamps, values = seen[column.theirs]
-        if clock and topic_of(column.theirs) == topic_of(clock.theirs):
-            stamps = t
-        elif name.startswith("ref_q_"):
+        if (
+            name.startswith("ref_q_")
+            and clock
+            and topic_of(column.theirs) != topic_of(clock.theirs)
+        ):
             raise SurefootError(f"{path}: {name} is of another topic than t: give a [reference]")
-        else:
-            check_rising(stamps, path, column.theirs, "message", 1 + np.arange(len(stamps)))
-        found[name] = stamps, column.read(values)
-    return found, t, ()
+    return table, times
 
 
-def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
-    """Columns t, ref_p and ref_q of the reference's own rows; shared: whether it is in the main
-    file.
+def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, str]:
+    """Columns t, ref_p and ref_q of the reference's own rows, and a note on those left out.
+
+    shared: whether it is in the main file.
     """
     columns, source = rules.reference_columns, rules.reference
     assert source is not None
@@ -206,7 +252,7 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
             )
         seen = read_bag(path, sorted({column.theirs for column in columns.values()}))
         read = RecordedTable(path, {name: values for name, (_, values) in seen.items()}, "message")
-        source = Source(rate=source.rate)
+        source = Source(rate=source.rate, sparse=source.sparse)
     else:
         read = read_table(path, source)
     table, rows = {}, np.zeros(0, int)
@@ -222,15 +268,16 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> Columns:
         raise SurefootError(
             f"{path}: the reference has {rows[-1] + 1} rows, its times {len(times)}"
         )
-    table["t"] = times[rows]
-    if "t" in columns:
-        check_rising(table["t"], path, columns["t"].theirs, read.row, read.first + rows)
+    where = f"{path}: column {columns['t'].theirs if 't' in columns else 't'!r}"
+    numbers = read.first + rows
+    kept, said = kept_rows(times[rows], [*table.values()], where, read.row, numbers)
+    table = {"t": times[rows][kept]} | {name: values[kept] for name, values in table.items()}
     if EULER[0] in table:
         angles = np.column_stack([table.pop(name) for name in EULER])
         table |= quaternions_of(angles)
     else:
-        unit_quaternions(path, table, read.row, read.first)
-    return table
+        unit_quaternions(path, table, read.row, numbers[kept])
+    return table, said
 
 
 def _parquet(path: Path) -> RecordedTable:

@@ -7,13 +7,17 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
-from surefoot.sim.importing.clock import Columns
+from surefoot.sim.importing.clock import Columns, span
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.sections import ReferenceTable
 from surefoot.sim.log.reference import Poses
 
 MAX_GAP = 0.05
 """Gap in the reference over which interpolated rows are marked with ref_ok = 0 [s]."""
+
+
+REFERENCE_OFFSET = "reference_offset"
+"""Key of a log's `meta.model`: clock offset [s] with which its reference was imported."""
 
 
 def poses_of(table: Columns) -> Poses:
@@ -28,6 +32,15 @@ def quaternions_of(angles: np.ndarray) -> Columns:
     return {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
 
 
+def tracked_poses(poses: Poses, reference: ReferenceTable) -> Poses:
+    """Poses of the tracked body in a world with z up, on its own clock, from those recorded."""
+    R_WM = poses.R.swapaxes(1, 2) if reference.inverse else poses.R
+    R_GW = matrix_from_quaternion(np.array(reference.q_GW))
+    if not reference.inverse and np.array_equal(R_GW, np.eye(3)):
+        return poses
+    return Poses(poses.t, poses.p @ R_GW.T, quaternion_from_matrix(R_GW @ R_WM))
+
+
 def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
     """Poses of the IMU frame on the log's clock, from those of the tracked body.
 
@@ -40,12 +53,8 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
     """
     if rules.reference is None:
         return poses
-    R_WM = poses.R.swapaxes(1, 2) if rules.reference.inverse else poses.R
-    R_GW = matrix_from_quaternion(np.array(rules.reference.q_GW))
-    turned = rules.reference.inverse or not np.array_equal(R_GW, np.eye(3))
-    q = quaternion_from_matrix(R_GW @ R_WM) if turned else poses.q
-    p = poses.p @ R_GW.T if turned else poses.p
-    moved = Poses(poses.t + _offset(rules.reference, rules, name), p, q)
+    moved = tracked_poses(poses, rules.reference)
+    moved = Poses(moved.t + reference_offset(rules, name), moved.p, moved.q)
     if rules.reference.frame == "base":
         if "p_BI" not in rules.model:
             raise SurefootError(
@@ -80,8 +89,8 @@ def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
     inside = (t >= poses.t[0]) & (t <= poses.t[-1])
     if not inside.any():
         raise SurefootError(
-            f"{source}: the reference ({poses.t[0]:.6g} to {poses.t[-1]:.6g} s)"
-            f" and the recording ({t[0]:.6g} to {t[-1]:.6g} s) do not overlap"
+            f"{source}: the reference ({span(poses.t)}) and the recording ({span(t)}) do not"
+            " overlap: another clock? surefoot align finds [reference] offset"
         )
     main = {column: values[inside] for column, values in main.items()}
     p, q, ok = interpolate_reference(main["t"], poses.t, poses.p, poses.q)
@@ -120,12 +129,16 @@ def interpolate_reference(
     return position, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), ok
 
 
-def _offset(reference: ReferenceTable, rules: ImportMap, name: str) -> float:
-    if not isinstance(reference.offset, dict):
-        return reference.offset
-    if name not in reference.offset:
-        known = ", ".join(reference.offset)
+def reference_offset(rules: ImportMap, name: str) -> float:
+    """Clock offset [s] of a map's reference for the recording of this name, 0 without a reference.
+
+    Raises SurefootError where the map has offsets for other recordings only.
+    """
+    given = rules.reference.offset if rules.reference else 0.0
+    if not isinstance(given, dict):
+        return given
+    if name not in given:
         raise SurefootError(
-            f"{rules.path}: [reference.offset] has none for {name!r} (known: {known})"
+            f"{rules.path}: [reference.offset] has none for {name!r} (known: {', '.join(given)})"
         )
-    return reference.offset[name]
+    return given[name]

@@ -10,17 +10,25 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.sections import Source
 
+
+class NoReadings(SurefootError):
+    """A column without a single reading."""
+
+
 _PLACE = re.compile(r"(.+)\[([^\[\]]+)\]$")
 _SHOWN = 12
+_MOST_PLACES = 1024
+"""Largest list in a row whose elements may be columns; longer ones are images or scans."""
 
 
 @dataclass(frozen=True)
 class RecordedTable:
-    """Columns of a file, each (N,) of numbers or objects, or (N, K) of numbers.
+    """Columns of a file, each (N,) of numbers or objects, or (N, K) or (N, K, L) of numbers.
 
     Attributes:
         path: of the file.
         cells: by name.
+        parameters: arrays that have no row for each row of the others.
         row: name of a row in messages.
         first: number of the first row.
     """
@@ -29,17 +37,18 @@ class RecordedTable:
     cells: Mapping[str, np.ndarray]
     row: str = "row"
     first: int = 1
+    parameters: tuple[str, ...] = ()
 
 
 def column_readings(table: RecordedTable, column: str, source: Source, word: str | None = None):
     """Rows (M,) with a reading of a column, and its values (M,) in their unit, float64.
 
-    Raises SurefootError naming file, column and row.
+    Raises SurefootError naming file, column and row; NoReadings where all are NaN or empty.
 
     Args:
         table: of the file.
-        column: its name; "name[3]" is an element of a list or a column of an array; in a long
-            table, the quantity of its rows.
+        column: its name; "name[3]" is an element of a list or a column of an array, "name[3][0]"
+            one of a list in it; in a long table, the quantity of its rows.
         source: layout of the file.
         word: text that means 1; any other is 0.
     """
@@ -53,11 +62,12 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
             there = ", ".join(sorted({str(one) for one in what})[:_SHOWN])
             raise SurefootError(f"{table.path}: no readings of {column!r} (there are {there})")
         cells = _cells(table, source.long.value, source)[rows]
-    if source.sparse:
-        kept = np.array([not _empty(one) for one in cells], dtype=bool)
+    if source.sparse or (len(cells) and _empty(cells[0])):
+        kept = ~_empties(cells)
         if not kept.any():
-            raise SurefootError(f"{table.path}: column {column!r} has no readings")
-        rows, cells = rows[kept], cells[kept]
+            raise NoReadings(f"{table.path}: column {column!r} is NaN or empty throughout")
+        if source.sparse:
+            rows, cells = rows[kept], cells[kept]
     return rows, _numbers(table, column, cells, rows, word)
 
 
@@ -65,30 +75,26 @@ def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
     """All numeric columns by their names in a map, with elements of lists as separate columns."""
     found: dict[str, np.ndarray] = {}
     for name, cells in table.cells.items():
-        first = _list(cells[0]) if cells.ndim == 1 and len(cells) else None
-        if isinstance(first, list | tuple | np.ndarray):
-            each = [f"{name}[{k}]" for k in range(len(first))]
-        elif cells.ndim == 2:
-            each = [f"{name}[{k}]" for k in range(_oriented(table, cells).shape[1])]
-        else:
-            each = [name]
-        for column in each:
+        for place in _places(cells[0]) if len(cells) else ():
             with suppress(SurefootError):
-                found[column] = column_readings(table, column, Source())[1]
+                found[f"{name}{place}"] = column_readings(table, f"{name}{place}", Source())[1]
     return found
 
 
+def _places(cell: object) -> list[str]:
+    """Places of the elements of a cell: "[0][1]" in a list of lists, "" of what is no list."""
+    inner = _list(cell)
+    if not isinstance(inner, list | tuple | np.ndarray):
+        return [""]
+    if np.size(np.asarray(inner, dtype=object)) > _MOST_PLACES:
+        return []
+    return [f"[{k}]{rest}" for k, one in enumerate(inner) for rest in _places(one)]
+
+
 def _cells(table: RecordedTable, column: str, source: Source) -> np.ndarray:
-    cells = table.cells.get(column)
-    if cells is None and (place := _PLACE.match(column)) and place[1] in table.cells:
-        index = place[2]
-        if not index.isdigit():
-            if index not in source.names:
-                raise SurefootError(
-                    f"{table.path}: column {column!r}: no {index!r} among the names of the source"
-                )
-            index = source.names.index(index)
-        return _at(table, column, table.cells[place[1]], int(index))
+    name, indices = column, []
+    while (cells := table.cells.get(name)) is None and (place := _PLACE.match(name)):
+        name, indices = place[1], [place[2], *indices]
     if cells is None:
         where = " from the header" * (table.row == "line")
         there = ", ".join(" ".join(name.split()) for name in list(table.cells)[:_SHOWN]) + (
@@ -97,22 +103,28 @@ def _cells(table: RecordedTable, column: str, source: Source) -> np.ndarray:
         raise SurefootError(
             f"{table.path}: column {column!r} is missing{where} (there are {there})"
         )
-    if cells.ndim == 2:
-        cells = _oriented(table, cells)
-        if cells.shape[1] != 1:
+    for index in indices:
+        if not index.isdigit():
+            if index not in source.names:
+                raise SurefootError(
+                    f"{table.path}: column {column!r}: no {index!r} among the names of the source"
+                )
+            index = source.names.index(index)
+        cells = _at(table, column, cells, int(index))
+    if cells.ndim > 1:
+        if cells[0].size != 1:
             raise SurefootError(
                 f"{table.path}: column {column!r} has {cells.shape[1]} places: write"
                 f" {column}[0], {column}[1], ..."
             )
-        return cells[:, 0]
+        return cells.reshape(len(cells))
     return cells
 
 
 def _at(table: RecordedTable, column: str, cells: np.ndarray, place: int) -> np.ndarray:
     if place == 0 and cells.ndim == 1 and cells.dtype.kind in "fiub":
         return cells
-    if cells.ndim == 2:
-        cells = _oriented(table, cells)
+    if cells.ndim > 1:
         if place >= cells.shape[1]:
             raise SurefootError(
                 f"{table.path}: column {column!r}: there are {cells.shape[1]} places, from 0"
@@ -140,11 +152,11 @@ def _list(cell: object) -> object:
     return cell
 
 
-def _oriented(table: RecordedTable, cells: np.ndarray) -> np.ndarray:
-    """Transpose an array to have rows first, by the length of the file's longest column."""
-    rows = {max(one.shape) for one in table.cells.values() if 1 in one.shape or one.ndim == 1}
-    a, b = cells.shape
-    return cells.T if (a not in rows and b in rows) or (not rows and b > a) else cells
+def _empties(cells: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the cells without a reading."""
+    if cells.dtype.kind in "fiub":
+        return np.isnan(cells)
+    return np.array([_empty(one) for one in cells], dtype=bool)
 
 
 def _empty(cell: object) -> bool:
@@ -172,7 +184,8 @@ def _numbers(
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         cell = cells[bad[0]]
-        other = "NaN or empty" if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
+        empty = "NaN or empty; sparse = true in the map leaves such cells out"
+        other = empty if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
         what = "infinite" if np.isinf(values[bad[0]]) else other
         row = table.first + int(rows[bad[0]])
         raise SurefootError(f"{table.path}: column {column!r}, {table.row} {row}: {what}")

@@ -149,9 +149,9 @@ class Meta:
         versions: of the software.
         model: properties of the robot from an import map, which override the MJCF (p_BI in m, q_BI
             as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
-            (ground_evenness in m); `file`, the model's file if it has no known name
-            (`sim.robot.model_of_log`); `ground`, if it includes height fields from a file
-            (`sim.ground.ground_metadata`).
+            (ground_evenness in m); `reference_offset`, the clock offset of its reference [s];
+            `file`, the model's file if it has no known name (`sim.robot.model_of_log`); `ground`,
+            if it includes height fields from a file (`sim.ground.ground_metadata`).
         warnings: about what was not plausible on import, one line each (`sim.plausibility`).
     """
 
@@ -189,6 +189,7 @@ class _Model:
     q_BI: tuple[float, float, float, float] | None = None
     foot_radius: float | tuple[float, ...] | None = None
     ground_evenness: float | None = None
+    reference_offset: float | None = None
     feet: dict[str, str] | None = None
     file: _ModelFile | None = None
 

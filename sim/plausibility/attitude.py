@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.plausibility.axes import lag_of, match_axes
+from surefoot.sim.plausibility.axes import match_axes
 
 LATEST = 2.0
 """Largest delay of a reference that is searched for [s]; `surefoot align` searches further."""
@@ -121,7 +121,7 @@ def attitude_fault(
     end: Rotation,
     gyro: np.ndarray,
     force: np.ndarray,
-    step: float,
+    delay: tuple[float, float],
     trusts_gyro: Callable[[np.ndarray], bool],
 ) -> AttitudeFault | None:
     """Find what is wrong with attitudes, given a gyro and the mean specific force.
@@ -130,10 +130,10 @@ def attitude_fault(
 
     Args:
         begin: attitudes (M,) half an averaging interval before each time.
-        end: attitudes (M,) half an interval after it; times are `step` apart.
+        end: attitudes (M,) half an interval after it.
         gyro: (M, 3) [rad/s].
         force: (3,) mean specific force [m/s^2] in I; zero where it is unreliable.
-        step: [s].
+        delay: of the reference [s], 0 if it may be none, and correlation of the turning at it.
         trusts_gyro: tells whether the gyro as logged agrees better with all else than the given
             corrected one.
     """
@@ -151,12 +151,11 @@ def attitude_fault(
     as_is = turned(lambda R: R)
     match, lean = match_axes(gyro, as_is), leaning(lambda R: R)
     own = float(match.own.mean())
-    late, shifted = lag_of(as_is, gyro, step, LATEST)
-    if abs(late) > LATE and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
+    late, shifted = delay
+    if late and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
         which, how = ("after", "late") if late > 0 else ("before", "early")
         told = f"turns {abs(late):.2f} s {which} the gyro"
-        line = f"[reference] offset = {-late:.3f}"
-        return AttitudeFault(told, f"the reference's clock is {how}", line, late)
+        return AttitudeFault(told, f"the reference's clock is {how}", "", late)
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [

@@ -60,7 +60,8 @@ def rates(view: LogView) -> Iterator[Finding]:
         return
     logged, moved = view.means(log.dq), view.changes(log.q)  # the same whatever moves, if right
     size = np.sqrt(np.mean(moved**2, axis=0))
-    moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0))
+    error = view.between_samples(log.dq, log.q)
+    moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
     if not moves.size:
         return
     # Centred, so that a bias does not look like another joint.
@@ -122,12 +123,15 @@ def rates(view: LogView) -> Iterator[Finding]:
         return
     typical = float(np.median(slope[good]))
     together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)
-    if abs(typical - 1.0) > RATE_OFF and 2 * together.sum() > good.sum():
+    error = error[moves]
+    # What lies between samples makes rates smaller, never larger.
+    scaled = not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
+    if scaled and 2 * together.sum() > good.sum():
         columns = tuple(f"dq_{n}" for n, g in zip(names, together, strict=True) if g)
         yield _scaled_rates(columns, typical, f"{typical:.3g} times the change of q")
     else:
         typical = 1.0
-    for i in np.flatnonzero(good & (np.abs(slope / typical - 1.0) > 2.0 * RATE_OFF)):
+    for i in np.flatnonzero(good & (np.abs(slope / typical - 1.0) > 2.0 * RATE_OFF + error)):
         told = f"{slope[i]:.3g} times the change of q_{names[i]}"
         line = f"dq_{names[i]} = {{ ..., gain = {typical / slope[i]:.4g} }}"
         yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is", line)
@@ -135,8 +139,12 @@ def rates(view: LogView) -> Iterator[Finding]:
 
 def rate_noise(view: LogView) -> Iterator[Finding]:
     """Check the noise of joint rates."""
-    if view.log.has("dq") and view.comparable:
-        yield from noise_of(view.log.dq, [f"dq_{j}" for j in view.log.joints], NOISY_RATE, "rad/s")
+    log = view.log
+    if log.has("dq") and view.comparable:
+        ways = [log.dq, log.q] if log.has("q") else [log.dq]
+        shown = np.flatnonzero(np.isfinite(view.between_samples(*ways)))
+        names = [f"dq_{log.joints[j]}" for j in shown]
+        yield from noise_of(log.dq[:, shown], names, NOISY_RATE, "rad/s")
 
 
 def sign_change(

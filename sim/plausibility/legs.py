@@ -188,7 +188,7 @@ def _late(view: LogView, legs: Stance, moving: Moving) -> Finding | None:
         return then.misfit(legs.body_velocity(then.gyro), legs.contact)
 
     late, share = _lag(left, LATEST_LEGS)
-    if abs(late) < 2.0 * LATE or not share < MENDED:
+    if abs(late) < view.least_lag(2.0 * LATE) or not share < MENDED:
         return None
     which = "after" if late > 0 else "before"
     told = f"move {abs(late):.2f} s {which} the reference and the IMU"
@@ -218,7 +218,8 @@ def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
         return _lag(left, LATEST_PART)
 
     late, share = of_contacts(every)
-    if abs(late) > LATE_PART and share < MENDED:
+    least = view.least_lag(LATE_PART)
+    if abs(late) > least and share < MENDED:
         columns = tuple(f"contact_{leg}" for leg in names)
         told = f"standing feet move {1.0 / share:.1f} times less (squared) {abs(late):.2f} s "
         told += "earlier" if late > 0 else "later"
@@ -228,13 +229,13 @@ def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
     for i, leg in enumerate(names):
         late, share = of_leg(i)
         of_contact, by_contact = of_contacts([i])
-        if by_contact < share and abs(of_contact) > LATE_PART and by_contact < MENDED:
+        if by_contact < share and abs(of_contact) > least and by_contact < MENDED:
             which = "earlier" if of_contact > 0 else "later"
             told = f"the foot moves {1.0 / by_contact:.1f} times less (squared) "
             told += f"{abs(of_contact):.2f} s {which}"
             cause = f"{'late' if of_contact > 0 else 'early'}, unlike the other contacts"
             found.append(Finding((f"contact_{leg}",), told, cause))
-        elif abs(late) > LATE_PART and share < MENDED:
+        elif abs(late) > view.least_lag(LATE_PART) and share < MENDED:
             told = f"{leg} moves {abs(late):.2f} s {'after' if late > 0 else 'before'} the body"
             found.append(Finding((f"q_{leg}", f"contact_{leg}"), told, "a clock of its own"))
     return found if 2 * len(found) <= len(names) else []
@@ -523,7 +524,7 @@ def late_torques(view: LogView) -> Iterator[Finding]:
     if not walks.any():
         return
     late, alike = lag_of(loads[:, walks], contact[:, walks].astype(float), period, LATEST_LOAD)
-    if alike > LOADS and abs(late) > LATE_LOAD:
+    if alike > LOADS and abs(late) > view.least_lag(LATE_LOAD):
         told = f"load legs {abs(late):.3f} s {'after' if late > 0 else 'before'} they stand"
         columns = tuple(f"tau_{joint}" for joint in view.log.joints)
         yield Finding(columns, told, "a filter, or another clock (or that of the contacts)")

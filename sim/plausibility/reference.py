@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from surefoot.sim.importing.reference import REFERENCE_OFFSET
 from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.plausibility.attitude import LATE, LATEST
@@ -49,8 +50,11 @@ def attitude(view: LogView) -> Iterator[Finding]:
         told = f"{fault.evidence}, and the accelerometer does not"
         yield Finding(_GYRO, told, "a filter, or another clock, of the gyro alone")
         return
-    columns = (*_P, *_Q) if fault.late else _Q
-    yield Finding(columns, fault.evidence, fault.cause, fault.map_line)
+    if not fault.late:
+        yield Finding(_Q, fault.evidence, fault.cause, fault.map_line)
+        return
+    offset = view.log.meta.model.get(REFERENCE_OFFSET, 0.0) - fault.late
+    yield Finding((*_P, *_Q), fault.evidence, fault.cause, f"[reference] offset = {offset:.3f}")
 
 
 def _accelerometer_agrees(view: LogView, late: float) -> bool:
@@ -100,7 +104,7 @@ def velocity(view: LogView) -> Iterator[Finding]:
         return
     match = match_axes(logged, moved)
     late, shifted = lag_of(logged, moved, STEP, LATEST)
-    if abs(late) > LATE and shifted > max(_SURELY, match.best.mean()):
+    if abs(late) > view.least_lag(LATE) and shifted > max(_SURELY, match.best.mean()):
         told = f"{1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
         told += " against the change of ref_p"
         yield Finding(_V, told, "a filter, or stamps of another clock")

@@ -26,7 +26,7 @@ class Stance:
         span: time between the first and the last of these (K,) [s].
         foot: positions (K, L, 3) [m] in I.
         rate: velocities (K, L, 3) [m/s] in I.
-        contact: (K, L), bool.
+        contact: at all three rows (K, L), bool.
     """
 
     which: np.ndarray
@@ -117,7 +117,9 @@ def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
     keep = span > 0
     which, rows, span = which[keep], rows[:, keep], span[keep]
     foot = feet(rows[1])
-    return Stance(which, rows, span, foot, foot_rates(feet, rows, span), log.contact[rows[1]])
+    return Stance(
+        which, rows, span, foot, foot_rates(feet, rows, span), log.contact[rows].all(axis=0)
+    )
 
 
 def foot_rates(

@@ -13,7 +13,7 @@ from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.finding import Finding
-from surefoot.sim.plausibility.view import MEAN, LogView
+from surefoot.sim.plausibility.view import MEAN, RESTS, LogView
 
 LATE_RATE = 4e-3
 """Delay of joint rates relative to the derivative of their angles [s]: two samples at 500 Hz."""
@@ -27,13 +27,11 @@ _WHOLE_TURN = 2.0 * np.pi
 """Angle that no joint of an arm or leg moves through [rad]."""
 _MOST_HOLDS = 50
 """Number of constant sections examined, longest first; a log with rests has thousands."""
+_FEWEST_ALIKE = 4
+"""Rows that do not change by chance no more, of coarse readings at a low rate."""
 LIMITED = 0.5
 """The same as FROZEN for torques, which drives hold at their limit for a while [s]."""
 _SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
-RESTS = 0.02
-"""Least range of a joint that moves [rad]: a dozen encoder counts; a joint at rest may stay between
-two for seconds.
-"""
 _ALIVE = 0.25
 """Share of its usual spread from which a related stream moves."""
 CLIPPED = 5
@@ -92,7 +90,7 @@ def frozen(view: LogView) -> Iterator[Finding]:
     found: dict[str, list[str]] = defaultdict(list)
     for kind, columns in _kinds(view, _SENSORS).items():
         for name in columns:
-            least = LIMITED if kind == "tau" else FROZEN
+            least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
             holds = stretches_without_change(view.t, view.log.frame[name].to_numpy(), least)
             if not holds:
                 continue
@@ -250,7 +248,9 @@ def late(view: LogView) -> Iterator[Finding]:
     common = late_streams(view.log)
     for one in (*common, *_late_joints(view, common)):
         rates = one.columns[0].startswith("dq")
-        if abs(one.delay) < (LATE_RATE if rates else LATE) or not _explains(view, one):
+        if abs(one.delay) < view.least_lag(LATE_RATE if rates else LATE) or not _explains(
+            view, one
+        ):
             continue
         told = f"{1e3 * abs(one.delay):.1f} ms {'late' if one.delay > 0 else 'early'}"
         told += f" against {one.witness}"
@@ -263,7 +263,7 @@ def late(view: LogView) -> Iterator[Finding]:
 def _late_joints(view: LogView, common: Sequence[LateStream]) -> Iterator[LateStream]:
     """Rates of single joints with a delay different from that of most."""
     log = view.log
-    if len(log.joints) < 2 or not (log.has("q") and log.has("dq")):
+    if len(log.joints) < 2 or not (log.has("q") and log.has("dq") and view.resolves):
         return
     moved = derivative(view.t, log.q, JOINT_WINDOW, causal=False)
     usual = next((one.delay for one in common if one.columns[0].startswith("dq")), 0.0)

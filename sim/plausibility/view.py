@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log
-from surefoot.sim.plausibility.attitude import AttitudeFault, attitude_fault
-from surefoot.sim.plausibility.axes import AxesMatch, match_axes
+from surefoot.sim.plausibility.attitude import LATE, LATEST, AttitudeFault, attitude_fault
+from surefoot.sim.plausibility.axes import AxesMatch, lag_of, match_axes
 from surefoot.sim.plausibility.stance import Stance, stance_of
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.robot import Robot
@@ -26,6 +26,10 @@ memory than there is.
 """
 SHORTEST_LOG = 1.0
 """Shortest log whose streams are compared [s]: two strides."""
+RESTS = 0.02
+"""Least range of a joint that moves [rad]: a dozen encoder counts; a joint at rest may stay between
+two for seconds.
+"""
 _STILL = 0.02
 """RMS rate below which a body is at rest [rad/s], so that only a gyro's bias and noise would be
 compared.
@@ -71,10 +75,56 @@ class LogView:
         """Whether the machine is known and has no legs."""
         return self.machine is not None and self.machine.fixed
 
+    @cached_property
+    def step(self) -> float:
+        """Usual time between rows [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    def least_lag(self, least: float) -> float:
+        """Smallest delay [s] between streams that is evidence, `least` where rows are dense.
+
+        What is averaged over the step before a row lags by half a row what is sampled at it.
+        """
+        return least + 0.5 * self.step
+
     def means(self, x: np.ndarray) -> np.ndarray:
-        """Means (M, D) of a stream x (N, D) about the times `at`."""
-        total = cumulative_trapezoid(x, self.t, axis=0, initial=0.0)
-        return (self._after(total, 0.5 * MEAN) - self._after(total, -0.5 * MEAN)) / MEAN
+        """Means (M, D) of a stream x (N, D), sampled at the rows, about the times `at`."""
+        return self.changes(cumulative_trapezoid(x, self.t, axis=0, initial=0.0))
+
+    def _averages(self, x: np.ndarray) -> np.ndarray:
+        """Means (M, D) of an IMU's x (N, D), averaged over the step before each row."""
+        return self.changes(np.cumsum(x * np.diff(self.t, prepend=self.t[0])[:, None], axis=0))
+
+    def between_samples(self, rates: np.ndarray, x: np.ndarray | None = None) -> np.ndarray:
+        """Relative error (D,) of integrals of `rates` (N, D), as they are known at the rows alone.
+
+        By Richardson's extrapolation of the trapezoidal rule, from every other row: of the rates or
+        of the steps of their integral x (N, D), whichever are smoother. Infinite where a period has
+        less than four rows, or there is mostly noise.
+        """
+
+        def missed(y: np.ndarray) -> np.ndarray:
+            bend = y[1:-1] - 0.5 * (y[2:] + y[:-2])
+            size = y.std(axis=0)
+            return np.sqrt(np.mean(bend**2, axis=0)) / np.where(size > 0.0, size, 1e-12)
+
+        ways = [rates] if x is None else [rates, np.diff(x, axis=0) / np.diff(self.t)[:, None]]
+        error = np.min([np.where(y.std(axis=0) > 0.0, missed(y), np.inf) for y in ways], axis=0)
+        return np.where(error < 1.0, error / 6.0, np.inf)
+
+    @cached_property
+    def resolves(self) -> bool:
+        """Whether the rows are dense enough to show how most joints, else the body, move."""
+        log = self.log
+        if len(self.t) < 4:
+            return False
+        if log.has("q"):
+            moves = np.ptp(log.q, axis=0) > RESTS
+            rates = log.dq if log.has("dq") else np.gradient(log.q, self.t, axis=0)
+            errors = self.between_samples(rates, log.q)[moves]
+        else:
+            errors = self.between_samples(log.gyro) if log.has("imu") else np.zeros(0)
+        return not len(errors) or bool(np.isfinite(np.median(errors)))
 
     def changes(self, x: np.ndarray) -> np.ndarray:
         """Derivatives (M, D) of x (N, D) over MEAN seconds about the times `at`."""
@@ -91,12 +141,12 @@ class LogView:
     @cached_property
     def gyro(self) -> np.ndarray:
         """Mean angular rate (M, 3) [rad/s] in I."""
-        return self.means(self.log.gyro)
+        return self._averages(self.log.gyro)
 
     @cached_property
     def accel(self) -> np.ndarray:
         """Mean specific force (M, 3) [m/s^2] in I."""
-        return self.means(self.log.accel)
+        return self._averages(self.log.accel)
 
     def attitudes(self, after: float, where: np.ndarray | None = None) -> Rotation:
         """Attitudes of the reference `after` seconds from the times `at` (M,), or from those in the
@@ -142,7 +192,10 @@ class LogView:
         if up is not None and force @ up < 0.5 * np.linalg.norm(force):
             force = np.zeros(3)  # the accelerometer is what leans
         begin, end = (self.attitudes(after, self.ok) for after in (-0.5 * MEAN, 0.5 * MEAN))
-        return attitude_fault(begin, end, self.gyro[self.ok], force, STEP, self._fits_gyro)
+        gyro = self.gyro[self.ok]
+        late, alike = lag_of(self.turning[self.ok], gyro, STEP, LATEST)
+        delay = (late, alike) if abs(late) > self.least_lag(LATE) else (0.0, 0.0)
+        return attitude_fault(begin, end, gyro, force, delay, self._fits_gyro)
 
     def _fits_gyro(self, put_right: np.ndarray) -> bool:
         """Whether the gyro as logged fits better than a corrected one (M', 3), given where `ok`.
@@ -200,6 +253,6 @@ class LogView:
     @cached_property
     def stance(self) -> Stance | None:
         """Motion of the feet, where feet and contacts are known."""
-        if not self.comparable or not self.log.has("contact"):
+        if not (self.comparable and self.resolves and self.log.has("contact")):
             return None
         return stance_of(self.log, self.robot, self.at)

@@ -29,15 +29,15 @@ def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise(
 
 
 def test_sizes_follow_the_law_of_the_file():
-    offsets = Imperfection("encoder_offset", None, "normal", 0.01, "")
+    offsets = Imperfection("encoder_offset", "", normal=0.01)
     drawn = np.array([[e.value for e in offsets.drawn(k, QUADRUPED)] for k in range(400)])
     # The standard error of a deviation from n draws is about 1 / sqrt(2 n) of it.
     assert np.std(drawn) == pytest.approx(0.01, rel=4 / np.sqrt(2 * drawn.size))
     assert abs(drawn.mean()) < 4 * 0.01 / np.sqrt(drawn.size)
-    turns = Imperfection("imu_rotation", ("x", "y", "z"), "uniform", 0.006, "")
+    turns = Imperfection("imu_rotation", "", ("x", "y", "z"), uniform=0.006)
     drawn = np.array([[e.value for e in turns.drawn(k, QUADRUPED)] for k in range(400)])
     assert 0.0059 < np.abs(drawn).max() <= 0.006
-    compliance = Imperfection("leg_compliance", QUADRUPED.joints[:3], "fixed", 1e-4, "")
+    compliance = Imperfection("leg_compliance", "", QUADRUPED.joints[:3], fixed=1e-4)
     assert {e.value for e in compliance.drawn(3, QUADRUPED)} == {1e-4}
 
 

@@ -37,7 +37,7 @@ def test_import_warns_and_the_log_keeps_it(in_g, capsys):
 
 
 def test_strict_refuses_with_a_line_each_and_writes_nothing(in_g, capsys):
-    with pytest.raises(SystemExit, match="--strict: 1 implausible finding in run"):
+    with pytest.raises(SystemExit, match="strict: 1 implausible finding in run"):
         main(f"import {in_g}/run.csv --map {in_g}/map.toml -o {in_g}/made.parquet --strict".split())
     assert f"error: run: {WORDS}" in capsys.readouterr().err
     assert not (in_g / "made.parquet").exists()

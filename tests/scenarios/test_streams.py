@@ -28,9 +28,10 @@ from surefoot.scenarios.estimate.run import (
 )
 from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground, Patch
-from surefoot.sim.log import Log, LogReader
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
@@ -188,6 +189,7 @@ def exit_code(arguments) -> int:
 def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch, robot, capsys):
     """Four times the log takes no more memory; file and metrics are those of the whole."""
     monkeypatch.setattr(file, "LOG_PIECE", 10.0)
+    monkeypatch.setattr(file, "CHECKED", 10.0)
     main_run = ["--filter", "imu", "--force", "-o", str(tmp_path / "out.parquet")]
     peaks = {}
     for seconds in (60.0, 240.0):
@@ -198,8 +200,8 @@ def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch,
         # In four minutes an IMU alone comes to speeds that no legs have: written, but not trusted.
         assert exit_code(["estimate", str(path), *main_run]) == (3 if seconds > 100 else 0)
         tracemalloc.start()
-        out = file.TrajectoryFile(tmp_path / "traced.parquet", True)
-        file.estimate_file("imu", LogReader(path), None, Learnt(), out=out)
+        out = tmp_path / "traced.parquet"
+        file.estimate_file(EstimateSettings(path, "imu", out, force=True))
         peaks[seconds] = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert peaks[240.0] < 1.3 * peaks[60.0]
@@ -217,11 +219,11 @@ def test_the_relative_errors_of_a_long_log_are_of_all_estimates(tmp_path, monkey
     """However few are judged otherwise; only segments that end in another piece are left out."""
     path = tmp_path / "walk.parquet"
     walk(Scenario("long", (Segment(30.0, 0.5),), Ground(0.8)), robot, 0).write(path)
-    whole, _ = file.estimate_file("leg", LogReader(path), None, Learnt())
+    whole, _ = file.estimate_file(EstimateSettings(path, "leg"))
     monkeypatch.setattr(file, "LONG", 0.0)
     monkeypatch.setattr(file, "LOG_PIECE", 20.0)
     monkeypatch.setattr(file, "JUDGED", 100)
-    pieces, _ = file.estimate_file("leg", LogReader(path), None, Learnt())
+    pieces, _ = file.estimate_file(EstimateSettings(path, "leg"))
     assert whole is not None
     assert pieces is not None
     assert pieces.samples <= 102 < 0.8 * whole.segments < pieces.segments < whole.segments

@@ -3,7 +3,6 @@
 import json
 import pickle
 import tracemalloc
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -15,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import surefoot.sim.importing.recording as recording_module
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import measured_folder
-from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
+from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, rows_first
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.layout import _separator
 from surefoot.sim.importing.recorded_file import recorded_files
@@ -23,7 +22,7 @@ from surefoot.sim.importing.recording import import_log, read_recording, read_ta
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.streams import held_streams
-from surefoot.sim.importing.table import RecordedTable, _oriented, column_readings
+from surefoot.sim.importing.table import RecordedTable, column_readings
 from surefoot.sim.log import Log
 
 MEASURED = measured_folder()
@@ -209,7 +208,8 @@ def test_the_stamps_in_the_messages_of_a_bag_are_its_times_and_rise(tmp_path, mo
     np.testing.assert_allclose(log.t, stamps)
     np.testing.assert_allclose(log.q[:, 0], np.sin(T))
     stamps[7] = stamps[6]
-    with pytest.raises(SurefootError, match=r"run.bag.*'/legs:stamp', message 8: duplicate stamp"):
+    stamps[8:20] = stamps[7]
+    with pytest.raises(SurefootError, match=r"run.bag.*'/legs:stamp', message 8: repeats"):
         import_log(tmp_path / "run.bag", tmp_path / "map.toml")
 
 
@@ -469,7 +469,9 @@ def test_the_only_episode_of_a_file_has_its_rows(tmp_path):
         file["recordings/several"] = np.zeros((2, 4, 3))
     cells = read_hdf5(tmp_path / "run.h5").cells
     np.testing.assert_array_equal(cells["recordings/imu_gyro"], gyro[0])
-    assert "recordings/several" not in cells
+    table = read_hdf5(tmp_path / "run.h5")
+    _, inner = column_readings(table, "recordings/several[1][2]", Source())
+    np.testing.assert_array_equal(inner, np.zeros(4))
     (drafted,) = recorded_files(tmp_path / "run.h5", None)
     assert drafted.t is not None
     assert drafted.t.theirs == "recordings/time[0]"
@@ -534,14 +536,22 @@ def test_a_comma_beside_another_separator_is_a_decimal_comma(line, separator):
     assert _separator(line) == separator
 
 
-@pytest.mark.parametrize("rows", [3, 5, 9])
-def test_an_array_has_its_rows_first_by_the_other_columns_or_else_by_its_shape(rows):
-    """Where a column says how many rows there are; else the longer side."""
-    known = RecordedTable(Path("a.mat"), {"t": np.zeros(rows)}, "row", 0)
-    unknown = RecordedTable(Path("a.mat"), {"q": np.zeros((rows, 6))}, "row", 0)
-    if rows != 6:
-        assert _oriented(known, np.zeros((6, rows))).shape == (rows, 6)
-        assert _oriented(known, np.zeros((rows, 6))).shape == (rows, 6)
-    longer = (max(rows, 6), min(rows, 6))
-    assert _oriented(unknown, np.zeros((rows, 6))).shape == longer
-    assert _oriented(unknown, np.zeros((6, rows))).shape == longer
+@pytest.mark.parametrize(
+    ("shapes", "rows", "parameters"),
+    [
+        ({"t": (9,), "q": (6, 9)}, {"t": 9, "q": 9}, ()),
+        ({"t": (9,), "q": (9, 6)}, {"t": 9, "q": 9}, ()),
+        ({"q": (9, 6)}, {"q": 9}, ()),
+        ({"q": (6, 9)}, {"q": 9}, ()),
+        ({"q": (99, 12), "kp": (12,)}, {"q": 99}, ("kp",)),
+        ({"q": (99, 12), "limits": (12, 2), "kp": (1, 12)}, {"q": 99}, ("limits", "kp")),
+        ({"imu": (500, 3), "q": (99, 12), "kd": (12,)}, {"imu": 500, "q": 99}, ("kd",)),
+        ({"force": (99, 4, 3), "mass": (4,), "g": (3,)}, {"force": 99}, ("mass", "g")),
+        ({"force": (4, 3, 99), "t": (99,)}, {"force": 99, "t": 99}, ()),
+    ],
+)
+def test_rows_are_the_axis_that_the_arrays_share(shapes, rows, parameters):
+    """An array as long as the rows of others are wide is a parameter, no recording."""
+    found, left = rows_first({name: np.zeros(shape) for name, shape in shapes.items()})
+    assert {name: len(found[name]) for name in rows} == rows
+    assert left == parameters

@@ -1,0 +1,65 @@
+"""Read and check the files that settings name."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.run import declared_model
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log
+from surefoot.sim.plausibility import check_log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.machine import machine_for_log
+from surefoot.sim.robot.model_of_log import of_robot
+
+
+def read_logs(paths: Sequence[Path], robot: str | None = None) -> list[Log]:
+    """Read the logs of these files, assigned to `robot` if that is given.
+
+    Raises SurefootError where one is bad.
+    """
+    return [of_robot(Log.read(path), robot) for path in paths]
+
+
+def not_plausible(
+    logs: Sequence[Log], robot: str | Path | None = None, strict: bool = False
+) -> dict[str, tuple[str, ...]]:
+    """Check the logs' plausibility: findings, as lines, by name of the log; also printed to stderr.
+
+    `robot` is the logs' own by default. Raises SurefootError if there are any and `strict` is set.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for log in logs:
+        try:
+            machine = machine_for_log(log, robot)
+        except SurefootError:  # whoever needs the robot says why there is none
+            machine = None
+        if lines := tuple(one.line for one in check_log(log, machine)):
+            found[log.name] = lines
+        for line in lines:
+            print(f"{'error' if strict else 'warning'}: {log.name}: {line}", file=sys.stderr)
+    if strict and found:
+        count = sum(map(len, found.values()))
+        what = "finding" if count == 1 else "findings"
+        raise SurefootError(f"strict: {count} implausible {what} in {', '.join(found)}")
+    return found
+
+
+def as_declared(logs: Sequence[Log]) -> list[Log]:
+    """The logs with their declared effects compensated, as the filters see them."""
+    return [declared_model(log, Robot.for_log(log))[0] for log in logs]
+
+
+def learnt_from(observers: Sequence[Path], bounds: Sequence[Path]) -> Learnt:
+    """Load these observers and bounds."""
+    if not (observers or bounds):
+        return Learnt()
+    # Only learnt filters need torch, which is an extra.
+    from surefoot.models.calibration.bounds import Bounds
+    from surefoot.models.observer.observer import Observer
+
+    return Learnt(
+        tuple(Observer.load(path) for path in observers),
+        tuple(Bounds.load(path) for path in bounds),
+    )

@@ -1,0 +1,302 @@
+"""Drafts by the names that people use: what a column is, what it only looks like, and what is asked
+or listed where names do not say it.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.sim.importing.draft import Draft
+from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.names import by_their_lists, read_name
+from surefoot.sim.log import JOINTS, LEGS
+
+N = 400
+T = 0.01 * np.arange(N)
+HOME = np.tile([0.0, 0.8, -1.5], 4)
+ANGLES = HOME + 0.2 * np.sin(6.0 * T[:, None] + np.arange(12))
+RATES = 1.2 * np.cos(6.0 * T[:, None] + np.arange(12))
+GYRO = 0.3 * np.sin(2.0 * T[:, None] + np.arange(3))
+ACCEL = np.column_stack([0.1 * np.sin(T), 0.1 * np.cos(T), 9.81 + 0.0 * T])
+TRIPLE = np.sin(3.0 * T[:, None] + np.arange(3))
+FORCES = np.maximum(100.0 * np.sin(6.0 * T[:, None] + np.arange(4)), 0.0)
+BY_HINGE = np.arange(12).reshape(4, 3).T.ravel()
+"""Isaac Lab's order of joints: all hips, all thighs, all calves."""
+
+
+def table(**arrays: np.ndarray) -> pd.DataFrame:
+    """Columns of a CSV: those of an array (N, K) are name_0, name_1, ..."""
+    columns = {}
+    for name, values in arrays.items():
+        each = values[:, None] if values.ndim == 1 else values
+        names = [name] if values.ndim == 1 else [f"{name}_{k}" for k in range(each.shape[1])]
+        columns |= dict(zip(names, each.T, strict=True))
+    return pd.DataFrame(columns)
+
+
+def drafted_table(folder: Path, robot: str | None = None, **arrays: np.ndarray) -> Draft:
+    table(**arrays).to_csv(folder / "run.csv", index=False)
+    return guess_map([folder / "run.csv"], robot)
+
+
+def drafted_arrays(folder: Path, robot: str | None = None, **arrays: np.ndarray) -> Draft:
+    np.savez(folder / "run.npz", **arrays)  # pyright: ignore[reportArgumentType]
+    return guess_map([folder / "run.npz"], robot)
+
+
+def theirs(draft: Draft) -> dict[str, str]:
+    return {e.name: e.theirs for e in (*draft.main, *draft.reference)}
+
+
+def listed(draft: Draft) -> str:
+    """The lines of what is not used."""
+    return "\n".join(line for line in draft.text.splitlines() if line.startswith("# not used"))
+
+
+KNOWN = [
+    # name, kind, source
+    ("ang_vel_0", "gyro", ""),
+    ("base_ang_vel[1]", "gyro", ""),
+    ("imu_ang_vel_x", "gyro", ""),
+    ("root_ang_vel_b[0]", "gyro", ""),
+    ("imu_state.gyroscope[2]", "gyro", ""),
+    ("body_rate_z", "gyro", ""),
+    ("omega_filtered_x", "gyro", "filtered"),
+    ("ekf_omega_x", "gyro", "estimate"),
+    ("gyro_bias_x", "gyro", "bias"),
+    ("est_gyro_bias_x", "gyro", "bias"),
+    ("/odom:twist.twist.angular.x", "gyro", "estimate"),
+    ("/cmd_vel:angular.z", "gyro", "command"),
+    ("/imu/data:angular_velocity.x", "gyro", ""),
+    ("angular_acceleration_x", "other", ""),
+    ("lin_acc_x", "accel", ""),
+    ("imu_state.accelerometer[0]", "accel", ""),
+    ("accel_bias_x", "accel", "bias"),
+    ("projected_gravity_0", "other", ""),
+    ("gyro_temperature", "other", ""),
+    ("base_lin_vel_x", "ref_v", ""),
+    ("velocity_x", "ref_v", ""),
+    ("FL_foot_vel_x", "other", ""),
+    ("dof_pos_3", "q", ""),
+    ("joint_pos[3]", "q", ""),
+    ("motor_state[3].q", "q", ""),
+    ("FL_hip_ang", "q", ""),
+    ("default_dof_pos_3", "q", "parameter"),
+    ("joint_pos_target[3]", "q", "command"),
+    ("q_ref_3", "q", "command"),
+    ("/lowcmd:motor_cmd[3].q", "q", "command"),
+    ("dof_pos_error_3", "q", "error"),
+    ("dof_vel_3", "dq", ""),
+    ("FL_hip_omega", "dq", ""),
+    ("dof_acc_3", "other", ""),
+    ("motor_state[3].ddq", "other", ""),
+    ("torques_3", "tau", ""),
+    ("applied_torque[3]", "tau", ""),
+    ("motor_state[3].tau_est", "tau", "estimate"),
+    ("contact_forces_z_FL", "force", ""),
+    ("/FL_foot_force:wrench.force.z", "force", ""),
+    ("foot_force[0]", "force", ""),
+    ("foot_force_est[0]", "force", "estimate"),
+    ("feet_contact[0]", "contact", ""),
+    ("vicon_pos_x", "ref_p", "reference"),
+    ("quat_wxyz_0", "ref_q", ""),
+    ("imu_timestamp", "t", ""),
+    ("timestamp_gyro", "gyro", ""),
+]
+
+
+@pytest.mark.parametrize(("name", "kind", "source"), KNOWN)
+def test_the_words_of_a_name_say_quantity_and_source(name, kind, source):
+    found = read_name(name)
+    assert (found.kind, found.source) == (kind, source)
+
+
+def test_the_state_of_a_body_in_one_list_is_a_pose():
+    read = by_their_lists({f"root_states[{k}]": read_name(f"root_states[{k}]") for k in range(13)})
+    assert [one.kind for one in read.values()] == ["ref_p"] * 3 + ["ref_q"] * 4 + ["ref_v"] * 6
+
+
+IMUS = {
+    "an odometry beside it": ({"imu_ang_vel": GYRO, "odom_ang_vel": TRIPLE}, "imu_ang_vel_0"),
+    "an estimate beside it": ({"gyro": GYRO, "gyro_ekf": TRIPLE}, "gyro_0"),
+    "a bias beside it": ({"gyro_bias": TRIPLE, "gyro": GYRO}, "gyro_0"),
+    "a set point beside it": ({"ang_vel_cmd": TRIPLE, "ang_vel": GYRO}, "ang_vel_0"),
+    "axes of the world beside it": (
+        {"root_ang_vel_w": TRIPLE, "root_ang_vel_b": GYRO},
+        "root_ang_vel_b_0",
+    ),
+    "joints beside it": ({"ang_vel": GYRO, "dof_vel": RATES, "dof_pos": ANGLES}, "ang_vel_0"),
+    "a filtered copy": ({"gyro_lpf": TRIPLE, "gyro_raw": GYRO}, "gyro_raw_0"),
+}
+
+
+@pytest.mark.parametrize("case", IMUS)
+def test_the_gyro_is_the_sensor_whatever_is_beside_it(tmp_path, case):
+    arrays, gyro = IMUS[case]
+    draft = drafted_table(tmp_path, time=T, acc=ACCEL, **arrays)
+    assert theirs(draft)["gyro_x"] == gyro
+    assert not [e for e in draft.main if e.name.startswith("gyro") and e.doubt]
+    rest = {n.rpartition("_")[0] for n in table(**arrays)} - {gyro[:-2], "dof_pos", "dof_vel"}
+    assert all(f"{name}_0" in listed(draft) for name in rest)
+
+
+@pytest.mark.parametrize("name", ["ekf_omega", "channel", "commanded_ang_vel", "root_ang_vel_w"])
+def test_half_an_imu_is_asked_about(tmp_path, name):
+    draft = drafted_table(tmp_path, time=T, acc=ACCEL, **{name: GYRO})
+    assert "gyro_x" not in theirs(draft)
+    assert any("gyro" in note for note in draft.notes)
+    assert f"{name}_0" in listed(draft)
+
+
+def test_two_imus_are_drafted_with_a_question(tmp_path):
+    draft = drafted_table(tmp_path, time=T, imu_acc=ACCEL, imu_gyro=GYRO, camera_gyro=TRIPLE)
+    found = {e.name: (e.theirs, e.doubt) for e in draft.main}
+    assert found["gyro_x"][0] == "imu_gyro_0"
+    assert "camera_gyro_0" in found["gyro_x"][1]
+
+
+@pytest.mark.parametrize("robot", [None, "spot_class"])
+@pytest.mark.parametrize("name", ["{leg}_{part}", "{leg}_{part}_joint", "joints/{leg}_{part}"])
+def test_bare_names_of_joints_are_angles_and_asked_about(tmp_path, robot, name):
+    names = [name.format(leg=joint[:2], part=joint[3:]) for joint in JOINTS]
+    frame = pd.DataFrame(dict(zip(["t", *names], [T, *ANGLES.T], strict=True)))
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    draft = guess_map([tmp_path / "run.csv"], robot)
+    found = {e.name: (e.theirs, bool(e.doubt)) for e in draft.main}
+    assert found == {"t": ("t", False)} | {
+        f"q_{joint}": (n, True) for joint, n in zip(JOINTS, names, strict=True)
+    }
+    assert any("contacts" in note for note in draft.notes)
+
+
+ROLLOUTS = {
+    "legged_gym": ("dof_pos", "dof_vel", "torques", {"default_dof_pos": HOME, "p_gains": HOME}),
+    "isaac lab": ("joint_pos", "joint_vel", "applied_torque", {"default_joint_pos": HOME[None]}),
+    "plain": ("q", "dq", "tau", {"kp": np.full(12, 20.0), "kd": np.ones(12), "g": np.ones(3)}),
+    "limits": ("dof_pos", "dof_vel", "dof_torque", {"dof_pos_limits": np.ones((12, 2))}),
+}
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("case", ROLLOUTS)
+def test_a_rollout_of_arrays_has_the_rows_that_they_share(tmp_path, case, turned):
+    q, dq, tau, more = ROLLOUTS[case]
+    arrays = {q: ANGLES, dq: RATES, tau: RATES, "base_ang_vel": GYRO}
+    arrays = {name: one.T if turned else one for name, one in arrays.items()} | more
+    draft = drafted_arrays(tmp_path, "spot_class", **arrays)
+    found = theirs(draft)
+    for kind, name in (("q", q), ("dq", dq), ("tau", tau)):
+        expected = {f"{kind}_{joint}": f"{name}[{k}]" for k, joint in enumerate(JOINTS)}
+        assert {n: c for n, c in found.items() if n in expected} == expected
+    assert draft.rate is not None
+    assert all(name in listed(draft) for name in more)
+    assert len(listed(draft).splitlines()) <= 10
+
+
+@pytest.mark.parametrize("names", ["{}_joint", "{}", None])
+def test_the_joints_of_a_list_or_of_their_limits_are_the_robots(tmp_path, names):
+    """Columns hinge by hinge: by a list of names, or else because only so they fit the limits."""
+    joints = [JOINTS[k] for k in BY_HINGE]
+    more = {"dof_names": np.array([names.format(j) for j in joints])} if names else {}
+    draft = drafted_arrays(tmp_path, "spot_class", t=T, dof_pos=ANGLES[:, BY_HINGE], **more)
+    found = theirs(draft)
+    assert {f"q_{j}": f"dof_pos[{k}]" for k, j in enumerate(joints)}.items() <= found.items()
+    assert all(e.doubt for e in draft.main if e.name != "t")
+
+
+def test_angles_beyond_the_limits_are_asked_about(tmp_path):
+    named = {f"q_{joint}": ANGLES[:, k] for k, joint in enumerate(JOINTS)}
+    named["q_FL_calf"] = 2.0 + 0.1 * np.sin(T)
+    notes = drafted_table(tmp_path, "spot_class", t=T, **named).notes
+    assert [note for note in notes if "FL_calf" in note and "limits" in note]
+    named["q_FL_calf"] = ANGLES[:, 2]
+    assert not [
+        n for n in drafted_table(tmp_path, "spot_class", t=T, **named).notes if "limits" in n
+    ]
+
+
+def test_names_that_the_robot_has_not_are_asked_about(tmp_path):
+    named = {f"q_{joint.replace('hip', 'spin')}": ANGLES[:, k] for k, joint in enumerate(JOINTS)}
+    draft = drafted_table(tmp_path, "spot_class", t=T, **named)
+    doubts = {e.theirs: e.doubt for e in draft.main}
+    assert "spot_class" in doubts["q_FL_spin"]
+    assert not doubts["q_FL_thigh"]
+
+
+@pytest.mark.parametrize("vectors", [False, True])
+def test_forces_of_the_feet_are_understood_along_z(tmp_path, vectors):
+    forces = np.zeros((N, 4, 3))
+    forces[:, :, 2] = FORCES
+    more = {"contact_forces": forces} if vectors else {"foot_force": FORCES}
+    draft = drafted_arrays(tmp_path, t=T, dof_pos=ANGLES, **more)
+    place = "contact_forces[{}][2]" if vectors else "foot_force[{}]"
+    assert {f"force_{leg}": place.format(k) for k, leg in enumerate(LEGS)}.items() <= theirs(
+        draft
+    ).items()
+    assert draft.contact is not None
+    assert all(e.doubt for e in draft.main if e.name.startswith("force"))
+    assert ("contact_forces[0][0]" in listed(draft)) == vectors
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "unit", "slow"),
+    [
+        ("time_s", 1.0, "s", True),
+        ("time_s", 0.2, "s", True),
+        ("time", 0.2, "s", True),
+        ("time_ms", 200.0, "ms", True),
+        ("t [us]", 5e3, "us", False),
+        ("stamp_ns", 1e7, "ns", False),
+        ("elapsed_s", 0.02, "s", False),
+    ],
+)
+def test_the_unit_in_a_name_of_times_holds_and_slow_rows_are_said(tmp_path, name, step, unit, slow):
+    draft = drafted_table(tmp_path, **{name: step * np.arange(N), "gyro": GYRO, "acc": ACCEL})
+    times = draft.main[0]
+    assert (times.name, times.theirs, times.unit) == ("t", name, unit)
+    assert any("slow" in note for note in draft.notes) == slow
+
+
+@pytest.mark.parametrize("header", [False, True])
+@pytest.mark.parametrize("word", ["imu_link", "", "2"])
+def test_a_text_without_header_may_have_words_in_it(tmp_path, header, word):
+    frame = table(stamp=T, gyro=GYRO).assign(frame_id=word)
+    frame.to_csv(tmp_path / "run.csv", index=False, header=header)
+    draft = guess_map([tmp_path / "run.csv"])
+    assert ("header = false" in draft.text) == (not header)
+    assert {"0": "0", "stamp": "stamp"}["stamp" if header else "0"] == draft.main[0].theirs
+
+
+def test_columns_without_a_number_are_left_out_and_listed(tmp_path):
+    named = {
+        f"{kind}_{joint}": values[:, k]
+        for kind, values in (("q", ANGLES), ("dq", np.nan * RATES))
+        for k, joint in enumerate(JOINTS)
+    }
+    draft = drafted_table(tmp_path, t=T, **named)
+    assert {e.name for e in draft.main} == {"t", *(f"q_{joint}" for joint in JOINTS)}
+    assert "dq_FL_hip" in listed(draft)
+
+
+def test_what_is_not_used_fits_on_ten_lines_with_its_reasons(tmp_path):
+    arrays = {
+        f"{word}_{k}": TRIPLE
+        for k in range(9)
+        for word in (
+            "ekf_omega",
+            "debug",
+            "kp",
+            "temp",
+            "q_des",
+            "acc_bias",
+            "pos_world",
+            "dq_filt",
+            "spare",
+        )
+    }
+    draft = drafted_table(tmp_path, t=T, gyro=GYRO, acc=ACCEL, note=np.full(N, np.nan), **arrays)
+    lines = listed(draft).splitlines()
+    assert len(lines) <= 10
+    assert all(len(line) < 2000 for line in lines)
