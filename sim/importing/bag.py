@@ -98,7 +98,7 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     beside = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else files
     for one in beside:  # any of which the metadata may name
         admitted(one, "recording")
-    described = not files or _is_described(path)
+    described = _is_described(path) or not files
     if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
         names = ", ".join(one.name for one in files)
         raise SurefootError(f"{path}: has several bags, name one of them: {names}")
