@@ -86,17 +86,6 @@ RULES = (
         streams.saturated,
     ),
     Rule(
-        "coarse",
-        "readings of gyro, accelerometer and angles with each other",
-        "nothing between readings that are "
-        + ", ".join(f"{streams.COARSE[k]:g} {u}" for k, u in _UNITS.items())
-        + " apart",
-        "fifty times what sensors of 16 bits and encoders of 12 bits have",
-        "record more digits",
-        (),
-        streams.coarse,
-    ),
-    Rule(
         "gyro's unit",
         "the gyro's size",
         f"{imu.TUMBLING:g} rad/s root mean square, or 0 throughout",
@@ -135,6 +124,17 @@ RULES = (
         'unit = "deg"',
         ("q",),
         joints.units,
+    ),
+    Rule(
+        "coarse",
+        "readings of gyro, accelerometer and angles with each other",
+        "nothing between readings that are "
+        + ", ".join(f"{streams.COARSE[k]:g} {u}" for k, u in _UNITS.items())
+        + " apart",
+        "fifty times what sensors of 16 bits and encoders of 12 bits have",
+        "record more digits",
+        (),
+        streams.coarse,
     ),
     Rule(
         "joint rates",
