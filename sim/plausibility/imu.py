@@ -18,7 +18,7 @@ from surefoot.sim.plausibility.axes import (
 )
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.noise import noise_of
-from surefoot.sim.plausibility.place import SPEEDING, of_another_point
+from surefoot.sim.plausibility.place import SPEEDING, of_another_point, speed_changes
 from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
 
 ZERO_G = 0.8
@@ -267,21 +267,14 @@ def sampled(view: LogView) -> Iterator[Finding]:
     """
     if not view.trusts_reference:
         return
-    log, rows = view.log, round(SPEEDING / STEP)
-    R_GI = log.ref_R_GI
-    R_GI = 0.5 * (R_GI + np.concatenate([R_GI[:1], R_GI[:-1]]))
-    force = np.einsum("nij,nj->ni", R_GI, log.accel) + GRAVITY_G
-    summed = np.cumsum(force * np.diff(view.t, prepend=view.t[0])[:, None], axis=0)
-    throughout = view.ok[rows:] & view.ok[:-rows]
-    by_imu, by_reference = (
-        (x[rows:] - x[:-rows])[throughout] for x in (view.means(summed), view.ref_v)
-    )
+    by_imu, by_reference = speed_changes(view)
     if len(by_imu) * STEP < SHORTEST_LOG:
         return
     missed, changed = (
         float(np.sqrt(np.sum(x.var(axis=0)))) for x in (by_imu - by_reference, by_reference)
     )
-    bend = log.accel[1:-1] - 0.5 * (log.accel[2:] + log.accel[:-2])
+    accel = view.log.accel
+    bend = accel[1:-1] - 0.5 * (accel[2:] + accel[:-2])
     # White noise has a bend of 1.5 times its variance.
     implied = np.sqrt(np.sum(np.mean(bend**2, axis=0)) / 1.5 * view.step * SPEEDING)
     if missed > MISSED * changed and IMPLIED[0] < missed / max(implied, 1e-12) < IMPLIED[1]:

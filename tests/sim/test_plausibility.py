@@ -554,7 +554,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "reference of a point above the IMU": (
         of_another_point(0.0, 0.0, 0.5), "reference's point", "0.50) m in the IMU's axes"),
     "reference scaled": (
-        times(1.2, "ref_p", "ref_v"), "reference's motion", "1.2 times as much"),
+        times(1.2, "ref_p", "ref_v"), "reference's motion", "times as much"),
     "reference's positions turned": (positions_turned, "reference's motion", "30 deg about z"),
     "reference made of the legs": (leg_odometry, "reference from legs", "made of the legs"),
     "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or the joints are late"),
