@@ -61,6 +61,7 @@ KNOWN = [
     ("base_ang_vel[1]", "gyro", ""),
     ("imu_ang_vel_x", "gyro", ""),
     ("root_ang_vel_b[0]", "gyro", ""),
+    ("root_ang_vel_w[0]", "ref_v", ""),
     ("imu_state.gyroscope[2]", "gyro", ""),
     ("body_rate_z", "gyro", ""),
     ("omega_filtered_x", "gyro", "filtered"),
@@ -103,7 +104,10 @@ KNOWN = [
     ("vicon_pos_x", "ref_p", "reference"),
     ("quat_wxyz_0", "ref_q", ""),
     ("imu_timestamp", "t", ""),
-    ("timestamp_gyro", "gyro", ""),
+    ("timestamp_gyro", "t", ""),
+    ("contact_time_FL", "t", ""),
+    ("Gyro X (rad/sec)", "gyro", ""),
+    ("sec", "t", ""),
 ]
 
 
