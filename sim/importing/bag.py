@@ -18,6 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
+from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
@@ -75,6 +76,7 @@ def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
                 break
             else:
                 skipped[connection.topic] = "NaN, text or empty"
+    check_limit("columns", len(found), f"{path}: fields of its messages")
     return list(dict.fromkeys(found)), skipped
 
 

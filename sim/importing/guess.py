@@ -214,8 +214,13 @@ def _missing(
         found.append("no name says what a column is: which of those not used below is what?")
     if main.seconds is None and rate is None:
         found.append("no times found: which column are they, or what is the [source] rate?")
-    elif main.seconds is not None and (hz := 1.0 / np.median(np.diff(main.seconds))) < SLOWEST:
-        found.append(f"rows at {hz:.3g} Hz are too slow for filters: is there a faster recording?")
+    step = (
+        0.0 if main.seconds is None or len(main.seconds) < 2 else np.median(np.diff(main.seconds))
+    )
+    if step > 1.0 / SLOWEST:
+        found.append(
+            f"rows at {1.0 / step:.3g} Hz are too slow for filters: is there a faster log?"
+        )
     if len(half := {"gyro", "accel"} - groups) == 1:
         found.append(f"half an IMU: which columns are the {half.pop()}?")
     if legs and groups & {"gyro", "accel", "q"} and not groups & {"contact", "force"}:
