@@ -9,7 +9,6 @@ invalidates nothing downstream.
 
 import hashlib
 import json
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +16,15 @@ from typing import Any
 
 import pandas as pd
 
-from surefoot.sim.common.files import file_digest, json_digest, kept_file, private_folder
+from surefoot.sim.common.files import (
+    as_made,
+    file_digest,
+    json_digest,
+    kept_file,
+    kept_json,
+    private_folder,
+    say_made_again,
+)
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.log import Log
 
@@ -83,14 +90,10 @@ def contents_digest(log: Log) -> str:
 
 def _read(card: Path, path: Path) -> Product | None:
     """The product of a card; None where either is missing or damaged."""
-    try:
-        values = json.loads(card.read_text(encoding="utf-8"))
-        found = Product(path, values["digest"], values["facts"])
-        if values.pop("card") == json_digest(values) and file_digest(path) == found.digest:
-            return found
-        print(f"note: {path}: damaged since it was made, made again", file=sys.stderr)
-    except FileNotFoundError:
+    values = kept_json(card)
+    if values is None:
         return None
-    except (OSError, ValueError, KeyError, TypeError):
-        print(f"note: {card}: cannot be read, made again", file=sys.stderr)
-    return None
+    if values.pop("card", None) != json_digest(values):
+        return say_made_again(card)
+    whole = as_made(path, values["digest"])
+    return Product(path, values["digest"], values["facts"]) if whole else None

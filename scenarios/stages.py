@@ -3,12 +3,14 @@
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from threading import Thread
 from typing import Any
 
+from surefoot.sim.common.files import remove_unfinished
 from surefoot.sim.common.progress import bar as drawn_bar
 
 
@@ -22,6 +24,9 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
     if workers == 1:
         yield None
         return
+    # Python's tracker, a process of its own, removes semaphores of a pool that a signal has ended;
+    # it would report that after the line of the interruption.
+    sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent)
     try:
@@ -60,6 +65,7 @@ def _end_with_parent() -> None:
     def wait() -> None:
         if parent is not None:
             parent.join()
+            remove_unfinished()
             os._exit(1)
 
     Thread(target=wait, daemon=True).start()

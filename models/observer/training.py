@@ -39,7 +39,7 @@ from surefoot.models.observer.observer import (
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.common.files import kept_file
+from surefoot.sim.common.files import check_plain, kept_file, say_made_again
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 
@@ -167,13 +167,15 @@ class Training:
             "since": self.since,
         }
         with kept_file(path) as temporary:
-            temporary.write_bytes(torch_bytes(values))
+            temporary.write_bytes(torch_bytes(values | {"sha256": _digest(values)}))
 
     def restore(self, path: Path, task: str) -> bool:
-        """Continue from the state at `path`; False where there is none or it is of another task.
+        """Continue from the state at `path`; False where there is none, it is of another task or,
+        with a note on stderr, its content has changed.
 
         Raises ObserverError where the file is something else, which is then left untouched.
         """
+        check_plain(path)
         if not path.exists():
             return False
         try:
@@ -181,6 +183,9 @@ class Training:
             if values["format"] != TRAINING_FORMAT:
                 raise ValueError
             if values["task"] != task:
+                return False
+            if values.pop("sha256", None) != _digest(values):
+                say_made_again(path)
                 return False
             self.network.load_state_dict(values["network"])
             self.optimiser.load_state_dict(values["optimiser"])
@@ -200,6 +205,10 @@ class Training:
         if score < self.score:
             self.best = _kept_weights(self.network)
             self.score, self.rmse, self.since = score, rmse, 0
+
+
+def _digest(values: dict[str, Any]) -> str:
+    return hashlib.sha256(torch_bytes(values)).hexdigest()
 
 
 def task_digest(logs: Sequence[ScaledLog], **settings: object) -> str:

@@ -12,8 +12,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 import surefoot
 from surefoot.scenarios.cli import data, estimate, study
-from surefoot.scenarios.cli.runs import guarded, how_to_go_on, one_line, plain_terminals
-from surefoot.scenarios.cli.signals import Interrupted, interruptions
+from surefoot.scenarios.cli.runs import guarded, one_line, plain_terminals
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.plugins import with_plugins
 
@@ -84,23 +83,18 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command.
 
-    Bad input is one line on stderr and exit code 1, bad options exit code 2, an interruption 128
-    plus the signal's number.
+    Bad input is one line on stderr and exit code 1, bad options exit code 2.
     """
     name = ""
     plain_terminals()
     try:
-        with interruptions():
-            given = sys.argv[1:] if arguments is None else arguments
-            name, command = _parsed(with_plugins(given))
-            with guarded(name, command):
-                command.run()
-            sys.stdout.flush()
+        given = sys.argv[1:] if arguments is None else arguments
+        name, command = _parsed(with_plugins(given))
+        with guarded(name, command):
+            command.run()
+        sys.stdout.flush()
     except SurefootError as error:
         sys.exit(f"surefoot: {one_line(error)}")
-    except Interrupted as stop:
-        print(f"\nsurefoot: {how_to_go_on(name, stop.written)}", file=sys.stderr)
-        sys.exit(128 + stop.number)
     except BrokenPipeError:
         # The reader of the output is gone; Python would report that once more on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

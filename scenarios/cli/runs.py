@@ -13,7 +13,7 @@ from shutil import get_terminal_size
 from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
-from surefoot.scenarios.cli.signals import Interrupted, unwrapped
+from surefoot.scenarios.cli.signals import say_if_interrupted
 from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError
 from surefoot.sim.common.files import (
     cache_folder,
@@ -24,6 +24,7 @@ from surefoot.sim.common.files import (
     is_there,
     open_plain,
     refuse_input,
+    unfinished,
 )
 from surefoot.sim.common.limits import check_limit
 
@@ -66,11 +67,14 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     outputs = OUTPUTS_OF_ONE_RUN + SHARED_OUTPUTS
     read = {name: value for name, value in given.items() if name not in outputs}
     inputs = [path for value in read.values() for path in _paths(value)]
-    refuse_unnamed(read)
-    cache_folder()
     for option, value in given.items():
         if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
             raise SurefootError(f"--{option}: must not be beyond 2^53")
+    for path in (*inputs, *own, *shared):
+        if not _utf8(os.path.abspath(path)):
+            raise SurefootError(f"{os.path.abspath(path)}: the path is not UTF-8; rename it")
+    refuse_unnamed(read)
+    cache_folder()
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):
             check_limit(limit, given[option], f"--{option}")
@@ -87,16 +91,13 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             check_page(given["page"])
         for path in own:
             stack.enter_context(_alone(path))
-        try:
-            with unwrapped():
-                yield
-        except Interrupted as stop:
-            # A command that can continue writes parts of its output first; only complete outputs
-            # count.
-            whole = [Path(os.path.realpath(path)) for path in own]
-            done = [p for p in run.written if name not in GOES_ON or p in whole]
-            stop.written = [str(path) for path in done]
-            raise
+        say_if_interrupted(lambda: how_to_go_on(name, run.written, own))
+        yield
+
+
+def _utf8(path: str) -> bool:
+    """Whether libraries can open a path; Python holds other bytes as half characters."""
+    return path.encode(errors="ignore").decode() == path
 
 
 def _paths(value: Any) -> list[Path]:
@@ -111,16 +112,15 @@ def _alone(out: Path) -> Iterator[None]:
     empty.
     """
     out = Path(os.path.realpath(out))
-    try:
-        with folder_of(out):
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(folder_of(out))
             check_space(out.parent, SPACE)
             clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
-            with _locked(out.with_name(f".{out.name}.lock"), out):
-                yield
-    except BrokenPipeError:
-        raise  # of what the command prints, not of what it writes
-    except OSError as error:
-        raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
+            stack.enter_context(_locked(out.with_name(f".{out.name}.lock"), out))
+        except OSError as error:
+            raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
+        yield
 
 
 @contextmanager
@@ -139,17 +139,25 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
         if lock.exists() and os.path.samestat(os.fstat(stream.fileno()), lock.stat()):
             break
         stream.close()
-    try:
+    with stream, unfinished(lock):
         yield
-    finally:
-        lock.unlink(missing_ok=True)
-        stream.close()
 
 
-def how_to_go_on(name: str, written: Sequence[str] = ()) -> str:
-    """Message of an interrupted command; written: outputs that already existed."""
+def how_to_go_on(name: str, written: Sequence[Path], own: Sequence[Path]) -> str:
+    """Message of an interrupted command.
+
+    Args:
+        name: of the command.
+        written: paths that it has finished.
+        own: its outputs. A command that can continue writes parts of them first, which do not
+            count.
+    """
+    if name in GOES_ON:
+        whole = [Path(os.path.realpath(path)) for path in own]
+        written = [path for path in written if path in whole]
     if written:
-        return f"interrupted; {', '.join(written)} was already written, --force replaces it"
+        done = ", ".join(map(str, written))
+        return f"interrupted; {done} was already written, --force replaces it"
     if name in GOES_ON:
         return "interrupted; run the same command to continue"
     return "interrupted; nothing was written, the same command starts again"

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 
-from surefoot.scenarios.cli.signals import catch_signals, hand_over_lost, ignore_signals
+from surefoot.scenarios.cli.signals import catch_signals, ignore_signals
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import with_plugins
 
@@ -38,7 +38,6 @@ def entry_point() -> None:
     os.environ.setdefault("MUJOCO_GL", "disable")
     # For small matrices more threads only wait, for an eighth of a trace's CPU time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.unraisablehook = hand_over_lost
     try:
         try:
             _check_numbers()

@@ -13,7 +13,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 import pandas as pd
 
@@ -43,7 +45,7 @@ DRY = 0.5  # friction coefficient from which ground counts as dry
 class IndexRow:
     """One walk of the index. A walk that ended in a fall has NaN for its values and no file."""
 
-    file: str
+    file: Annotated[str, msgspec.Meta(pattern=r"^[^/\\]*$")]  # no path
     scenario: str
     robot: str
     seed: int
@@ -197,10 +199,10 @@ class Journal:
         self.folder = folder
         self.path = folder / INDEX_FOLDER / "journal.jsonl"
         self.rows: dict[tuple[str, str, int], IndexRow] = {}
-        check_plain(self.path)
+        check_plain(self.path, folder)
         for entry in json_lines(self.path):
-            with suppress(TypeError):
-                self._keep(IndexRow(**entry))
+            with suppress(msgspec.ValidationError):
+                self._keep(msgspec.convert(entry, IndexRow))
 
     def _keep(self, row: IndexRow) -> None:
         self.rows[row.scenario, row.robot, row.seed] = row
@@ -210,15 +212,12 @@ class Journal:
         self._keep(row)
 
     def find(self, job: Job) -> IndexRow | None:
-        """The row of a finished walk: its file exists, or it fell."""
-        row = self.rows.get((job.scenario.name, known_robot(job.robot).name, job.seed))
-        if row is None or not (row.falls or (self.folder / row.file).exists()):
-            return None
-        return row
+        """The row of a walk, whether or not its file is there."""
+        return self.rows.get((job.scenario.name, known_robot(job.robot).name, job.seed))
 
     def present(self) -> list[IndexRow]:
         """Rows of walks that fell or whose files exist, sorted."""
-        rows = [r for r in self.rows.values() if r.falls or (self.folder / r.file).exists()]
+        rows = [r for r in self.rows.values() if r.falls or (self.folder / r.file).is_file()]
         return sorted(rows, key=lambda r: (r.scenario, r.robot, r.seed))
 
 

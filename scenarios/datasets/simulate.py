@@ -27,14 +27,16 @@ from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import (
+    as_made,
     check_space,
     clear_debris,
     force_option,
+    is_there,
     refuse_overwrite,
     whole_file,
     write_whole,
 )
-from surefoot.sim.common.limits import check_limit
+from surefoot.sim.common.limits import bounded_text, check_limit
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects, to_toml
@@ -78,6 +80,8 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
                 "sensors' noise differs"
             )
     journal = Journal(out)
+    for name in ("index.parquet", "README.md"):
+        refuse_overwrite(out / INDEX_FOLDER / name, force=True)
     _guard_truth(out, hidden, journal, force)
     for name in {log_name(job) for job in jobs} if force else ():
         refuse_overwrite(out / f"{name}.parquet", force)
@@ -207,7 +211,7 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
     if hidden and not truth.exists() and journal.rows:
         raise SurefootError(f"{out}: holds logs without undeclared effects; give another folder")
     text = f"{to_toml(hidden)}\n# made with code {code_digest(*map(type, hidden))}\n"
-    if hidden and truth.exists() and not force and truth.read_text(encoding="utf-8") != text:
+    if hidden and truth.exists() and not force and bounded_text(truth) != text:
         raise SurefootError(
             f"{truth}: holds other effects, or other code of them; give another folder, or "
             f"{force_option()}"
@@ -217,21 +221,21 @@ def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force:
 
 
 def _done(journal: Journal, job: Job) -> bool:
-    """Whether the walk exists; adds the row of a log if an interruption prevented it.
+    """Whether the walk exists, unchanged; adds the row of a log if an interruption prevented it.
 
     Raises SurefootError for a file of that name from another walk.
     """
     path = journal.folder / f"{log_name(job)}.parquet"
     row = journal.find(job)
-    if row and row.falls and row.recipe != recipe(job):
-        row = None
-    if row and row.recipe != recipe(job):
+    if row and row.falls:
+        return row.recipe == recipe(job)
+    if row and row.recipe != recipe(job) and is_there(path):
         raise SurefootError(
             f"{path}: was made from another scenario, robot, effects or code; give another "
             f"folder, or {force_option()} to make it again"
         )
-    if row or not path.exists():
-        return row is not None
+    if row or not as_made(path):
+        return row is not None and as_made(path, row.sha256)
     reader, made = LogReader(path), plan_of(job)
     declared = tuple(e.as_dict() for e in job.effects) if job.declared else ()
     meta = reader.meta

@@ -24,7 +24,7 @@ from surefoot.scenarios.estimate.run import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Learning
-from surefoot.scenarios.viewer.recording import record_walk
+from surefoot.scenarios.viewer.recording import recording, walk_to_record
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import known_effects
@@ -262,9 +262,7 @@ def make_recording(
 
     def make(path: Path) -> dict[str, Any]:
         log = replace(Log.read(walk.path), name=name)
-        named = path.with_name(f"{path.name}.rrd")
-        record_walk(named, log, job, learnt.load(gamma), filters)
-        named.replace(path)
+        path.write_bytes(recording(walk_to_record(log, job, learnt.load(gamma), filters), name))
         return {}
 
     return product(folder, "recording", inputs, "surefoot.scenarios.viewer.recording", ".rrd", make)

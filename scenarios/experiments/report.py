@@ -77,8 +77,9 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         found = found.with_seeds(tuple(seed_range(settings.seeds)))
     if (out / "report.html").exists() and not force:
         raise SurefootError(f"{out}: has a finished run; give {force_option()} to write it again")
-    for name in ("results.csv", "results.parquet", "averages.csv", "report.md", "report.html"):
-        refuse_overwrite(out / name, force=True)
+    names = "results.csv", "results.parquet", "averages.csv", "report.md", "report.html"
+    for path in (*(out / name for name in names), *out.glob("recordings/*.rrd")):
+        refuse_overwrite(path, force=True)
     folder = settings.cache or out / "cache"
     clear_debris(folder.glob("*/.*.tmp"))
     outcome = run(found, folder, settings.workers, not settings.no_recordings, settings.data)

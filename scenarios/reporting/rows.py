@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from surefoot.sim.common.files import json_digest, kept_file
+from surefoot.sim.common.files import json_digest, kept_file, kept_json, say_made_again
 from surefoot.sim.common.sources import sources_digest
 
 
@@ -43,15 +43,11 @@ def read_case(
     folder: Path, name: str, inputs: Mapping[str, Any], module: str
 ) -> dict[str, Any] | None:
     """The row of a case finished by the same code; None where there is none, or a damaged one."""
-    try:
-        values = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
+    values = kept_json(folder / f"{name}.json")
     current = sources_digest(module), json.loads(json.dumps(inputs, default=float))
-    if not isinstance(values, dict) or "row" not in values:
-        return None
-    if (values.get("code"), values.get("inputs")) != current:
+    if values is None or (values.get("code"), values.get("inputs")) != current:
         return None
     # Rows of surefoot 0.1.0 have no digest.
-    whole = values.get("sha256") in (None, json_digest(values["row"]))
-    return values["row"] if whole else None
+    if values.get("sha256") in (None, json_digest(values.get("row"))):
+        return values.get("row")
+    return say_made_again(folder / f"{name}.json")

@@ -42,7 +42,7 @@ from surefoot.scenarios.trace.training_walks import (
 )
 from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.common.files import refuse_full, write_whole
+from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.effects import Effect, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
@@ -99,7 +99,7 @@ def loop(
         "holdout": [contents_digest(one) for one in holdout],
         "lesson": asdict(plan),
     }
-    if settings.force or not _same(out, recipe):
+    if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)
         _write(out / RECIPE, recipe)
         stale = "trace/trace.json", "gait.json", "measured.json", *(f"{w}/done" for w in WORLDS)
@@ -142,7 +142,7 @@ def _traced(
     """The effects found on the log, and its own zeros and clocks; traced unless already done. Also
     returns the standard deviation of each size that has an interval, by name and target.
     """
-    if not (out / "trace.json").exists():
+    if not all(as_made(out / name) for name in ("trace.json", "effects.toml")):
         with percent_bar("trace") as progress:
             found = trace([log], robot, out, options, progress, force=True)
         print(summary(found))
@@ -168,7 +168,7 @@ def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: i
         kept: file of the choice.
         seed: of the walks that are compared.
     """
-    if not kept.exists():
+    if not as_made(kept):
         with percent_bar("gait") as progress:
             choice = choose_gait(log, robot, effects, seed, progress)
         _write(kept, asdict(choice))
@@ -201,7 +201,7 @@ def _learnt(
         plan: amount of walks and training.
     """
     done = out / "done"
-    if not done.exists():
+    if not (done.exists() and all(map(as_made, out.glob("*.*")))):
         with percent_bar(f"walking: {out.name}") as progress:
             training, calibration = simulate_training(walks, seed, plan, progress)
         training = [rates_as_of(one, log) for one in training]
@@ -226,7 +226,7 @@ def _from_measured(
         seed: of the training.
         plan: amount of training.
     """
-    if not kept.exists():
+    if not as_made(kept):
         try:
             how = replace(plan.training, inputs=inputs_of(log), seed=seed)
             result = learnt_from_measured(log, robot, how)
@@ -238,10 +238,3 @@ def _from_measured(
 
 def _write(path: Path, value: object) -> None:
     write_whole(path, json.dumps(value, indent=2) + "\n", force=True)
-
-
-def _same(out: Path, recipe: dict[str, object]) -> bool:
-    try:
-        return json.loads((out / RECIPE).read_text(encoding="utf-8")) == recipe
-    except (OSError, ValueError):
-        return False

@@ -104,39 +104,44 @@ def write_recording(
         force: overwrite.
         tab: of the viewer that is open initially.
     """
-    log, robot, bounds = walk.log, walk.robot, walk.bounds
-    log.require("q", "reference")
+    walk.log.require("q", "reference")
     if Path(path).suffix != ".rrd":
         raise SurefootError(f"{path}: a recording's name ends in .rrd")
+    with whole_file(path, force) as temporary:
+        temporary.write_bytes(recording(walk, Path(path).stem, tab))
+
+
+def recording(walk: RecordedWalk, title: str, tab: str = EXPLANATION) -> bytes:
+    """Content of an .rrd; `title` names a walk without a scenario (see `write_recording`)."""
+    log, robot, bounds = walk.log, walk.robot, walk.bounds
     truth = reference(log)
     errors = {n: error_series(truth, e, rate=_ERROR_RATE) for n, e in walk.trajectories.items()}
     stream = rr.RecordingStream("surefoot")
     records = {name: estimate.updates for name, estimate in walk.trajectories.items()}
     records = {n: r for n, r in records.items() if r is not None and r.pi is not None}
-    with whole_file(path, force) as temporary:
-        # Kept in memory until complete, since rerun's own files wait forever if the disk is full.
-        whole = stream.memory_recording()
-        blueprint = layout(log, robot, tuple(errors), bool(records), tab)
-        stream.send_blueprint(blueprint, make_active=False)
-        stream.send_recording_name(str(log.meta.scenario or Path(path).stem))
-        about = rr.TextDocument(_about(walk, errors), media_type="text/markdown")
-        stream.log("/about", about, static=True)
-        stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        if ground := walk.ground or ground_of_log(log):
-            write_ground(stream, log, ground)
-            write_shadow(stream, log, robot, ground)
-        write_robot(stream, log, robot)
-        write_truth_path(stream, log)
-        write_estimates(stream, errors, robot, trunk_size(robot))
-        epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI)
-        write_velocity(stream, log, walk.prediction, epsilon)
-        write_errors(stream, errors)
-        if log.has("contact"):
-            write_footprints(stream, log, robot)
-            write_feet(stream, log)
-        for name, record in records.items():
-            write_update(stream, name, record, None if bounds is None else bounds.gamma)
-        temporary.write_bytes(whole.drain_as_bytes())
+    # Kept in memory until complete, since rerun's own files wait forever if the disk is full.
+    whole = stream.memory_recording()
+    blueprint = layout(log, robot, tuple(errors), bool(records), tab)
+    stream.send_blueprint(blueprint, make_active=False)
+    stream.send_recording_name(str(log.meta.scenario or title))
+    about = rr.TextDocument(_about(walk, errors), media_type="text/markdown")
+    stream.log("/about", about, static=True)
+    stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    if ground := walk.ground or ground_of_log(log):
+        write_ground(stream, log, ground)
+        write_shadow(stream, log, robot, ground)
+    write_robot(stream, log, robot)
+    write_truth_path(stream, log)
+    write_estimates(stream, errors, robot, trunk_size(robot))
+    epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI)
+    write_velocity(stream, log, walk.prediction, epsilon)
+    write_errors(stream, errors)
+    if log.has("contact"):
+        write_footprints(stream, log, robot)
+        write_feet(stream, log)
+    for name, record in records.items():
+        write_update(stream, name, record, None if bounds is None else bounds.gamma)
+    return whole.drain_as_bytes()
 
 
 def _about(walk: RecordedWalk, errors: Mapping[str, ErrorSeries]) -> str:
@@ -168,13 +173,12 @@ def _about(walk: RecordedWalk, errors: Mapping[str, ErrorSeries]) -> str:
     )
 
 
-def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequence[str]) -> None:
-    """Write the recording of a log, the walk of `job`.
+def walk_to_record(log: Log, job: Job, learnt: Learnt, filters: Sequence[str]) -> RecordedWalk:
+    """A log, the walk of `job`, as recorded.
 
     On the ground drawn with its seed, with every filter that is drawn (see `Traits`).
 
     Args:
-        path: of the recording.
         log: of the walk.
         job: its scenario, robot and seed.
         learnt: observers and bounds.
@@ -191,5 +195,4 @@ def record_walk(path: Path, log: Log, job: Job, learnt: Learnt, filters: Sequenc
         prediction = predict(observer, *declared_model(log, robot))
     estimates = {result.filter: result.trajectory for result in results}
     ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
-    walk = RecordedWalk(log, robot, estimates, prediction, bounds, ground)
-    write_recording(path, walk, force=True)
+    return RecordedWalk(log, robot, estimates, prediction, bounds, ground)

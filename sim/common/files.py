@@ -9,17 +9,20 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from glob import escape
 from importlib.resources import files
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 from platformdirs import user_cache_path
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import bounded_json
 
 MANIFEST = ".surefoot.jsonl"
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -190,10 +193,14 @@ def open_plain(path: Path) -> int:
     return os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o666)
 
 
-def check_plain(path: Path) -> None:
-    """Raise SurefootError if a path exists and is not itself a regular file."""
+def check_plain(path: Path, folder: Path | None = None) -> None:
+    """Raise SurefootError if a path exists and is not itself a regular file, or is in `folder` only
+    by a link.
+    """
     if os.path.lexists(path) and not _is_plain(path):
         raise SurefootError(f"{path}: is a link or no regular file; move it away")
+    if folder and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+        raise SurefootError(f"{path}: is outside of {folder}, by a link; move that away")
 
 
 def _is_plain(path: Path) -> bool:
@@ -263,6 +270,49 @@ def check_unchanged(path: str | Path) -> None:
     made = _entries_of(Path(path))
     if made and file_digest(path) not in made:
         raise SurefootError(f"{path}: was changed or damaged since it was made")
+
+
+def as_made(path: Path, digest: str | None = None) -> bool:
+    """Whether an earlier run made a file, and it is unchanged since. A changed one is reported on
+    stderr and removed, so that it is made again.
+
+    Args:
+        path: of the file.
+        digest: its SHA-256 when it was made; None for what manifests list, if anything.
+    """
+    if not os.path.lexists(path):
+        return False
+    made = _entries_of(path) if digest is None else (digest,)
+    if not made:
+        check_plain(path)
+        return True
+    if _is_plain(path) and file_digest(path) in made:
+        return True
+    try:
+        path.unlink()
+    except OSError as error:
+        raise SurefootError(f"{path}: {error.strerror}; move it away") from None
+    say_made_again(path)
+    return False
+
+
+def say_made_again(path: Path) -> None:
+    """Report on stderr that a file of an earlier run is not used."""
+    print(f"note: {path}: changed since it was made, made again", file=sys.stderr)
+
+
+def kept_json(path: Path) -> dict[str, Any] | None:
+    """Table in a JSON file of an earlier run; None if there is none or, with a note on stderr, if
+    it is none. Raises SurefootError for a link or a pipe.
+    """
+    check_plain(path)
+    if not path.exists():
+        return None
+    with suppress(SurefootError):
+        found = bounded_json(path)
+        if isinstance(found, dict):
+            return found
+    return say_made_again(path)
 
 
 def file_digest(path: str | Path) -> str:
@@ -338,14 +388,14 @@ def _staged(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, where nothing is left."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with folder_of(path):
-            try:
-                yield temporary
-            finally:
-                _remove(temporary)
+        with folder_of(path), unfinished(temporary):
+            yield temporary
     except OSError as error:
         reason = " ".join(str(error.strerror or error).split())
-        raise SurefootError(f"{_short(path)}: cannot be written ({reason})") from error
+        # A file that has a name of its own, such as one of a cache, is not this output.
+        other = error.filename if isinstance(error.filename, str) else None
+        at = path if other is None or _is_temporary(Path(other)) else Path(other)
+        raise SurefootError(f"{_short(at)}: cannot be written ({reason})") from error
 
 
 def _replace(temporary: Path, path: Path) -> None:
@@ -360,16 +410,38 @@ def folder_of(path: Path) -> Iterator[None]:
 
     Raises OSError if one cannot be created.
     """
-    missing = [folder for folder in path.parents if not folder.exists()]
-    try:
+    with ExitStack() as stack:
+        for folder in reversed([folder for folder in path.parents if not folder.exists()]):
+            stack.enter_context(unfinished(folder, _remove_empty))
         path.parent.mkdir(parents=True, exist_ok=True)
         yield
+
+
+_unfinished: list[tuple[Path, Callable[[Path], None]]] = []
+"""Temporary paths, locks and new folders of this process, and how each is removed."""
+_beginning = RLock()
+
+
+@contextmanager
+def unfinished(path: Path, remove: Callable[[Path], None] | None = None) -> Iterator[None]:
+    """Context at whose end a path is removed, also if a signal ends the process within it."""
+    entry = path, remove or _remove
+    with _beginning:
+        _unfinished.append(entry)
+    try:
+        yield
     finally:
-        for folder in missing:
-            try:
-                folder.rmdir()
-            except OSError:
-                break
+        entry[1](path)
+        _unfinished.remove(entry)
+
+
+def remove_unfinished() -> None:
+    """Remove what the contexts of `unfinished` would, before the process ends without leaving them;
+    no thread can enter another from now on.
+    """
+    _beginning.acquire()
+    for path, remove in reversed(_unfinished):
+        remove(path)
 
 
 @contextmanager
@@ -394,8 +466,10 @@ def _note_written(path: Path) -> None:
 
 
 def _publish(staging: Path, out: Path, force: bool) -> None:
-    made = {p.relative_to(staging).as_posix(): p for p in staging.rglob("*") if p.is_file()}
+    files = sorted(path for path in staging.rglob("*") if path.is_file())
+    made = {path.relative_to(staging).as_posix(): path for path in files}
     for name in made:
+        check_plain(out / name, out)
         refuse_overwrite(out / name, force)
     before = manifest_entries(out) if force and _run is not None else {}
     stale = [
@@ -481,3 +555,8 @@ def _remove(path: Path) -> None:
         return
     with suppress(OSError):  # a name that is too long, a folder that is no longer there
         path.unlink(missing_ok=True)
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()

@@ -10,12 +10,14 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 from numba import njit, types
 from numba.core import config, event
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 
 from surefoot.sim.common.files import cache_folder
 from surefoot.sim.common.sources import sources_digest
@@ -54,15 +56,45 @@ def kernel(function: Any = None, **options: Any) -> Any:
     if function is None:
         return lambda f: kernel(f, **options)
     compiler: Any = njit
+    # No kernel is called through a pointer of C, so the wrapper for that is left out.
+    made = compiler(no_cfunc_wrapper=True, **options)(function)
+    if config.DISABLE_JIT:
+        return made
     with _lock:
         kept = config.CACHE_DIR
-        # numba reads the cache folder when a kernel is decorated.
+        # numba reads the cache folder when a cache is made.
         config.CACHE_DIR = str(_folder(function))
         try:
-            # No kernel is called through a pointer of C, so the wrapper for that is left out.
-            return compiler(cache=True, no_cfunc_wrapper=True, **options)(function)
+            made._cache = _Cache(function)
         finally:
             config.CACHE_DIR = kept
+    return made
+
+
+class _Locator(UserProvidedCacheLocator):
+    """The cache folder, whether or not it can be written to; numba would use the package's."""
+
+    def ensure_cache_path(self) -> None:
+        with suppress(OSError):
+            super().ensure_cache_path()
+
+
+class _Implementation(CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012
+
+
+class _Cache(FunctionCache):
+    """numba's cache, which keeps nothing where the folder is full or cannot be written to."""
+
+    _impl_class = _Implementation
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        with suppress(OSError):
+            return super().load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(OSError):
+            super().save_overload(sig, data)
 
 
 OWN_1, OWN_2 = types.float64[::1], types.float64[:, ::1]
@@ -91,31 +123,25 @@ def _folder(function: Callable) -> Path:
     file = getattr(module, "__file__", None) or function.__code__.co_filename
     root = cache_folder() / "kernels"
     folder = root / sources_digest(function.__module__, file)[:16]
-    if folder not in _swept:
-        _swept.add(folder)
-        _touch(folder)
-        _sweep(root)
+    with suppress(OSError):
+        _sweep(root, folder)
     return folder
 
 
-def _touch(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "used").touch()
-    except OSError:
-        return  # nothing can be kept there: numba falls back to another place, or says so
-
-
-def _sweep(root: Path) -> None:
+def _sweep(root: Path, folder: Path) -> None:
+    """Note that a folder is used, and delete those that have not been for KERNEL_LIFETIME."""
+    if folder in _swept:
+        return
+    _swept.add(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "used").touch()
     if root in _swept:
         return
     _swept.add(root)
     for stamp in root.glob("*/used"):
-        try:
+        with suppress(OSError):
             if time.time() - stamp.stat().st_mtime > KERNEL_LIFETIME:
                 shutil.rmtree(stamp.parent, ignore_errors=True)
-        except OSError:
-            continue
 
 
 class _Compilation(event.Listener):

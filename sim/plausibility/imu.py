@@ -18,8 +18,8 @@ from surefoot.sim.plausibility.axes import (
 )
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.noise import noise_of
-from surefoot.sim.plausibility.place import of_another_point
-from surefoot.sim.plausibility.view import STEP, LogView
+from surefoot.sim.plausibility.place import SPEEDING, of_another_point
+from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
 
 ZERO_G = 0.8
 """Difference of an accelerometer's mean from gravity [m/s^2]: InvenSense MPU-6050 product
@@ -64,6 +64,14 @@ LATE_ACCEL, LATEST_ACCEL = 0.03, 0.5
 SHAKES = 0.05
 """Least standard deviation of the accelerations along axes that are compared [m/s^2]: 0.5 in walks;
 0.01, of the order of noise, in turns on the spot.
+"""
+MISSED = 0.7
+"""Error of an accelerometer's sum over SPEEDING seconds relative to the reference's changes of
+velocity: 0.1 in simulated walks of any rate, 0.3 on a measured Go1, 0.6 on an iCub.
+"""
+IMPLIED = (0.55, 1.25)
+"""That error relative to what independent samples of what is between rows would cause: 0.6 to 1 in
+walks of 5 to 100 Hz, 0.4 at most of averages.
 """
 QUIET = 0.35
 """Least size of an accelerometer's signal relative to the motion's: 0.6 in clean walks."""
@@ -245,6 +253,39 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
             told = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
             cause = "a bias, or a leaning mount"
             yield Finding((_AXES_ACCEL[i],), told, cause)
+
+
+def sampled(view: LogView) -> Iterator[Finding]:
+    """Check that an IMU's rows are averages: summed over time they give the change of velocity.
+
+    What shakes a body between samples makes the sum a random walk, as large as the steps from row
+    to row imply.
+    """
+    if not view.trusts_reference:
+        return
+    log, rows = view.log, round(SPEEDING / STEP)
+    R_GI = log.ref_R_GI
+    R_GI = 0.5 * (R_GI + np.concatenate([R_GI[:1], R_GI[:-1]]))
+    force = np.einsum("nij,nj->ni", R_GI, log.accel) + GRAVITY_G
+    summed = np.cumsum(force * np.diff(view.t, prepend=view.t[0])[:, None], axis=0)
+    throughout = view.ok[rows:] & view.ok[:-rows]
+    by_imu, by_reference = (
+        (x[rows:] - x[:-rows])[throughout] for x in (view.means(summed), view.ref_v)
+    )
+    if len(by_imu) * STEP < SHORTEST_LOG:
+        return
+    missed, changed = (
+        float(np.sqrt(np.sum(x.var(axis=0)))) for x in (by_imu - by_reference, by_reference)
+    )
+    bend = log.accel[1:-1] - 0.5 * (log.accel[2:] + log.accel[:-2])
+    # White noise has a bend of 1.5 times its variance.
+    implied = np.sqrt(np.sum(np.mean(bend**2, axis=0)) / 1.5 * view.step * SPEEDING)
+    if missed > MISSED * changed and IMPLIED[0] < missed / max(implied, 1e-12) < IMPLIED[1]:
+        told = (
+            f"summed over {SPEEDING:g} s, it is {missed:.2f} m/s off changes of {changed:.2f} m/s"
+        )
+        cause = "sampled at the rows, not averaged over them; log faster, or log averages"
+        yield Finding((*_AXES_GYRO, *_AXES_ACCEL), told, cause)
 
 
 def _shakes(view: LogView, match: AxesMatch) -> bool:

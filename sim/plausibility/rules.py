@@ -197,6 +197,16 @@ RULES = (
         imu.gyro,
     ),
     Rule(
+        "IMU's rows",
+        f"the accelerometer's sum over {place.SPEEDING:g} s with changes of velocity of ref_p",
+        f"{imu.MISSED:.0%} of these, and {imu.IMPLIED[0]:g} to {imu.IMPLIED[1]:g} times what "
+        "independent samples cause",
+        "averages over each row give the change of velocity at any rate",
+        "log faster, or averages over the rows: filters take rows for such",
+        ("t", "accel", "gyro", "ref"),
+        imu.sampled,
+    ),
+    Rule(
         "gyro's noise",
         "the gyro with itself from row to row",
         f"{imu.NOISY:g} rad/s",

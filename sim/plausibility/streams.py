@@ -27,6 +27,8 @@ _WHOLE_TURN = 2.0 * np.pi
 """Angle that no joint of an arm or leg moves through [rad]."""
 _MOST_HOLDS = 50
 """Number of constant sections examined, longest first; a log with rests has thousands."""
+_FEWEST_ALIKE = 4
+"""Rows that do not change by chance no more, of coarse readings at a low rate."""
 LIMITED = 0.5
 """The same as FROZEN for torques, which drives hold at their limit for a while [s]."""
 _SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
@@ -88,7 +90,7 @@ def frozen(view: LogView) -> Iterator[Finding]:
     found: dict[str, list[str]] = defaultdict(list)
     for kind, columns in _kinds(view, _SENSORS).items():
         for name in columns:
-            least = LIMITED if kind == "tau" else FROZEN
+            least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
             holds = stretches_without_change(view.t, view.log.frame[name].to_numpy(), least)
             if not holds:
                 continue

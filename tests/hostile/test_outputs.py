@@ -163,3 +163,31 @@ def test_a_manifest_or_a_lock_that_is_no_file_is_refused(what, name, kind, more,
     assert "no regular file" in found.err
     assert outside.read_text() == "keep\n"
     assert not outside.with_name("nothing").exists()
+
+
+BYTES = {
+    "a log": "estimate @.parquet --filter imu -o new.parquet",
+    "an estimate": "estimate walk.parquet --filter imu -o @.parquet",
+    "a comparison": "compare walk.parquet -o @",
+    "walks": "simulate scenario.toml -o @",
+    "a scenario": "simulate @.toml -o new",
+    "a robot": "trace walk.parquet --robot @.xml -o new",
+    "a map": "import csv data.csv --map @.toml -o new.parquet",
+    "a table": "import csv @.csv --map map.toml -o new.parquet",
+    "a recording": "view @.parquet -o new.rrd",
+    "a log of a folder": "info @/walk.parquet",
+}
+"""What has a name that is not UTF-8 -> a command with `@` for that."""
+
+
+@pytest.mark.parametrize("what", BYTES)
+def test_a_path_that_is_not_utf8_is_one_line(what, more, tmp_path):
+    folder, half = copied(more, tmp_path / "case"), "\udcff"
+    for name in ("walk.parquet", "scenario.toml", "robot.xml", "data.csv"):
+        shutil.copy(folder / name, folder / f"{half}{Path(name).suffix}")
+    (folder / half).mkdir()
+    shutil.copy(folder / "walk.parquet", folder / half)
+    found = run_forked(BYTES[what].replace("@", half).split(), folder)
+    assert found.refused, found
+    (said,) = found.err.splitlines()
+    assert "not UTF-8" in said

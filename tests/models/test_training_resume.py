@@ -90,6 +90,17 @@ def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
     assert fit(partial, settings=changed).hash == fit(settings=changed).hash
 
 
+def test_a_state_that_was_changed_is_not_gone_on_from(tmp_path, capsys):
+    partial = tmp_path / "o.pt.partial"
+    fit(partial)
+    state = torch.load(partial, weights_only=True)
+    next(iter(state["best"].values())).add_(1.0)
+    torch.save(state, partial)
+    assert fit(partial).hash == fit().hash
+    (said,) = capsys.readouterr().err.splitlines()
+    assert partial.name in said
+
+
 @pytest.mark.parametrize("what", ["text", "observer"])
 def test_a_file_that_is_no_state_is_left_alone(what, tmp_path, mse_observer):
     partial = tmp_path / "o.pt.partial"

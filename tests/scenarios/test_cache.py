@@ -1,9 +1,14 @@
 """Products are made once for what decides them, and again when any of it changes."""
 
+import json
+import os
+
 import pytest
 
 from surefoot.scenarios.cache import product
+from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.sim.common import sources
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.sources import sources_digest
 
 
@@ -64,6 +69,47 @@ def test_a_file_that_a_kill_left_without_its_card_is_made_again(tmp_path, house)
     first.path.with_suffix(".json").write_text("{")
     made(tmp_path, {}, log)
     assert len(log) == 3
+
+
+CHANGED = {
+    "edited": lambda path: path.write_text("edited"),
+    "empty": lambda path: path.write_text(""),
+    "a link": lambda path: (path.rename(path.with_name("other")), path.symlink_to("other")),
+    "a pipe": lambda path: (path.unlink(), os.mkfifo(path)),
+}
+
+
+@pytest.mark.parametrize("how", CHANGED)
+def test_a_product_that_was_changed_is_made_again(how, tmp_path, house, capsys):
+    log = []
+    path = made(tmp_path, {}, log).path
+    CHANGED[how](path)
+    assert made(tmp_path, {}, log).path.read_text() == "{}"
+    assert len(log) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert path.name in said
+    assert "made again" in said
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "7", '{"row": {"a": 2}, "sha256": "0"}', ""])
+def test_a_row_that_was_changed_is_made_again(text, tmp_path, house, capsys):
+    def row():
+        return finished_case(tmp_path, "case", {}, "house.a", lambda: {"a": 1})
+
+    assert row() == {"a": 1}
+    path = tmp_path / "case.json"
+    values = json.loads(path.read_text())
+    path.write_text(json.dumps(values | json.loads(text)) if text.startswith("{") else text)
+    assert row() == {"a": 1}
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "case.json" in said
+
+
+@pytest.mark.parametrize("plant", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("x")])
+def test_a_row_that_is_no_file_is_refused(plant, tmp_path, house):
+    plant(tmp_path / "case.json")
+    with pytest.raises(SurefootError, match=r"case\.json: is a link or no regular file"):
+        finished_case(tmp_path, "case", {}, "house.a", dict)
 
 
 def test_equal_contents_have_equal_digests_whatever_made_them(tmp_path, house):

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from surefoot.scenarios.datasets.index import Journal
 from surefoot.scenarios.datasets.simulate import _without_imu, simulate
 from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import MANIFEST, command_run
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -151,6 +153,122 @@ def test_a_log_that_a_kill_parted_from_its_row_is_kept(folder):
     pd.testing.assert_frame_equal(read_index(Path("walks")), index)
     assert {p: p.stat().st_mtime_ns for p in before} == before
     assert len(Journal(Path("walks")).rows) == 2
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:1000])
+
+
+def flipped(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def linked(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("short_1.parquet")
+
+
+def piped(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+CHANGED = {
+    "another walk": lambda path: shutil.copy(path.with_name("short_1.parquet"), path),
+    "cut short": cut,
+    "a byte flipped": flipped,
+    "empty": lambda path: path.write_bytes(b""),
+    "a link": linked,
+    "a pipe": piped,
+}
+WITHOUT = {"journal": "_dataset/journal.jsonl", "manifest": MANIFEST}
+
+
+@pytest.fixture(scope="module")
+def two_walks(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("two")
+    (folder / "short.toml").write_text(COURSE)
+    with command_run("simulate"):
+        simulate(SimulateSettings([folder / "short.toml"], folder / "walks", seeds="0:2"))
+    return folder
+
+
+def gone_on(two_walks: Path, folder: Path, change) -> None:
+    shutil.copytree(two_walks / "walks", folder / "walks")
+    change(folder / "walks")
+    with command_run("simulate"):
+        simulate(SimulateSettings([two_walks / "short.toml"], folder / "walks", seeds="0:2"))
+
+
+@pytest.mark.parametrize("missing", [None, *WITHOUT])
+@pytest.mark.parametrize("how", CHANGED)
+def test_a_log_that_was_changed_is_walked_again(how, missing, two_walks, tmp_path, capsys):
+    """With journal and manifest, and with one of them."""
+
+    def change(walks: Path) -> None:
+        CHANGED[how](walks / "short_0.parquet")
+        if missing:
+            (walks / WITHOUT[missing]).unlink()
+
+    gone_on(two_walks, tmp_path, change)
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert "short_0.parquet" in said[0]
+    assert "made again" in said[0]
+    assert digests(tmp_path / "walks") == digests(two_walks / "walks")
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        {"file": "../short.toml"},
+        {"file": ["short_0.parquet"]},
+        {"scenario": {"name": "short"}},
+        {"falls": "no", "duration": "long"},
+        {"sha256": ""},
+    ],
+)
+def test_a_row_that_none_of_ours_has_is_not_believed(row, two_walks, tmp_path):
+    def change(walks: Path) -> None:
+        journal = walks / WITHOUT["journal"]
+        rows = [json.loads(line) | row for line in journal.read_text().splitlines()]
+        journal.write_text("".join(f"{json.dumps(one)}\n" for one in rows))
+
+    gone_on(two_walks, tmp_path, change)
+    assert digests(tmp_path / "walks") == digests(two_walks / "walks")
+    assert list(read_index(tmp_path / "walks").file) == ["short_0.parquet", "short_1.parquet"]
+
+
+@pytest.mark.parametrize("what", ["link", "pipe", "file"])
+def test_a_folder_of_the_index_that_is_none_is_refused_before_the_walk(what, folder):
+    """Through a link, files outside of the output would be written and appended to."""
+    place = folder / "walks" / "_dataset"
+    place.parent.mkdir()
+    (folder / "elsewhere").mkdir()
+    if what == "link":
+        place.symlink_to(folder / "elsewhere")
+    elif what == "pipe":
+        os.mkfifo(place)
+    else:
+        place.write_text("mine")
+    with pytest.raises(SurefootError, match="_dataset"):
+        simulate(SimulateSettings([Path("short.toml")], Path("walks")))
+    assert not list((folder / "elsewhere").iterdir())
+    assert list((folder / "walks").iterdir()) == [place]
+
+
+@pytest.mark.parametrize("name", ["truth.toml", "short_0.parquet", "_dataset/index.parquet"])
+def test_a_pipe_in_the_place_of_an_output_is_refused(name, folder):
+    pipe = folder / "walks" / name
+    pipe.parent.mkdir(parents=True)
+    os.mkfifo(pipe)
+    settings = SimulateSettings(
+        [Path("short.toml")], Path("walks"), effects=Path("effects.toml"), undeclared=True
+    )
+    with command_run("simulate"), pytest.raises(SurefootError, match=pipe.name):
+        simulate(settings)
 
 
 def test_undeclared_effects_leave_no_trace_but_the_answer(folder):

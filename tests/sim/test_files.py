@@ -1,6 +1,7 @@
 """What a command writes: whole, listed, replaced only where the same command made it, and never
 over what it reads."""
 
+import errno
 import json
 import os
 from contextlib import suppress
@@ -16,6 +17,7 @@ from surefoot.sim.common.files import (
     manifest_entries,
     refuse_full,
     refuse_overwrite,
+    remove_unfinished,
     whole_file,
     whole_folder,
 )
@@ -127,6 +129,39 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path):
     assert (out / "report.html").read_text() == "2"
     with command_run("other"), pytest.raises(SurefootError, match="made nothing here"):
         refuse_full(out, force=True)
+
+
+def test_a_folder_that_a_link_leads_out_of_is_not_filled(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out" / "figures").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(SurefootError, match="by a link"):
+        fill(tmp_path / "out", {"figures/a.png": "1"})
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_what_is_unfinished_goes_where_the_process_ends_without_leaving_it(tmp_path):
+    """In a process of its own, for nothing can be begun afterwards."""
+    child = os.fork()
+    if child == 0:
+        with whole_folder(tmp_path / "new" / "out") as made, whole_file(made / "a"):
+            (made / "b").write_text("half")
+            remove_unfinished()
+            os._exit(7)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_said_of_the_file_that_could_not_be_written(tmp_path):
+    cache = tmp_path / "cache" / "fonts.json"
+    full = OSError(errno.ENOSPC, "No space left on device", str(cache))
+    said = pytest.raises(SurefootError, match=r"^\S+fonts\.json: cannot be written \(No space")
+    with said, whole_file(tmp_path / "a"):
+        raise full
+    said = pytest.raises(SurefootError, match=r"^\S+/a: cannot be written \(No space")
+    with said, whole_file(tmp_path / "a") as temporary:
+        full.filename = str(temporary)
+        raise full
 
 
 def test_a_failed_run_leaves_nothing(tmp_path):

@@ -1,10 +1,14 @@
 """What a user is told while kernels are compiled, and what a compiled kernel accepts."""
 
+import errno
 import gc
+import importlib
+import os
 import sys
 
 import numpy as np
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from surefoot.sim.common.kernels import (
     COMPILE_TIME,
@@ -51,6 +55,30 @@ def test_many_short_compilations_are_not_one_long_one(monkeypatch, capsys):
         listener.on_end(None)  # type: ignore[arg-type]
         now[0] += QUIET_TIME
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("place", ["a file", "a pipe", "nothing but letters", "full"])
+def test_a_kernel_works_where_its_cache_does_not(place, tmp_path, monkeypatch):
+    """And keeps nothing beside its source, where its own imports alone would be checked."""
+    cache = tmp_path / ("x" * 300 if place == "nothing but letters" else "cache")
+    if place == "a file":
+        cache.write_text("mine")
+    elif place == "a pipe":
+        os.mkfifo(cache)
+    elif place == "full":
+        monkeypatch.setattr(IndexDataCacheFile, "save", full)
+    monkeypatch.setenv("SUREFOOT_CACHE", str(cache))
+    source = tmp_path / "doubled.py"
+    source.write_text("def doubled(x):\n    return 2.0 * x\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    function = importlib.import_module("doubled").doubled
+    monkeypatch.delitem(sys.modules, "doubled")
+    assert kernel(function)(3.0) == 6.0
+    assert not list(tmp_path.rglob("*.nbi"))
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def test_a_kernel_compiled_for_a_signature_refuses_other_arguments():

@@ -58,12 +58,18 @@ def test_rows_of_a_low_rate_are_plausible(log, rate):
     assert found_in(without(at_rate(log, rate), "ref_")) == []
 
 
-def test_rows_that_come_once_a_second_are_slow_and_not_in_ms(log):
-    slow = at_rate(log, 2.0)
-    slow = replace(edited(slow, t=2.0 * slow.t), meta=replace(slow.meta, rate=1.0))
-    (found,) = found_in(without(slow, "ref_", "dq_", "tau_"))
-    assert found.startswith("rows: t: too slow")
-    assert "ms" not in found
+@pytest.mark.parametrize("rate", [8.0, 10.0, 20.0, 25.0, 50.0])
+def test_an_imu_that_is_sampled_at_a_low_rate_is_noticed(log, rate):
+    slow = at_rate(log, rate)
+    rows = np.searchsorted(log.t, slow.t)
+    (found,) = found_in(edited(slow, **{c: log.frame[c].to_numpy()[rows] for c in GYRO + ACCEL}))
+    assert "sampled at the rows, not averaged" in found
+
+
+@pytest.mark.parametrize("kinds", [(), ("ref_", "dq_"), ("ref_", "q_", "dq_", "tau_")])
+def test_rows_of_2_hz_are_slow_and_not_in_ms(log, kinds):
+    lines = [line for line in found_in(without(at_rate(log, 2.0), *kinds)) if "rows" in line]
+    assert [line.startswith("rows: t: too slow") for line in lines] == [True]
 
 
 def test_feet_that_bounce_are_no_noise_about_a_threshold(log):
