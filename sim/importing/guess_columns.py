@@ -20,7 +20,7 @@ from surefoot.sim.importing.guess_units import (
 from surefoot.sim.importing.layout import is_number
 from surefoot.sim.importing.names import HINGES, Named, by_their_legs, lists_of, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, name_in_file
-from surefoot.sim.log.schema import JOINTS, LEGS
+from surefoot.sim.log.schema import JOINTS, LEGS, joint_prefix
 from surefoot.sim.robot.machine import Machine
 
 _SMALL = 4096
@@ -160,14 +160,21 @@ def _joint_entries(
             for kind, of in joints.items()
         }
     entries: list[Entry] = []
-    notes: list[str] = []
     rate = None
     for kind in joints:
-        of_kind, limits, rows = _entries_of_kind(file, kind, joints, swapped, machine)
+        of_kind, rows = _entries_of_kind(file, kind, joints, swapped)
         entries += of_kind
-        notes += [limits] * bool(limits)
         rate = rows or rate
-    return entries, notes, legs, rate
+    beyond = [
+        entry.name[2:]
+        for entry in entries
+        if joint_prefix(entry.name) == "q_"
+        and _share_inside(machine, entry.name[2:], entry.scale * file.columns[entry.theirs])
+        < _INSIDE
+    ]
+    which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
+    question = f"{which} beyond the limits of the robot: other joints, signs or zeros?"
+    return entries, [question] * bool(beyond), legs, rate
 
 
 def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) -> _Joints:
@@ -334,30 +341,19 @@ def _sides_doubt(
 
 
 def _entries_of_kind(
-    file: RecordedFile, kind: str, joints: _Joints, swapped: str, machine: Machine | None
-) -> tuple[list[Entry], str, float | None]:
-    """Entries of one kind of joint columns; a question about the robot's limits, or ""; and the
-    rate of the rows [Hz] where joint rates determine it.
+    file: RecordedFile, kind: str, joints: _Joints, swapped: str
+) -> tuple[list[Entry], float | None]:
+    """Entries of one kind of joint columns, and the rate of the rows [Hz] where joint rates
+    determine it.
 
-    Args:
-        file: of the recording.
-        kind: of the columns.
-        joints: all columns.
-        swapped: a doubt about left and right, for columns without another.
-        machine: whose limits angles are compared with, or None.
+    swapped: a doubt about left and right, for columns without another.
     """
     own = joints[kind]
     values = {joint: file.columns[one.column] for joint, one in own.items()}
     prefix, rate = kind, None
-    limits = ""
     if kind.startswith("q"):
         named = {file.names[one.column].unit for one in own.values()}
         unit, doubt = unit_of_angles(list(values.values()), named)
-        scale = UNITS["q"][unit]
-        beyond = [j for j, v in values.items() if _share_inside(machine, j, scale * v) < _INSIDE]
-        if machine is not None and beyond:
-            which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
-            limits = f"{which} beyond the limits of {machine.name}: other joints, signs or zeros?"
     elif kind.startswith("dq"):
         angles = joints.get("q" if kind == "dq" else "q_des", {})
         both = [joint for joint in values if joint in angles]
@@ -379,7 +375,7 @@ def _entries_of_kind(
         Entry(f"{prefix}_{joint}", one.column, unit, doubt=one.doubt or doubt or swapped)
         for joint, one in own.items()
     ]
-    return entries, limits, rate
+    return entries, rate
 
 
 def _feet_entries(
