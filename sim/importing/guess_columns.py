@@ -433,7 +433,9 @@ def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, 
     for members in lists_of(without, "kind", "source", "stem").values():
         # Of a vector's two numbers, the first is of the foot, the second of the axis.
         number = {
-            name: one.limb if one.axis or one.place is None else one.place
+            name: one.limb
+            if one.limb is not None and (one.axis or one.place is None)
+            else one.place
             for name, one in members.items()
         }
         numbers = sorted({one for one in number.values() if one is not None})
