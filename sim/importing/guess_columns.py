@@ -283,7 +283,7 @@ def _order(
         places: limb and place of each joint, in their order.
     """
     for source, listed in {**file.lists, **_lists_beside(file.path)}.items():
-        if len(listed) == len(places):
+        if len(set(listed)) == len(listed) == len(places):
             read = by_their_legs({one: name_in_file(one, machine) for one in listed})
             names = [
                 joint_of_words(one) if one.joint or (one.leg in LEGS and one.part) else text

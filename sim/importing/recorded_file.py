@@ -90,7 +90,9 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
-        skipped = dict.fromkeys((n for n in table.cells if n not in there), "NaN, text or empty")
+        skipped = dict.fromkeys(
+            (n for n in table.cells if n not in there), "NaN, text, empty or too long"
+        )
         skipped |= dict.fromkeys(table.parameters, "parameters: not one for each row")
         found[0] = replace(found[0], skipped=skipped)
     return found
@@ -136,7 +138,9 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     readings = {n: (t[finite[n]], x[finite[n]]) for n, (t, x) in every.items() if finite[n].any()}
     if not readings:
         return []
-    skipped |= dict.fromkeys((n for n in every if n not in readings), "NaN, text or empty")
+    skipped |= dict.fromkeys(
+        (n for n in every if n not in readings), "NaN, text, empty or too long"
+    )
     layout = {} if all(finite[n].all() for n in readings) else {"sparse": True}
     recorded = {name: values for name, (_, values) in readings.items()}
     names = _names(recorded, machine)
