@@ -6,8 +6,7 @@ installed.
 
 import numpy as np
 
-from surefoot.extend import Calibrator, Region, conformal_quantile
-from surefoot.models.calibration.regions import Conformal, mahalanobis, second_moment
+from surefoot.extend import Calibrator, Conformal, Region, conformal_quantile, mahalanobis
 
 
 class Bonferroni(Conformal):
@@ -29,7 +28,7 @@ class Ellipsoid(Calibrator):
     fit_share = 0.25
 
     def fit(self, errors: np.ndarray) -> None:
-        self.shape = second_moment(errors)
+        self.shape = errors.T @ errors / len(errors)
 
     def conformalize(self, errors: np.ndarray) -> None:
         score = mahalanobis(errors, self.shape)

@@ -14,19 +14,15 @@ import numpy as np
 import pandas as pd
 
 from studies.command import OutputFolder, run_study
-from surefoot import Log, Robot, TrainSettings, train
-from surefoot.extend import SurefootError
+from surefoot import Log, Robot, SimulateSettings, TrainSettings, simulate, train
+from surefoot.extend import SurefootError, declared_model, prediction_errors
 from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.scenarios.cache import contents_digest
-from surefoot.scenarios.datasets.simulate import simulate
-from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.sources import code_digest

@@ -11,7 +11,7 @@ __version__ = "0.2.0.dev0"
 
 if TYPE_CHECKING:
     from surefoot.estimator.metrics import evaluate
-    from surefoot.models.alignment.alignment import align
+    from surefoot.models.alignment.alignment import align, aligned_log
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.calibration.calibrate import calibrate
     from surefoot.models.calibration.settings import CalibrateSettings
@@ -19,11 +19,17 @@ if TYPE_CHECKING:
     from surefoot.models.observer.settings import TrainSettings
     from surefoot.models.observer.training import train
     from surefoot.scenarios.compare import compare_log as compare
+    from surefoot.scenarios.datasets.simulate import simulate
     from surefoot.scenarios.estimate.contract import Learnt, Sample
     from surefoot.scenarios.estimate.run import run_filter
+    from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
     from surefoot.scenarios.estimate.streaming import StreamingEstimator
+    from surefoot.scenarios.settings import SimulateSettings
     from surefoot.scenarios.trace.run import TraceOptions, trace
+    from surefoot.sim.importing.recording import import_log
     from surefoot.sim.log import Log
+    from surefoot.sim.plausibility import check_log
+    from surefoot.sim.robot.machine import load_machine
     from surefoot.sim.robot.robot import Robot
     from surefoot.sim.scenario import Scenario
     from surefoot.sim.walk import walk
@@ -31,21 +37,30 @@ if TYPE_CHECKING:
 __all__ = [
     "Bounds",
     "CalibrateSettings",
+    "FilterSettings",
     "Learnt",
     "Log",
+    "NoiseSettings",
     "Observer",
     "Robot",
     "Sample",
     "Scenario",
+    "SimulateSettings",
+    "StartSettings",
     "StreamingEstimator",
     "TraceOptions",
     "TrainSettings",
     "__version__",
     "align",
+    "aligned_log",
     "calibrate",
+    "check_log",
     "compare",
     "evaluate",
+    "import_log",
+    "load_machine",
     "run_filter",
+    "simulate",
     "trace",
     "train",
     "walk",

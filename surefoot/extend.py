@@ -12,16 +12,19 @@ from surefoot.lazy import lazy_names
 if TYPE_CHECKING:
     from surefoot.estimator.core.state import FilterNoise, NavState
     from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-    from surefoot.estimator.filter import InvariantFilter, PersistentFilter
+    from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
     from surefoot.estimator.leg import LegFilter
+    from surefoot.estimator.metrics import align_first, nees
+    from surefoot.estimator.updates.bias_states import PersistentError
     from surefoot.models.calibration.conformal import (
         BoundsError,
         conformal_quantile,
         least_rank,
         level_per_axis,
     )
-    from surefoot.models.calibration.regions import Calibrator, Region
+    from surefoot.models.calibration.regions import Calibrator, Conformal, Region, mahalanobis
     from surefoot.models.observer.network import Architecture
+    from surefoot.models.observer.predict import prediction_errors
     from surefoot.models.residuals.binning import BIN, bin_mean
     from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
     from surefoot.scenarios.estimate.contract import (
@@ -38,25 +41,25 @@ if TYPE_CHECKING:
         samples,
     )
     from surefoot.scenarios.estimate.estimators import Traits
-    from surefoot.scenarios.estimate.run import estimated
+    from surefoot.scenarios.estimate.run import declared_model, estimated
     from surefoot.sim.common.copies import copy_corner, copy_row
-    from surefoot.sim.common.errors import SurefootError
+    from surefoot.sim.common.errors import SurefootError, did_you_mean
     from surefoot.sim.common.gravity import GRAVITY
     from surefoot.sim.common.kernels import kernel
     from surefoot.sim.common.quaternion import quaternion_from_matrix
-    from surefoot.sim.effects import effect
+    from surefoot.sim.effects import compensate_all, effect, known_effects
     from surefoot.sim.effects.base import Effect, with_columns
     from surefoot.sim.effects.body import FootRolling
     from surefoot.sim.effects.targets import AXES
     from surefoot.sim.gait.patterns import Pattern
     from surefoot.sim.ground.terrain import Ground, HeightField, Patch, Strip
-    from surefoot.sim.log import Log
+    from surefoot.sim.log import Log, joint_velocity, reference_velocity
     from surefoot.sim.robot import Robot
-    from surefoot.sim.robot.catalog import robot_file
+    from surefoot.sim.robot.catalog import known_robots, robot_file
     from surefoot.sim.robot.legs import JOINTS
     from surefoot.sim.robot.limbs import Limbs
     from surefoot.sim.scenario import Ranges, Scenario, Segment
-    from surefoot.sim.sensors.streams import Sensors, Streams
+    from surefoot.sim.sensors.streams import Motion, Sensors, Streams
     from surefoot.sim.walking.dm_environment import WalkingEnvironment
 
 __getattr__, __dir__ = lazy_names(globals())

@@ -21,6 +21,12 @@ OF_FEET = ("imu", "contact", "reference")
 """Groups of columns, beside the feet, that a trace by feet alone reads."""
 
 
+def _too_short(seconds: float, least: float) -> str:
+    """State that a log is too short, with the digits that show it."""
+    digits = next((k for k in range(1, 9) if f"{seconds:.{k}f}" != f"{least:.{k}f}"), 9)
+    return f"too short: {seconds:.{digits}f} s where {least:g} s"
+
+
 def readings(log: Log, settings: TraceSettings = DEFAULT, by_feet: bool = False) -> Log:
     """Keep only the columns that a measured log could have, without contacts that never change;
     `by_feet`: of a machine that is known by its feet alone, without joints that nothing models.
@@ -73,9 +79,9 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
     needed = "are needed to fit and to check"
     if cases[0].fixed and sum(spans) < s.shortest_fixed_log:
         more = "several logs of one machine add up"
-        return f"too short: {sum(spans):.1f} s where {s.shortest_fixed_log:g} s {needed}; {more}"
+        return f"{_too_short(sum(spans), s.shortest_fixed_log)} {needed}; {more}"
     if not cases[0].fixed and max(spans) < s.shortest_log:
-        return f"too short: {max(spans):.1f} s where {s.shortest_log:g} s {needed}"
+        return f"{_too_short(max(spans), s.shortest_log)} {needed}"
     known = np.concatenate([bin_mean(case.motion)(case.motion.ok.astype(float)) for case in cases])
     parts = (split.fit, split.select, split.report)
     seconds = [BIN * float(known[part].sum()) for part in parts]

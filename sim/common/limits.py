@@ -9,6 +9,7 @@ import math
 import os
 import re
 import stat
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +20,8 @@ from surefoot.sim.common.errors import SurefootError
 VARIABLE = "SUREFOOT_LIMITS"
 _SMALL = 256e6
 """Bytes in memory that are allowed for a packed file of any size."""
+_POINTER, _LONGEST_POINTER = b"version https://git-lfs.github.com/spec/", 1024
+"""Beginning and largest size of a file that stands for one in Git LFS (its specification)."""
 _DOTTED = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){65}")
 
 
@@ -100,7 +103,7 @@ def admitted(path: str | Path, limit: str = "text", what: str = "") -> Path:
     """Check that a path is a regular file within a size limit, following links; returns the path.
 
     Raises SurefootError, in one line that starts with `what` and the path, for a missing file, a
-    folder, a pipe, a device, or a file that is too large.
+    folder, a pipe, a device, a pointer of Git LFS, or a file that is too large.
     """
     name = f"{what} {path}".lstrip()
     try:
@@ -112,6 +115,10 @@ def admitted(path: str | Path, limit: str = "text", what: str = "") -> Path:
         folder = stat.S_ISDIR(found.st_mode)
         raise SurefootError(f"{name}: {'is a folder' if folder else 'is not a regular file'}")
     check_limit(limit, found.st_size, f"{name}: bytes")
+    if found.st_size < _LONGEST_POINTER:
+        with suppress(OSError), open(path, "rb") as stream:
+            if stream.read(len(_POINTER)) == _POINTER:
+                raise SurefootError(f"{name}: is a Git LFS pointer; git lfs pull fetches the file")
     return Path(path)
 
 

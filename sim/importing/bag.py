@@ -18,12 +18,20 @@ from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
-from surefoot.sim.common.limits import check_limit
+from surefoot.sim.common.limits import admitted, bounded_text, check_limit
 from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
 _MOST_PLACES = 64
 """Largest array in a message whose elements may be columns; longer ones are images or scans."""
+BAGS = (".bag", ".mcap", ".db3")
+"""Endings of bags."""
+_REPAIRS = {
+    ".bag": "rosbag reindex",
+    ".mcap": "mcap recover",
+    ".db3": "ros2 bag reindex, or sqlite3 with .recover",
+}
+_PART_OF_BAG = re.compile(r"_\d+$")
 _PART = re.compile(r"(\w+)(?:\[([^\]]+)\])?$")
 
 
@@ -46,15 +54,52 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
 def _opened(path: Path) -> Iterator[AnyReader]:
     if not is_there(path):
         raise SurefootError(f"{path}: no such file")
+    files = _storage(path) if path.is_dir() else [path]
+    for one in files:
+        admitted(one, "recording")
+    described = not files or _is_described(path)
+    if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
+        names = ", ".join(one.name for one in files)
+        raise SurefootError(f"{path}: has several bags, name one of them: {names}")
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+        with AnyReader(
+            [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+        ) as bag:
             yield bag
     except SurefootError:
         raise
     except (AnyReaderError, OSError) as error:
-        raise SurefootError(f"{path}: {' '.join(str(error).split())}") from None
+        reason = " ".join(str(error).split())
+        raise SurefootError(f"{path}: {reason}{_remedy(files)}") from None
     except Exception as error:  # the parsers of broken bags raise whatever they stumble on
-        raise SurefootError(f"{path}: not a readable bag ({type(error).__name__})") from error
+        reason = type(error).__name__
+        raise SurefootError(f"{path}: not a readable bag ({reason}){_remedy(files)}") from error
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a ROS 1, ROS 2 or MCAP bag, by its name; or the folder of one, with or
+    without its metadata.
+    """
+    if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
+        return True
+    return path.is_dir() and bool(_storage(path)) and not any(path.glob("*.csv"))
+
+
+def _is_described(path: Path) -> bool:
+    """Whether a folder has metadata that name its files; those of a killed recorder are empty."""
+    about = path / "metadata.yaml"
+    return about.is_file() and "relative_file_paths" in bounded_text(about)
+
+
+def _storage(path: Path) -> list[Path]:
+    """The files of messages in the folder of a ROS 2 bag."""
+    return sorted(one for one in path.iterdir() if one.suffix.lower() in (".mcap", ".db3"))
+
+
+def _remedy(files: list[Path]) -> str:
+    """What may help if these files are damaged, as those of a recorder that was killed."""
+    tools = {_REPAIRS.get(one.suffix.lower(), "") for one in files} - {""}
+    return f"; if the recorder was killed, try {' or '.join(sorted(tools))}" if tools else ""
 
 
 def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:

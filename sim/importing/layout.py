@@ -3,6 +3,7 @@
 import codecs
 import csv
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,10 @@ _LOOKED_AT = 65536
 """Number of characters at the beginning of a text that are examined."""
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
+_WORDS = re.compile(r"[^\s,;|]+")
+_MOST_KINDS = 20
+"""Largest number of kinds of lines in a text."""
+_YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
@@ -57,6 +62,36 @@ def layout_of(path: Path) -> dict[str, Any]:
     if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
         found |= {"separator": separator, "decimal": ","}
     return found
+
+
+def no_table(path: Path, skip: int) -> str:
+    """Why a text has lines but no table, and what helps; "" where it may have one.
+
+    Lines of several kinds begin with a word for theirs, or have it after their time.
+    """
+    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
+        lines = stream.read(_LOOKED_AT).splitlines()[skip:-1]
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    if "---" in lines and sum(map(bool, map(_YAML.match, lines))) > 0.9 * len(lines):
+        return "is YAML, as of a topic's echo; record a bag, or use ros2 topic echo --csv"
+    rows = [_WORDS.findall(line) for line in lines]
+    for place in (0, 1):
+        if kinds := _kinds(rows, place):
+            what = f"lines of several kinds, by their word {place + 1}: {', '.join(kinds)}"
+            start = ("^" if place == 0 else "^[^ ,]*[ ,]") + kinds[0] + "[ ,]"
+            return f"has {what}; make a file of each: grep '{start}' {path.name} > {kinds[0]}.txt"
+    return ""
+
+
+def _kinds(rows: list[list[str]], place: int) -> list[str]:
+    """Words at a place of rows that tell their kinds: nearly every row has one of a few, and the
+    rows differ in length. Empty if there are none.
+    """
+    told = [row for row in rows if len(row) > place and not is_number(row[place])]
+    kinds = [word for word, n in Counter(row[place] for row in told).items() if n > 1]
+    differ = len({len(row) for row in told if row[place] in kinds}) > 1
+    few = 1 < len(kinds) <= _MOST_KINDS and len(told) > 0.9 * len(rows)
+    return kinds if few and differ else []
 
 
 def _separator(line: str) -> str:

@@ -11,13 +11,13 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.bag import RECEIVED, bag_fields, read_bag
+from surefoot.sim.importing.bag import RECEIVED, bag_fields, is_bag, read_bag
 from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.layout import layout_of
 from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name
-from surefoot.sim.importing.recording import is_bag, is_text, read_table
+from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of
 from surefoot.sim.robot.machine import Machine

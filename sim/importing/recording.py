@@ -12,7 +12,7 @@ from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.limits import admitted, check_unpacked
 from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
-from surefoot.sim.importing.bag import read_bag, topic_of
+from surefoot.sim.importing.bag import is_bag, read_bag, topic_of
 from surefoot.sim.importing.clock import (
     Columns,
     Stamped,
@@ -39,7 +39,6 @@ _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 Files = str | Path | Sequence[str | Path]
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
-BAGS = (".bag", ".mcap", ".db3")
 
 
 def import_log(files: Files, map_path: str | Path) -> Log:
@@ -114,12 +113,9 @@ def is_text(path: Path) -> bool:
     return not (is_bag(path) or path.suffix.lower() in _READERS)
 
 
-def is_bag(path: Path) -> bool:
-    """Whether a path is a ROS 1, ROS 2 or MCAP bag, by its name."""
-    return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
-
-
 def _main_file(path: Path, rules: ImportMap) -> Path:
+    if rules.source.file and is_file(path / rules.source.file):
+        return path / rules.source.file
     if is_bag(path) or not path.is_dir():
         return path
     if rules.source.file is None:

@@ -10,7 +10,7 @@ import pandas as pd
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.layout import COMMENTS, encoding_of
+from surefoot.sim.importing.layout import COMMENTS, encoding_of, no_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable
 
@@ -23,6 +23,8 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         raise SurefootError(f"{path}: no such file")
     try:
         encoding = encoding_of(path)
+        if source.long is None and (why := no_table(path, source.skip)):
+            raise SurefootError(f"{path}: {why}")
         header, separator, apart = _first_line(path, source, encoding)
         with warnings.catch_warnings():
             # pandas only warns of a first line that is too long, and shifts the columns.

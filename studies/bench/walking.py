@@ -10,9 +10,8 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from surefoot import Robot, Scenario
-from surefoot.extend import Ground, Patch, Ranges, Segment
+from surefoot.extend import Ground, Motion, Patch, Ranges, Segment
 from surefoot.sim.physics.stepper import start
-from surefoot.sim.sensors.streams import Motion
 from surefoot.sim.walk import Plan, plan, simulate_motion
 from surefoot.sim.walking.batch import Job, on_threads, walk_job
 

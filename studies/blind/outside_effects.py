@@ -10,8 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from surefoot import Robot
-from surefoot.extend import Effect, Streams
-from surefoot.sim.effects.base import AXES
+from surefoot.extend import AXES, Effect, Streams
 
 ENCODER_CHANNELS = (
     *("leg_velocity", "stance_velocity", "stance_displacement", "foot_height"),

@@ -14,8 +14,15 @@ from matplotlib.figure import Figure
 from studies.hardware.drives import BLOCK, between, ratio_interval
 from studies.hardware.stream_lags import WALKING, Lag
 from surefoot import Learnt, Log, Robot, evaluate
-from surefoot.estimator.metrics import align_first
-from surefoot.extend import Effect, Trajectory, effect, reference
+from surefoot.extend import (
+    Effect,
+    Trajectory,
+    align_first,
+    compensate_all,
+    effect,
+    joint_velocity,
+    reference,
+)
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
 from surefoot.models.bootstrap import block_bootstrap_counts
@@ -25,8 +32,6 @@ from surefoot.scenarios.reporting.plotting import new_figure, set_title
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.trace.filters import filtered
 from surefoot.scenarios.trace.result import Trace
-from surefoot.sim.effects import compensate_all
-from surefoot.sim.log import joint_velocity
 from surefoot.sim.sensors.stances import stance_phase
 
 TENTHS = 10

@@ -17,8 +17,7 @@ import mujoco
 import numpy as np
 
 from surefoot import Log
-from surefoot.extend import AXES, effect
-from surefoot.sim.effects import compensate_all, known_effects
+from surefoot.extend import AXES, compensate_all, effect, known_effects
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Modelled

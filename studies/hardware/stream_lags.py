@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from studies.hardware.drives import BLOCK
 from surefoot import Log, Robot
+from surefoot.extend import joint_velocity, reference_velocity
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.binning import ReferenceMotion
 from surefoot.sim.common.gravity import GRAVITY_G
-from surefoot.sim.log import joint_velocity, reference_velocity
 from surefoot.sim.sensors.stances import stance_phase
 
 LAGS = np.arange(-0.030, 0.0301, 0.001)

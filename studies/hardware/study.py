@@ -22,8 +22,8 @@ from studies.hardware import pendulum as pendulum
 from studies.hardware import walks_by_feet as feet
 from studies.hardware.impulses import window_rows
 from studies.hardware.stream_lags import lags
-from surefoot import Log, Robot, TraceOptions, trace
-from surefoot.extend import SurefootError
+from surefoot import Log, Robot, TraceOptions, import_log, load_machine, trace
+from surefoot.extend import SurefootError, known_robots
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.plotting import save_png
@@ -32,9 +32,7 @@ from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
 from surefoot.sim.importing.assemble import RawRecording
-from surefoot.sim.importing.recording import import_log, read_recording
-from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.machine import load_machine
+from surefoot.sim.importing.recording import read_recording
 
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")

@@ -18,14 +18,21 @@ from studies.hardware.creeping_feet import (
     turning_of_feet,
     with_share,
 )
-from surefoot import Log, align, run_filter
+from surefoot import (
+    FilterSettings,
+    Log,
+    NoiseSettings,
+    StartSettings,
+    align,
+    aligned_log,
+    check_log,
+    run_filter,
+)
 from surefoot.extend import Trajectory, reference
-from surefoot.models.alignment.alignment import Alignment, aligned_log
-from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
+from surefoot.models.alignment.alignment import Alignment
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 from surefoot.sim.importing.assemble import RawRecording
-from surefoot.sim.plausibility import check_log
 
 PATH_STEP = 0.5
 """Sampling time of the reference for the length of a path [s]; at shorter times its noise adds to

@@ -34,22 +34,22 @@ from studies.montecarlo.trials import (
     true_motion,
     velocity_errors,
 )
-from surefoot.estimator.filter import CoverageSettings
-from surefoot.estimator.metrics import nees
 from surefoot.estimator.run import (
     bounded_velocities,
     every_row,
     gaussian_velocities,
     imu_samples,
 )
-from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.extend import (
+    CoverageSettings,
     FilterNoise,
     InvariantFilter,
     NavState,
+    PersistentError,
     PersistentFilter,
     Trajectory,
     level_per_axis,
+    nees,
 )
 from surefoot.models.calibration.bias_model import estimate_bias_model
 from surefoot.models.calibration.regions import calibrator, second_moment

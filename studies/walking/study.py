@@ -17,7 +17,7 @@ from studies.bench.walking import COURSE, Replay
 from studies.command import OutputFolder
 from studies.walking.grounds import grounds_for
 from surefoot import Scenario
-from surefoot.extend import SurefootError
+from surefoot.extend import Motion, SurefootError, known_robots
 from surefoot.scenarios.datasets.index import DRY, recipe, walk_facts
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page
@@ -29,8 +29,6 @@ from surefoot.sim.common.limits import check_limit
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import STEPS_PER_TICK
-from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.sensors.streams import Motion
 from surefoot.sim.walk import SETTLING_TIME, Fallen, Plan, plan, record, simulate_motion
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
 

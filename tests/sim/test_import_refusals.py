@@ -1,0 +1,163 @@
+"""What is no recording, or not a whole one: one line says what it is, and what to do."""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from surefoot.models.observer.observer import Observer
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.recording import read_recording
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+POINTER = (
+    "version https://git-lfs.github.com/spec/v1\n"
+    "oid sha256:0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef\nsize 1641284\n"
+)
+MAP = '[columns]\nt = "/imu:header.stamp"\n' + "".join(
+    f'{name}_{axis} = "/imu:{field}.{axis}"\n'
+    for name, field in (("gyro", "angular_velocity"), ("accel", "linear_acceleration"))
+    for axis in "xyz"
+)
+
+
+def line_of(function, *arguments) -> str:
+    with pytest.raises(SurefootError) as caught:
+        function(*arguments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["a.csv", "a.txt", "a.json", "a.jsonl", "a.npz", "a.npy", "a.mat", "a.h5", "a.parquet", "a.bag",
+     "a.mcap", "a.db3"],
+)  # fmt: skip
+def test_a_pointer_to_a_recording_is_named(tmp_path, name):
+    (tmp_path / name).write_text(POINTER)
+    (tmp_path / "map.toml").write_text(MAP if name[-3:] in ("bag", "cap", "db3") else
+                                       '[columns]\nt = "t"\n')  # fmt: skip
+    for line in (line_of(guess_map, [tmp_path / name]),
+                 line_of(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
+        assert all(word in line for word in (name, "Git LFS", "git lfs pull"))
+
+
+MODEL = """<mujoco><asset><mesh name="m" file="body.stl"/></asset><worldbody><body><freejoint/>
+<geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("body.stl", lambda folder: Robot.load(str(folder / "robot.xml"))),
+        ("robot.xml", lambda folder: Robot.load(str(folder / "robot.xml"))),
+        ("robot.urdf", lambda folder: Robot.load(str(folder / "robot.urdf"))),
+        ("log.parquet", lambda folder: Log.read(folder / "log.parquet")),
+        ("a.observer", lambda folder: Observer.load(folder / "a.observer")),
+        ("map.toml", lambda folder: ImportMap.read(folder / "map.toml")),
+        ("bag/bag_0.mcap", lambda folder: guess_map([folder / "bag"])),
+    ],
+)
+def test_every_reader_names_a_pointer(tmp_path, name, read):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "robot.xml").write_text(MODEL)
+    (tmp_path / name).write_text(POINTER)
+    line = line_of(read, tmp_path)
+    assert all(word in line for word in (Path(name).name, "git lfs pull")), line
+
+
+TEXTS = {
+    "tagged": ("IMU 0.1 1 2 3 4 5 6\nCONTACT 0.1 1 1\n" * 20, "IMU, CONTACT"),
+    "tagged by commas": ("gyro,0.1,1,2,3\njoint,0.1,1,2,3,4,5,6\n" * 20, "gyro, joint"),
+    "tagged after the time": ("0.1 imu 1 2 3\n0.1 foot 1\n" * 20, "imu, foot"),
+    "tagged, after comments": ("# a log\n" + "IMU 1 2 3\nLEG 1 2\n" * 20, "IMU, LEG"),
+    "echoed": ("header:\n  stamp:\n    sec: 1\nangular_velocity:\n  x: 0.1\n---\n" * 20, "bag"),
+    "echoed joints": ("name:\n- a\n- b\nposition: \n  - 1.0\n  - 2.0\n---\n" * 20, "bag"),
+}
+
+
+@pytest.mark.parametrize("case", TEXTS)
+def test_a_text_that_is_no_table_is_said_to_be_what_it_is(tmp_path, case):
+    text, said = TEXTS[case]
+    path = tmp_path / "log.txt"
+    path.write_text(text)
+    line = line_of(guess_map, [path])
+    assert all(word in line for word in ("log.txt", said))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["t,state,x\n" + "0.1,stance,2\n0.2,swing,3\n" * 20, "t x\n" + "0.1 2\n0.2 3\n" * 20,
+     "signal,value\n" + "gyro,0.1\nknee,0.2\n" * 20],
+)  # fmt: skip
+def test_a_table_with_words_is_a_table(tmp_path, text):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    guess_map([path])
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """An IMU for a second, as each kind of bag."""
+    folder = tmp_path_factory.mktemp("bags")
+    for kind in ("sqlite3", "mcap", "ros1"):
+        types = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+        T = types.types
+        if kind == "ros1":
+            writer, encode = Writer1(folder / "ros1.bag"), types.serialize_ros1
+        else:
+            plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+            writer = Writer(folder / kind, version=9, storage_plugin=plugin)
+            encode = types.serialize_cdr
+        with writer:
+            topic = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=types)
+            for k in range(200):
+                ns = 1_700_000_000_000_000_000 + 5_000_000 * k
+                stamp = T["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
+                seq = {"seq": k} if kind == "ros1" else {}
+                header = T["std_msgs/msg/Header"](stamp=stamp, frame_id="imu", **seq)
+                rate, force = (
+                    T["geometry_msgs/msg/Vector3"](*x) for x in ((0.1, 0, k), (0, 0, 9.8))
+                )
+                none, turn = np.zeros(9), T["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+                message = T["sensor_msgs/msg/Imu"](header, turn, none, rate, none, force, none)
+                writer.write(topic, ns, encode(message, "sensor_msgs/msg/Imu"))
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("metadata", [None, "", "rosbag2_bagfile_information:\n"])
+def test_a_folder_of_a_bag_is_read_without_its_metadata(tmp_path, bags, kind, metadata):
+    shutil.copytree(bags / kind, tmp_path / "run")
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    if metadata is not None:
+        (tmp_path / "run" / "metadata.yaml").write_text(metadata)
+    (tmp_path / "map.toml").write_text(MAP)
+    assert len(read_recording(tmp_path / "run", tmp_path / "map.toml").log().t) == 200
+    assert "/imu:header.stamp" in guess_map([tmp_path / "run"]).text
+
+
+def test_a_folder_of_several_bags_names_them(tmp_path, bags):
+    for name in ("first", "second"):
+        shutil.copy(next((bags / "mcap").glob("*.mcap")), tmp_path / f"{name}.mcap")
+    line = line_of(guess_map, [tmp_path])
+    assert all(word in line for word in ("first.mcap", "second.mcap"))
+
+
+@pytest.mark.parametrize("kind", ["sqlite3/sqlite3.db3", "mcap/mcap.mcap", "ros1.bag"])
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_bag_that_was_cut_is_said_to_be(tmp_path, bags, kind, share):
+    path = tmp_path / Path(kind).name
+    shutil.copy(bags / kind, path)
+    os.truncate(path, int(share * path.stat().st_size))
+    line = line_of(guess_map, [path])
+    tool = {".db3": "reindex", ".mcap": "mcap recover", ".bag": "rosbag reindex"}[path.suffix]
+    assert all(word in line for word in (path.name, tool))
