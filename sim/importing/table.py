@@ -179,6 +179,8 @@ def _numbers(
     """
     if word is not None:
         return np.array([str(cell).strip() == word for cell in cells], dtype=float)
+    if cells.dtype.kind == "c" or any(isinstance(one, complex) for one in cells[:1]):
+        raise SurefootError(f"{table.path}: column {column!r} has complex numbers, not real ones")
     plain = cells.dtype.kind in "fiub"
     values = cells.astype(float) if plain else np.array([_number(one) for one in cells], float)
     bad = np.flatnonzero(~np.isfinite(values))
