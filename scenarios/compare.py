@@ -153,6 +153,9 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
     for log in logs:
         one = compare_log(log, robot_of(log, settings.robot), learnt, settings=chosen)
         found.append(replace(one, warnings=warnings.get(log.name, ())))
+    if not any(one.results for one in found):
+        reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]
+        raise SurefootError(f"no filter ran: {'; '.join(reasons)}")
     with whole_folder(settings.out, settings.force) as folder:
         return write_comparison(found, folder, "Filters compared"), found
 
@@ -174,7 +177,7 @@ def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
             rows.append(row | {name: values[name] for name in MEANINGS if name in values})
     # The first row may lack columns that later ones have.
     known = {name for row in rows for name in row}
-    columns = [name for name in ("log", "filter", *MEANINGS) if name in known]
+    columns = ["log", "filter", *(name for name in MEANINGS if name in known)]
     return pd.DataFrame(rows, columns=columns)
 
 

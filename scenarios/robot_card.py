@@ -14,12 +14,11 @@ from surefoot.scenarios.reporting.palette import INK, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title, show_to_scale
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot.legs import outline_G
 from surefoot.sim.robot.machine import Modelled, load_machine
 from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
 from surefoot.sim.robot.robot import IMU_SITES, Robot
+from surefoot.sim.walking.trial import why_not
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def _card_without_legs(machine: Modelled) -> RobotCard:
 
 def _card(robot: Robot) -> RobotCard:
     model = compiled_model(robot.file)
-    why_not = _why_not(robot)
+    fault = why_not(robot)
     turned = not np.allclose(robot.R_BI, np.eye(3))
     imu = f"site {robot.imu}" if robot.imu else f"{_no_imu(model)}: the base frame stands for it"
     lines = [
@@ -70,7 +69,7 @@ def _card(robot: Robot) -> RobotCard:
         f"file: {robot.file}",
         f"base: body '{robot.base_name}'",
         f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
-        f"does not walk in simulation: {why_not}" if why_not else "walks in simulation",
+        f"does not walk in simulation: {fault}" if fault else "walks in simulation",
     ]
     lines += changes_on_reading(robot.file)
     # With all that is fixed to it; in a URDF a motor's mass is often that of a link of its own.
@@ -105,7 +104,8 @@ def _card(robot: Robot) -> RobotCard:
         "imu": robot.imu,
         "p_BI": robot.p_BI,
         "R_BI": robot.R_BI,
-        "walks": not why_not,
+        "walks": not fault,
+        "fault": fault,
         "joints": joints,
         "feet": feet,
     }
@@ -126,15 +126,6 @@ def _no_imu(model: mujoco.MjModel) -> str:
             body = model.body(model.site_bodyid[site]).name
             return f"site {model.site(site).name} is on {body}, not on the base"
     return "none in the model"
-
-
-def _why_not(robot: Robot) -> str:
-    """The error with which simulation refuses the robot; empty if it can walk."""
-    try:
-        build_world(robot, Ground(mu=1.0))
-    except SurefootError as error:
-        return str(error).removeprefix(f"robot {robot.name}: ")
-    return ""
 
 
 def portrait(robot: Robot) -> Figure:

@@ -48,12 +48,22 @@ class DivergedError(SurefootError):
     """A filter whose state has diverged; it accepts no further samples."""
 
 
-def numbers(name: str, value, shape: tuple) -> np.ndarray:
-    """`value` as a contiguous float array of that shape (-1: any); SurefootError otherwise."""
+def real(name: str, value) -> np.ndarray:
+    """A copy of `value` as a contiguous float array; SurefootError for text, objects, and complex
+    numbers.
+    """
     try:
-        out = np.array(value, dtype=float, order="C")
+        out = np.asarray(value)
     except (TypeError, ValueError):
         raise SurefootError(f"{name}: not numbers") from None
+    if out.dtype.kind not in "fiub":
+        raise SurefootError(f"{name}: not {'real ' * (out.dtype.kind == 'c')}numbers")
+    return np.array(out, dtype=float, order="C")
+
+
+def numbers(name: str, value, shape: tuple) -> np.ndarray:
+    """`value` as a contiguous float array of that shape (-1: any); SurefootError otherwise."""
+    out = real(name, value)
     if out.ndim != len(shape) or any(
         s not in (-1, n) for s, n in zip(shape, out.shape, strict=True)
     ):

@@ -298,7 +298,7 @@ class ImuStream(FilterStream):
 
     def step(self, sample: Sample) -> Update | None:
         """Predict."""
-        check_sample(sample, self.filter.t)
+        sample = check_sample(sample, self.filter.t)
         if not np.isnan(self.filter.t):
             self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t)
         self.filter.t = sample.t
@@ -376,7 +376,7 @@ class ObserverFusion(ImuStream):
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update when the observer has a velocity."""
-        check_sample(sample, self.filter.t)
+        sample = check_sample(sample, self.filter.t)
         joints = [None if x is None else x[None] for x in (sample.q, sample.dq, sample.tau)]
         rows, velocities, predicted = self._advance(
             np.array([sample.t]), sample.gyro[None], *joints
@@ -459,7 +459,7 @@ class LegStream(FilterStream):
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update with the contacts."""
-        check_sample(sample, self.filter.t)
+        sample = check_sample(sample, self.filter.t)
         radar = self._radar(sample)
         if self._robot is None:
             foot_I, contact = measured(sample, "foot_I", "contact")

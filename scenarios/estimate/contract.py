@@ -15,8 +15,9 @@ first sample.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -31,6 +32,7 @@ from surefoot.estimator.core.checks import (
     MOST_TORQUE,
     SampleError,
     all_within,
+    real,
 )
 from surefoot.estimator.core.state import NavState
 from surefoot.sim.common.errors import SurefootError
@@ -237,33 +239,11 @@ class Estimator(Protocol):
 
 
 def measured(sample: Sample, *groups: str) -> list[np.ndarray]:
-    """These groups of a sample. Raises SurefootError naming what is missing."""
+    """These groups of a sample. Raises SampleError naming what is missing."""
     lacking = [group for group in groups if getattr(sample, group) is None]
     if lacking:
-        raise SurefootError(f"the sample at {sample.t:g} s lacks {', '.join(lacking)}")
+        raise SampleError(f"the sample at {sample.t:g} s lacks {', '.join(lacking)}")
     return [getattr(sample, group) for group in groups]
-
-
-def check_sample(sample: Sample, before: float) -> None:
-    """Check a sample that follows the stamp `before` [s], NaN at the first.
-
-    Raises SampleError, naming the fault, for values that no robot gives, or time that does not
-    increase. A stream that checks a sample before using it is unchanged by a bad one, and continues
-    with the next.
-    """
-    if not np.isfinite(sample.t):
-        raise SampleError(f"the sample's t is {sample.t}")
-    if not np.isnan(before) and not before < sample.t <= before + MOST_STEP:
-        raise SampleError(
-            f"the sample at {sample.t:.9g} s does not follow the one at {before:.9g} s, or after "
-            f"more than {MOST_STEP:g} s"
-        )
-    for name, most in LARGEST_READINGS.items():
-        value = getattr(sample, name)
-        if value is not None and not all_within(np.asarray(value, float).ravel(), most):
-            raise SampleError(
-                f"the sample at {sample.t:.9g} s: {name} is not finite, or beyond {most:g}"
-            )
 
 
 LARGEST_READINGS = {
@@ -276,6 +256,63 @@ LARGEST_READINGS = {
     "foot_I": MOST_REACH,
 }
 """Field of a sample -> its largest magnitude."""
+IMU_SHAPES: Mapping[str, tuple[int, ...]] = {"gyro": (3,), "accel": (3,)}
+LATEST_STAMP = 1e10
+"""Largest magnitude of a stamp [s], after year 2200 of any epoch; float64 resolves it to 2 us."""
+
+
+def check_sample(
+    sample: Sample,
+    before: float,
+    shapes: Mapping[str, tuple[int, ...]] = IMU_SHAPES,
+    needed: Sequence[str] = tuple(IMU_SHAPES),
+) -> Sample:
+    """Check a sample and return it with arrays of its own, float64, and contact as bool.
+
+    Raises SampleError, naming the fault, for what is no sample, values that no robot gives, or time
+    that does not increase. A stream that checks a sample before using it is unchanged by a bad one,
+    and continues with the next.
+
+    Args:
+        sample: to check.
+        before: stamp of the previous one [s]; NaN for the first.
+        shapes: of the fields whose shapes are known.
+        needed: fields that must not be None.
+    """
+    if not isinstance(sample, Sample):
+        raise SampleError(f"a sample must be a Sample, is a {type(sample).__name__}")
+    t = float(_readings("the sample's t", sample.t, (), LATEST_STAMP))
+    where = f"the sample at {t:.9g} s"
+    if not np.isnan(before) and not before < t <= before + MOST_STEP:
+        raise SampleError(
+            f"{where} does not follow the one at {before:.9g} s, or after more than {MOST_STEP:g} s"
+        )
+    measured(sample, *needed)
+    found: dict[str, np.ndarray] = {}
+    for name, most in LARGEST_READINGS.items():
+        if (value := getattr(sample, name)) is not None:
+            found[name] = _readings(f"{where}: {name}", value, shapes.get(name), most)
+    if (contact := found.get("contact")) is not None:
+        found["contact"] = contact == 1.0
+        if not (found["contact"] | (contact == 0.0)).all():
+            raise SampleError(f"{where}: contact must be 0 or 1")
+    extra = {} if sample.extra is None else sample.extra
+    if not isinstance(extra, Mapping) or not all(isinstance(x, Real) for x in extra.values()):
+        raise SampleError(f"{where}: extra must be numbers by name")
+    return sample._replace(t=t, **found)
+
+
+def _readings(what: str, value: object, shape: tuple[int, ...] | None, most: float) -> np.ndarray:
+    """A copy of a field's values as float64, of that shape if it is known."""
+    try:
+        found = real(what, value)
+    except SurefootError as error:
+        raise SampleError(f"{error}") from None
+    if shape is not None and found.shape != shape:
+        raise SampleError(f"{what} has shape {found.shape}, not {shape}")
+    if not all_within(found.ravel(), most):
+        raise SampleError(f"{what} is not finite, or beyond {most:g}")
+    return found
 
 
 def samples(log: Log) -> Iterator[Sample]:

@@ -40,7 +40,9 @@ def estimator_named(name: str) -> Estimator:
     if name not in ESTIMATORS:
         hint = did_you_mean(name, ESTIMATORS)
         raise SurefootError(f"filter {name}: unknown; choose {' | '.join(ESTIMATORS)}{hint}")
-    found = ESTIMATORS[name]()
+    kind = ESTIMATORS[name]
+    with ESTIMATORS.running(name):
+        found = kind()
     if found.name != name:
         raise SurefootError(f"filter {name}: its class calls itself {found.name}")
     return found

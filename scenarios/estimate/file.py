@@ -96,10 +96,11 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
                 log = waiting.popleft()
                 parts.append(summary_of_run(part, log))
                 judge.add(log, part)
+            metrics = None if parts[-1].diverged else judge.metrics()
     except SurefootError as error:
         raise SurefootError(f"filter {settings.filter}: {error}") from None
     found = health_of(parts, estimator, robot, first, chosen)
-    return (None if parts[-1].diverged else judge.metrics()), found
+    return metrics, found
 
 
 @contextmanager

@@ -217,26 +217,27 @@ def estimated_in_chunks(
         parameters: its own by name; by default those of `parameters_of`.
         settings: as for `run_filter`.
     """
-    mounting = tuned(robot).mounting
-    values = parameters_of(estimator, robot, settings) if parameters is None else parameters
-    remaining = iter(chunks)
-    log, following = next(remaining, None), next(remaining, None)
-    stream: Stream | None = None
-    seen = stride = 0
-    while log is not None:
-        estimator.needs.check(log, robot)
-        more = following is not None
-        log = _prepared(estimator, log, robot, more or stream is not None)
-        if stream is None:
-            stream = begin(estimator, log, robot, learnt, values, settings)
-            stride = output_stride(log.t)
-        rows = np.arange(-seen % stride, len(log.t), stride)
-        part = _advanced(stream, log, rows, more)
-        yield with_mounting(part, mounting)
-        if part.diverged:
-            return
-        seen += len(log.t)
-        log, following = following, next(remaining, None)
+    with ESTIMATORS.running(estimator.name):
+        mounting = tuned(robot).mounting
+        values = parameters_of(estimator, robot, settings) if parameters is None else parameters
+        remaining = iter(chunks)
+        log, following = next(remaining, None), next(remaining, None)
+        stream: Stream | None = None
+        seen = stride = 0
+        while log is not None:
+            estimator.needs.check(log, robot)
+            more = following is not None
+            log = _prepared(estimator, log, robot, more or stream is not None)
+            if stream is None:
+                stream = begin(estimator, log, robot, learnt, values, settings)
+                stride = output_stride(log.t)
+            rows = np.arange(-seen % stride, len(log.t), stride)
+            part = _advanced(stream, log, rows, more)
+            yield with_mounting(part, mounting)
+            if part.diverged:
+                return
+            seen += len(log.t)
+            log, following = following, next(remaining, None)
 
 
 def begin(

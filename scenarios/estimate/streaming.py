@@ -8,15 +8,24 @@ runs the filter, the observer and its decimation sample by sample.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 import pandas as pd
 
+from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import STILL_WINDOW
-from surefoot.scenarios.estimate.contract import Learnt, Sample, Stream
+from surefoot.scenarios.estimate.contract import (
+    IMU_SHAPES,
+    LARGEST_READINGS,
+    Learnt,
+    Sample,
+    Stream,
+    check_sample,
+)
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import begin
 from surefoot.scenarios.estimate.settings import FilterSettings
@@ -35,6 +44,8 @@ _GROUPS = {
     "foot": ("foot_I",),
 }
 """Groups of a log's columns, and the corresponding fields of a sample."""
+MOST_WAITING = 50_000
+"""Largest number of samples before the start: half a second at 100 kHz."""
 
 
 class StreamingEstimator:
@@ -63,26 +74,63 @@ class StreamingEstimator:
             raise SurefootError(f"{filter} takes a whole log at once, not samples")
         self._robot, self._learnt = robot, learnt or Learnt()
         self._settings, self._mounting = settings, tuned(robot).mounting
+        shapes, needs = dict(IMU_SHAPES), self._estimator.needs
+        if robot is not None:
+            joints, legs = len(robot.limbs.joints), len(robot.limbs.legs)
+            shapes |= dict.fromkeys(("q", "dq", "tau"), (joints,))
+            shapes |= {"contact": (legs,), "foot_I": (legs, 3)}
+        fields = (_GROUPS.get(group, ()) for group in ("imu", *needs.log))
+        self._any = shapes, tuple(dict.fromkeys(chain.from_iterable(fields)))
+        self._form = self._any  # shapes of fields, and which are needed, once there is a sample
+        self._t = np.nan
         self._waiting: list[Sample] = []
         self._stream: Stream | None = None
 
     def step(self, sample: Sample) -> NavState | None:
         """Return the state at this sample; None while the first STILL_WINDOW seconds are collected.
 
-        The next sample starts the stream, which then processes all of them at once. Raises
-        SurefootError where the samples lack what the filter needs, or the robot was not standing.
+        The next sample starts the stream, which then processes all of them at once. At any time,
+        raises SampleError for a sample that is refused; it has no effect. Raises SurefootError
+        where the filter cannot start, such as on a robot that does not stand; samples are then
+        collected anew.
         """
-        if self._stream is not None:
-            self._stream.step(sample)
-            return self._stream.state
+        if self._stream is None:
+            return self._begin(sample)
+        sample = check_sample(sample, self._t, *self._form)
+        self._stream.step(sample)
+        self._t = sample.t
+        return self._stream.state
+
+    def _begin(self, sample: Sample) -> NavState | None:
+        sample = check_sample(sample, np.nan, *self._any)
+        if not self._waiting:
+            given = {name: np.shape(getattr(sample, name)) for name in _fields_of(sample)}
+            self._form = self._any[0] | given, tuple(given)
+        else:
+            only = len(self._waiting) == 1
+            try:
+                check_sample(sample, self._t, *self._form)
+                if only and _fields_of(sample).keys() != set(self._form[1]):
+                    raise SampleError(
+                        f"the sample at {sample.t:.9g} s has other fields than the first"
+                    )
+            except SampleError:
+                if only:  # either of the two may be wrong
+                    self._waiting = []
+                raise
+        early = not self._waiting or sample.t <= self._waiting[0].t + STILL_WINDOW
+        if early and len(self._waiting) >= MOST_WAITING:
+            raise SampleError(f"more than {MOST_WAITING} samples in {STILL_WINDOW} s")
         self._waiting.append(sample)
-        if sample.t <= self._waiting[0].t + STILL_WINDOW:
+        self._t = sample.t
+        if early:
             return None
-        log = log_of_samples(self._waiting, self._robot)
+        waiting, self._waiting = self._waiting, []
+        log = log_of_samples(waiting, self._robot)
         stream = begin(self._estimator, log, self._robot, self._learnt, settings=self._settings)
-        for one in self._waiting:
+        for one in waiting:
             stream.step(one)
-        self._stream, self._waiting = stream, []
+        self._stream = stream
         return stream.state
 
     @property
@@ -105,32 +153,28 @@ class StreamingEstimator:
 
 
 def log_of_samples(samples: Sequence[Sample], robot: Robot | None) -> Log:
-    """Samples as a log, with the names of the robot's joints and legs.
-
-    Raises SurefootError where they form no log: too few, inconsistent fields, or decreasing time.
+    """Checked samples with the fields of the first as a log, with the names of the robot's joints
+    and legs, or numbered ones.
     """
     t = np.array([sample.t for sample in samples])
-    if len(t) < 2 or not (np.diff(t) > 0.0).all():
-        raise SurefootError("samples: their times must increase")
-    joints = () if robot is None else robot.limbs.joints
-    legs = () if robot is None else robot.limbs.legs
     columns = {"t": t}
     for group, names in _GROUPS.items():
-        parts = [[getattr(sample, name) for sample in samples] for name in names]
-        if any(value is None for part in parts for value in part):
+        if not set(names) <= _fields_of(samples[0]).keys():
             continue
-        arrays = [np.asarray(part, dtype=float) for part in parts]
+        arrays = [np.array([getattr(one, name) for one in samples], dtype=float) for name in names]
         if group == "foot":  # columns are by axis, then by leg
             arrays = [np.swapaxes(x, 1, 2) for x in arrays]
+        count = arrays[0].shape[-1]
+        joints = [f"joint{k + 1}" for k in range(count)] if robot is None else robot.limbs.joints
+        legs = [f"leg{k + 1}" for k in range(count)] if robot is None else robot.limbs.legs
         values = np.concatenate([x.reshape(len(t), -1) for x in arrays], axis=1)
-        if group in ("contact", "foot") and robot is None:
-            per_leg = 1 if group == "contact" else 3
-            legs = tuple(f"leg{k + 1}" for k in range(values.shape[1] // per_leg))
-        own = group_columns(group, joints, legs)
-        if len(own) != values.shape[1]:
-            raise SurefootError(
-                f"samples: {group} has {values.shape[1]} numbers, the robot {len(own)}"
-            )
-        columns |= dict(zip(own, values.T, strict=True))
+        named = group_columns(group, tuple(joints), tuple(legs))
+        columns |= dict(zip(named, values.T, strict=True))
     rate = float(f"{1.0 / np.median(np.diff(t)):.6g}")
     return Log(pd.DataFrame(columns), Meta(rate), "samples")
+
+
+def _fields_of(sample: Sample) -> dict[str, np.ndarray]:
+    """The readings of a sample by their field."""
+    each = {name: getattr(sample, name) for name in LARGEST_READINGS}
+    return {name: value for name, value in each.items() if value is not None}

@@ -12,8 +12,11 @@ one run, `surefoot --plugin FILE.py ...`, by a dictionary of groups:
 """
 
 import os
+import re
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
@@ -75,19 +78,22 @@ class Registry(Mapping[str, Any]):
         point, *others = points
         if others:
             raise SurefootError(f"{_what(point)}: {others[0].value} has that name too")
-        try:
+        with of_plugin(f"{_what(point)}: cannot be imported"):
             member = point.load()
-        except Exception as error:  # whatever a module of a user's own raises
-            reason = f"{type(error).__name__}: {error}"
-            raise SurefootError(f"{_what(point)}: cannot be imported ({reason})") from error
         missing = [attribute for attribute in self.needs if not hasattr(member, attribute)]
         if missing:
             raise SurefootError(f"{_what(point)}: lacks {', '.join(missing)}")
         try:
-            self.check(name, member)
+            with of_plugin("it is not valid"):
+                self.check(name, member)
         except SurefootError as error:
             raise SurefootError(f"{_what(point)}: {error}") from None
         return member
+
+    def running(self, name: str) -> AbstractContextManager[None]:
+        """Context in which code of that member runs (`of_plugin`); a bundled one's is our own."""
+        points = plugins(self.group).get(name)
+        return of_plugin(f"{_what(points[0])}: failed") if points else nullcontext()
 
     def usable(self) -> tuple[dict[str, Any], dict[str, str]]:
         """Name -> member, of those that can be used, and name -> reason, of the others."""
@@ -98,6 +104,21 @@ class Registry(Mapping[str, Any]):
             except SurefootError as error:
                 broken[name] = str(error)
         return members, broken
+
+
+@contextmanager
+def of_plugin(what: str) -> Iterator[None]:
+    """Context in which code of a user's own runs: whatever else than a SurefootError it raises, or
+    an exit, becomes one, in a line that starts with `what` and names the place.
+    """
+    try:
+        yield
+    except SurefootError:
+        raise
+    except (Exception, SystemExit) as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}, line {place.lineno}"
+        raise SurefootError(f"{what} ({type(error).__name__}: {error}; {where})") from error
 
 
 @cache
@@ -141,11 +162,8 @@ def load_plugin(file: str | Path) -> None:
     assert spec is not None
     assert spec.loader is not None
     module = sys.modules[module_name] = module_from_spec(spec)
-    try:
+    with of_plugin(f"--plugin {file}: cannot be run"):
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a file of a user's own raises
-        reason = f"{type(error).__name__}: {error}"
-        raise SurefootError(f"--plugin {file}: cannot be run ({reason})") from error
     offered = getattr(module, "PLUGINS", None)
     if not isinstance(offered, dict) or not offered:
         raise SurefootError(f'--plugin {file}: needs PLUGINS = {{"surefoot.estimators": {{...}}}}')
@@ -154,7 +172,13 @@ def load_plugin(file: str | Path) -> None:
             raise SurefootError(
                 f"--plugin {file}: no group '{group}'; known: {', '.join(PLUGIN_GROUPS)}"
             )
+        if not isinstance(members, dict):
+            raise SurefootError(f"--plugin {file}: {group} must be a dict of classes by name")
         for name, member in members.items():
+            if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]*", name)):
+                raise SurefootError(f"--plugin {file}: {group}: {name!r} is no name")
+            if not isinstance(member, type):
+                raise SurefootError(f"--plugin {file}: {name} must be a class, is {member!r:.60}")
             value = f"{module_name}:{member.__qualname__}"
             _OF_FILES.setdefault(group, []).append(EntryPoint(name, value, group))
     _LOADED.add(str(path.resolve()))

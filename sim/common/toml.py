@@ -23,7 +23,10 @@ from surefoot.sim.common.limits import bounded_text, check_limit, check_toml_key
 T = TypeVar("T")
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
-SampleRate = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+SLOWEST_RATE = 0.01
+"""Rate below which stamps must be in another unit [Hz]: 20 Hz in ms reads as 0.02, in us as 2e-5.
+"""
+SampleRate = Annotated[float, msgspec.Meta(ge=SLOWEST_RATE, le=1e6)]
 """Hz. A million is beyond any sensor of a robot."""
 Level = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=LARGEST_WHOLE)]

@@ -77,7 +77,7 @@ def read_hdf5(path: Path) -> RecordedTable:
         for name, node in found:
             if node.is_virtual or node.external:
                 raise SurefootError(f"{path}: {name} lies in another file, which is not read")
-            if node.dtype.kind in "fiub" or node.dtype.names:
+            if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
         return _table(path, arrays | _matlab_strings(file))
@@ -171,9 +171,9 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})
-        elif value.dtype.kind in "fiubU" and value.ndim == 3 and len(value) == 1 and value.size:
+        elif value.dtype.kind in "fiubcU" and value.ndim == 3 and len(value) == 1 and value.size:
             cells[name] = value[0]  # the only episode, as gym-quadruped writes it
-        elif value.dtype.kind in "fiubU" and value.ndim in (1, 2, 3) and value.size:
+        elif value.dtype.kind in "fiubcU" and value.ndim in (1, 2, 3) and value.size:
             cells[name] = np.asarray(value)
     return cells
 

@@ -116,6 +116,8 @@ class Log:
     def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
         def stacked() -> np.ndarray:
             self.require(group)
+            if any(np.iscomplexobj(self.columns[name]) for name in names):
+                raise LogError(f"{self.name}: {names[0]}, ... are complex numbers, not real ones")
             # Column by column: selecting them together takes pandas several times as long.
             return np.column_stack([np.asarray(self.columns[n], dtype=float) for n in names])
 

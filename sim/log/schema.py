@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit, limits, parse_json
-from surefoot.sim.common.toml import Count, Positive, typed
+from surefoot.sim.common.toml import SLOWEST_RATE, Count, SampleRate, typed
 
 SCHEMA = 1
 KEY = b"surefoot"
@@ -28,9 +28,6 @@ JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "c
 """A quadruped's joints, in the order of all arrays."""
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
-SLOWEST_STAMPS = 0.01
-"""Rate below which stamps must be in another unit [Hz]: 20 Hz in ms reads as 0.02, in us as 2e-5.
-"""
 
 
 def _axes(name: str, axes: str = "xyz") -> tuple[str, ...]:
@@ -202,7 +199,7 @@ class _Model:
 class _Metadata:
     """Types of the metadata; a model may have further entries."""
 
-    rate: Positive
+    rate: SampleRate
     schema: Count
     robot: str | None = None
     scenario: str | None = None
@@ -243,10 +240,7 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
     digest = metadata.get(DIGEST_KEY)
     if digest and digest != metadata_digest(metadata[KEY]):
         raise SurefootError("damaged: the metadata do not match their digest")
-    try:
-        values = parse_json(metadata[KEY])
-    except SurefootError as error:
-        raise SurefootError(f"the metadata is {error}") from error
+    values = parse_json(metadata[KEY], "the metadata is ")
     if not isinstance(values, dict):
         raise SurefootError("the metadata is not a JSON object")
     version = values.get("schema")
@@ -371,7 +365,7 @@ def _check_time(t: np.ndarray, rate: float, first_row: int, before: float) -> No
         raise SurefootError(f"column t, row {first_row + row}: time {how} at {t[row]:.6f} s")
     if len(t) > 1:
         actual = 1.0 / float(np.median(step[1:]))
-        if actual < SLOWEST_STAMPS:
+        if actual < SLOWEST_RATE:
             raise SurefootError(
                 f"column t runs at {actual:.3g} Hz, as if it were in us or ns: it is in s"
             )

@@ -16,6 +16,10 @@ from surefoot.sim.robot.legs import JOINTS, LEGS
 from surefoot.sim.robot.limbs import QUADRUPED
 
 TIMESTEP = 0.002  # s
+FELT, LEAST_FELT = 1.3, 1e-3
+"""Radius of a foot's touch sensor, as a share of its reach, and at least [m]."""
+WHEEL = 0.05
+"""Least distance of a foot from the axis of its leg's last hinge, as a share of the leg."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,13 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
                 f"robot {robot.name}: no torque limit for joint {joint}; give its "
                 f"{'limit an effort' if robot.file.suffix == '.urdf' else 'actuator a forcerange'}"
             )
+    lever = np.linalg.norm(robot.feet_jacobian_I(robot.q_home[None])[0, ..., 2], axis=1)
+    for leg, chain in enumerate(robot.limbs.chains):
+        if lever[leg] < WHEEL * robot.leg_length:
+            raise SurefootError(
+                f"robot {robot.name}: joint {robot.joint_names[chain[2]]} does not move foot "
+                f"{LEGS[leg]}, like the axle of a wheel; the last of three hinges must bend the leg"
+            )
     spec = robot.spec()
     for part in (*spec.sensors, *spec.actuators, *spec.keys):
         spec.delete(part)
@@ -64,14 +75,15 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
             ctrlrange=[-limit, limit],
         )
         motor.set_to_motor()
+    felt = np.maximum(FELT * robot.foot_reach, LEAST_FELT)
     for leg, body, place, radius in zip(
-        LEGS, robot.foot_bodies, robot.foot_places, robot.foot_radius, strict=True
+        LEGS, robot.foot_bodies, robot.foot_places, felt, strict=True
     ):
         site = spec.body(body).add_site(
             name=f"sole_{leg}",
             pos=place,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[1.3 * radius, 0, 0],
+            size=[radius, 0, 0],
             group=5,
         )
         spec.add_sensor(

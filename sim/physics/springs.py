@@ -11,6 +11,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import take_off_ball, with_own_inertia
 from surefoot.sim.robot.legs import LEGS
@@ -143,9 +144,14 @@ def share_moved_at_once(
 
 
 def foot_parts(spec: mujoco.MjSpec, leg: str) -> tuple[mujoco.MjsGeom, mujoco.MjsSite]:
-    """The sphere of a foot, and the site of its touch sensor, which moves with it."""
+    """The sphere of a foot, and the site of its touch sensor, which moves with it.
+
+    Raises SurefootError for a foot of another shape.
+    """
     site = spec.site(f"sole_{leg}")
     spheres = [g for g in site.parent.geoms if g.type == mujoco.mjtGeom.mjGEOM_SPHERE]
+    if not spheres:
+        raise SurefootError(f"effects of feet need spheres for feet, and foot {leg} is none")
     return min(spheres, key=lambda g: float(np.linalg.norm(g.pos - site.pos))), site
 
 

@@ -7,13 +7,14 @@ from surefoot.sim.robot.kinematics import Legs, leg_forward
 
 CROUCH = 0.76  # height of the thigh joint over the foot, as a share of the straight leg
 # Criteria of standing, as shares of the straight leg.
-LOWEST, UNEVEN, ASKEW = 0.7, 0.1, 0.3
+LOWEST, HIGHEST, UNEVEN, ASKEW = 0.7, 0.97, 0.1, 0.3
 
 
 def stands(legs: Legs, q: np.ndarray) -> bool:
-    """Whether joint angles q (12,) [rad] support the body: feet level, far below and near the hips.
+    """Whether joint angles q (12,) [rad] support the body: feet level, far below and near the hips,
+    knees bent.
 
-    The "home" keyframe of some published models only folds the legs.
+    The "home" keyframe of some published models only folds the legs, that of others is zero.
     """
     foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     drops = np.empty(4)
@@ -21,7 +22,8 @@ def stands(legs: Legs, q: np.ndarray) -> bool:
         leg_forward(legs, leg, q, foot, J, axes)
         hip, straight = _thigh_joint(legs, leg), _straight(legs, leg)
         drops[leg] = (hip[2] - foot[2]) / straight
-        if drops[leg] < LOWEST or abs(foot[0] - hip[0]) > ASKEW * straight:
+        reaches = LOWEST <= drops[leg] <= HIGHEST  # not of nan
+        if not reaches or abs(foot[0] - hip[0]) > ASKEW * straight:
             return False
     return bool(np.ptp(drops) < UNEVEN)
 

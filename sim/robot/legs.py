@@ -1,6 +1,6 @@
 """Find the legs of a robot in its kinematic tree: chains of hinges that end in a foot.
 
-A foot is a colliding sphere that rolls, the end of a mesh or capsule where a leg has at most three
+A foot is a colliding sphere that rolls, the end of another shape where a leg has at most three
 hinges, or the flat underside of colliding boxes, meshes and lying rods.
 """
 
@@ -30,9 +30,13 @@ POINT_HINGES = 3
 ROUND = 0.1
 """Largest deviation of a wheel from a circle, or from its axle, as a share of its radius."""
 _SPHERE, _MESH = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_MESH)
-_FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), _MESH)
-_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_RODS = (_CAPSULE, int(mujoco.mjtGeom.mjGEOM_CYLINDER))
+_BOX, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_CYLINDER, _ELLIPSOID = (
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
+)
+_FLAT, _RODS = (_BOX, _MESH), (_CAPSULE, _CYLINDER)
+_FEET = (_SPHERE, *_FLAT, *_RODS, _ELLIPSOID)
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
 
 
@@ -46,6 +50,7 @@ class LegTree:
     foot_bodies: np.ndarray  # (L,)
     foot_places: np.ndarray  # (L, 3) m in that body: a sphere's centre, or the middle of a sole
     foot_radius: np.ndarray  # (L,) m, zero of flat feet
+    foot_reach: np.ndarray  # (L,) m, from these places to what may touch the ground
     sole: np.ndarray  # (L, 2) m, half lengths of a flat sole, fore and aft and sideways; else zero
     constants: Legs
 
@@ -55,6 +60,7 @@ class _Foot:
     body: int
     place: np.ndarray
     radius: float = 0.0
+    reach: float = 0.0  # m, from the place to what may touch the ground
     sole: tuple[float, float] = (0.0, 0.0)
     bottom: float = np.inf  # m, height of its lowest point in the home pose
     rod: bool = False  # of capsules or cylinders, which also serve as shanks and arms
@@ -99,8 +105,7 @@ def _leg_tree(model: mujoco.MjModel, feet: Mapping[str, str] | None) -> LegTree:
             f"legs share hinge {model.joint(shared[0]).name}, which must not be: put "
             "the free joint on the body from which each leg hangs on its own"
         )
-    root = model.body_rootid[model.jnt_bodyid]
-    joints += [j for j in _hinges(model) if root[j] == model.body_rootid[base] and j not in joints]
+    joints += [joint for joint in _hinges(model) if joint not in joints]
     return LegTree(
         limbs=_limbs(model, legs, chains, joints, found),
         base_body=base,
@@ -108,6 +113,7 @@ def _leg_tree(model: mujoco.MjModel, feet: Mapping[str, str] | None) -> LegTree:
         foot_bodies=np.array([foot.body for foot in found]),
         foot_places=np.array([foot.place for foot in found]),
         foot_radius=np.array([foot.radius for foot in found]),
+        foot_reach=np.array([foot.reach for foot in found]),
         sole=np.array([foot.sole for foot in found]),
         constants=_constants(model, base, chains, found),
     )
@@ -151,9 +157,9 @@ def _standing_chains(
         pairs = [(chain, foot) for chain, foot in pairs if foot.bottom <= max(highest, lowest)]
     if not pairs:
         raise SurefootError(
-            f"none of its {len(chains)} chains of hinges ends in a colliding sphere, box, capsule "
-            "or mesh for a foot; add a sphere geom at the end of each leg, or name the feet in the "
-            "map"
+            f"none of its {len(chains)} chains of hinges ends in a colliding shape for a foot (a "
+            "cylinder about the last hinge is a wheel); add a sphere geom at the end of each leg, "
+            "or name the feet in the map"
         )
     return [chain for chain, _ in pairs], [foot for _, foot in pairs]
 
@@ -253,40 +259,43 @@ def _hinges(model: mujoco.MjModel) -> list[int]:
 def _foot_of(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int]
 ) -> _Foot | None:
-    """The foot on the last link of a chain.
+    """The foot on the last link of a chain; None if it has no shape to stand on.
 
-    The sphere farthest from its hinge, unless flat shapes or other spheres reach as low; then the
-    underside of all of these. Without spheres and flat shapes, capsules or lying cylinders.
+    In legs that position a point, the shape that reaches farthest from the last hinge. In others,
+    the sphere farthest from it, unless flat shapes or other spheres reach as low; then the
+    underside of all of these. Without spheres and flat shapes, that of lying rods, else the end of
+    a capsule.
     """
     link = int(model.jnt_bodyid[chain[-1]])
     solid = np.flatnonzero(_collides(model)).tolist()
     shapes = [g for g in solid if _is_fixed_to(model, model.geom_bodyid[g], link)]
+    if len(chain) <= POINT_HINGES:
+        return _point_foot(model, data, base, chain, shapes)
     spheres = [g for g in shapes if model.geom_type[g] == _SPHERE]
     flat = [g for g in shapes if model.geom_type[g] in _FLAT]
-    if not spheres + flat:
-        return _foot_of_rods(model, data, base, chain, shapes)
-    hinge, axle = data.xanchor[chain[-1]], data.xaxis[chain[-1]]
-    if not spheres and len(chain) <= POINT_HINGES:
-        reach = {g: np.linalg.norm(outline_G(model, data, g) - hinge, axis=1).max() for g in flat}
-        last = max(flat, key=lambda g: float(reach[g]))
-        if model.geom_type[last] == _MESH:
-            centre_G, radius = _tip(outline_G(model, data, last) - hinge, axle)
-            return _ball(data, int(model.geom_bodyid[last]), hinge + centre_G, radius)
-    lowest = {g: float(outline_G(model, data, g)[:, 2].min()) for g in spheres + flat}
+    rods = [g for g in shapes if model.geom_type[g] in _RODS]
     if spheres:
+        hinge = data.xanchor[chain[-1]]
+        lowest = {g: float(outline_G(model, data, g)[:, 2].min()) for g in spheres + flat}
         ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)))
-        rivals = [g for g in lowest if g != ball and lowest[g] < lowest[ball] + SOLE_LEVEL]
-        if not rivals or len(chain) <= POINT_HINGES:
-            place, radius = model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
-            return _Foot(int(model.geom_bodyid[ball]), place, radius, bottom=lowest[ball])
-    return _sole(model, data, base, spheres + flat)
+        if all(lowest[g] >= lowest[ball] + SOLE_LEVEL for g in lowest if g != ball):
+            return _sphere_foot(model, data, ball)
+    if spheres or flat:
+        return _sole(model, data, base, spheres + flat)
+    lying = [g for g in rods if abs(data.geom_xmat[g, 8]) < 0.5 and not _is_about(data, g, chain)]
+    if lying:
+        return replace(_sole(model, data, base, lying), rod=True)
+    capsules = [g for g in rods if model.geom_type[g] == _CAPSULE]
+    return _point_foot(model, data, base, chain, capsules)
 
 
-def _foot_of_rods(
+def _point_foot(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int], shapes: list[int]
 ) -> _Foot | None:
-    """The underside of lying rods if the leg can level it, else the far end of a capsule; None if
-    there is neither. An upright cylinder, or one on a hinge's axis, may be a wheel.
+    """The shape that reaches farthest from the last hinge, a sphere before others that reach about
+    as far: as a ball in its end, or the underside of boxes. None without shapes.
+
+    A cylinder on a hinge's axis may be a wheel, and is no foot.
 
     Args:
         model: compiled.
@@ -295,39 +304,69 @@ def _foot_of_rods(
         chain: the joints of the leg.
         shapes: all that collide on its last link.
     """
-    hinge = data.xanchor[chain[-1]]
-    rods = [g for g in shapes if model.geom_type[g] in _RODS]
-    lying = [g for g in rods if abs(data.geom_xmat[g, 8]) < 0.5 and not _is_about(data, g, chain)]
-    if len(chain) > POINT_HINGES and lying:
-        return replace(_sole(model, data, base, lying), rod=True)
-    ends = []
-    for g in (g for g in rods if model.geom_type[g] == _CAPSULE):
-        half = model.geom_size[g, 1] * data.geom_xmat[g].reshape(3, 3)[:, 2]
-        ends += [(data.geom_xpos[g] - half, g), (data.geom_xpos[g] + half, g)]
-    if not ends:
+    hinge, axle = data.xanchor[chain[-1]], data.xaxis[chain[-1]]
+    reach = {}
+    for g in shapes:
+        kind = model.geom_type[g]
+        if kind in _FEET and not (kind == _CYLINDER and _is_about(data, g, chain)):
+            outline = outline_G(model, data, g)
+            reach[g] = float(np.linalg.norm(outline - hinge, axis=1).max())
+    if not reach:
         return None
-    centre_G, last = max(ends, key=lambda end: float(np.linalg.norm(end[0] - hinge)))
-    body, radius = int(model.geom_bodyid[last]), float(model.geom_size[last, 0])
-    return replace(_ball(data, body, centre_G, radius), rod=True)
+    last = max(reach, key=lambda g: reach[g])
+    spheres = [g for g in reach if model.geom_type[g] == _SPHERE]
+    ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)), default=-1)
+    if spheres and reach[ball] > reach[last] - SOLE_LEVEL:
+        return _sphere_foot(model, data, ball)
+    if model.geom_type[last] == _BOX:
+        return _sole(model, data, base, [g for g in reach if model.geom_type[g] in _FLAT])
+    outline = outline_G(model, data, last) - hinge
+    if model.geom_type[last] == _MESH:
+        centre, radius = _tip(outline, axle)
+    else:
+        centre, radius = _round_end(model, data, last, hinge)
+    body = int(model.geom_bodyid[last])
+    place = data.xmat[body].reshape(3, 3).T @ (hinge + centre - data.xpos[body])
+    along = centre / np.linalg.norm(centre)
+    wide = float(np.linalg.norm(outline - np.outer(outline @ along, along), axis=1).max())
+    bottom = float(hinge[2] + centre[2]) - radius
+    rod = model.geom_type[last] != _MESH
+    return _Foot(body, place, radius, float(np.hypot(radius, wide)), bottom=bottom, rod=rod)
+
+
+def _sphere_foot(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> _Foot:
+    place, radius = model.geom_pos[geom].copy(), float(model.geom_size[geom, 0])
+    bottom = float(data.geom_xpos[geom, 2]) - radius
+    return _Foot(int(model.geom_bodyid[geom]), place, radius, radius, bottom=bottom)
+
+
+def _round_end(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, hinge: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Centre (3,) relative to a hinge and radius of a ball [m]: that in the end of a rod which is
+    farther from the hinge, or that about an ellipsoid's centre which touches its lowest point.
+
+    Args:
+        model: compiled.
+        data: in the home pose.
+        geom: the shape.
+        hinge: (3,) m in G.
+    """
+    centre, axes_G = data.geom_xpos[geom] - hinge, data.geom_xmat[geom].reshape(3, 3)
+    if model.geom_type[geom] == _ELLIPSOID:
+        return centre, float(np.linalg.norm(axes_G[2] * model.geom_size[geom]))
+    radius, half = model.geom_size[geom, :2].tolist()
+    if model.geom_type[geom] == _CYLINDER:  # within its flat end
+        radius = min(radius, half)
+        half -= radius
+    ends = centre - half * axes_G[:, 2], centre + half * axes_G[:, 2]
+    return max(ends, key=lambda end: float(np.linalg.norm(end))), radius
 
 
 def _is_about(data: mujoco.MjData, rod: int, chain: list[int]) -> bool:
     """Whether a rod's middle is on the axis of the last hinge, like that of a wheel or motor."""
     off = np.cross(data.xaxis[chain[-1]], data.geom_xpos[rod] - data.xanchor[chain[-1]])
     return float(np.linalg.norm(off)) < SHORTEST_LINK
-
-
-def _ball(data: mujoco.MjData, body: int, centre_G: np.ndarray, radius: float) -> _Foot:
-    """A round foot.
-
-    Args:
-        data: in the home pose.
-        body: that carries it.
-        centre_G: (3,) m in G.
-        radius: m.
-    """
-    place = data.xmat[body].reshape(3, 3).T @ (centre_G - data.xpos[body])
-    return _Foot(body, place, radius, bottom=float(centre_G[2]) - radius)
 
 
 def _tip(points: np.ndarray, axle: np.ndarray) -> tuple[np.ndarray, float]:
@@ -380,7 +419,8 @@ def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[in
     half = 0.5 * (high - low)[sides]
     body = int(model.geom_bodyid[first])
     place = data.xmat[body].reshape(3, 3).T @ (axes_G @ middle - data.xpos[body])
-    return _Foot(body, place, 0.0, (float(half[0]), float(half[1])), float(points_G[:, 2].min()))
+    reach, bottom = float(np.linalg.norm(half)), float(points_G[:, 2].min())
+    return _Foot(body, place, 0.0, reach, (float(half[0]), float(half[1])), bottom)
 
 
 def _named_foot(model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str) -> _Foot:
@@ -526,9 +566,6 @@ def _limbs(
         feet: of the legs.
     """
     names = [model.joint(j).name for j in joints]
-    if "" in names:
-        body = model.body(int(model.jnt_bodyid[joints[names.index("")]])).name
-        raise SurefootError(f"a joint of body '{body}' has no name")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     if legs == LEGS and all(len(chain) == 3 for chain in chains):

@@ -12,6 +12,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.robot.model_gate import check_compiled, check_model_file
+from surefoot.sim.robot.surroundings import leave_out_surroundings, name_parts
 
 # Otherwise MuJoCo writes MUJOCO_LOG.TXT to the working directory; unstable walks are reported
 # anyway.
@@ -40,9 +41,11 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     that neither collide nor have mass, are left out of an MJCF where their files are missing.
     Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
     corrected, since other readers of URDF accept them. A foot that is a mesh, at the end of a leg
-    of at most three joints, is taken for a point at the origin of its link. `changes_on_reading`
-    lists these changes. Parts of the robot do not collide with each other. A link that is fixed to
-    the base and named as an IMU, such as `imu_link`, becomes the site of the IMU.
+    of at most three joints, is taken for a point at the origin of its link. Bodies and joints of an
+    MJCF without a name are numbered, and what else is in its scene is left out.
+    `changes_on_reading` lists these changes. Parts of the robot do not collide with each other. A
+    link that is fixed to the base and named as an IMU, such as `imu_link`, becomes the site of the
+    IMU.
     """
     return _spec(file)[0]
 
@@ -62,36 +65,27 @@ def _spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
         if file.suffix == ".urdf":
             return _urdf_spec(file)
         spec = mujoco.MjSpec.from_file(str(file))
-        missing = _leave_out_visuals(spec, file.parent)
-        without = f"visuals left out, as their files are missing: {', '.join(missing)}"
-        return spec, (without,) if missing else ()
+        changes = _leave_out_visuals(spec, file.parent) + name_parts(spec)
+        return spec, changes + leave_out_surroundings(spec)
+    except SurefootError as error:
+        raise SurefootError(f"robot {file}: {error}") from None
     except (ValueError, OSError, RuntimeError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise _unreadable(file, error) from None
 
 
 def compiled_model(file: Path) -> mujoco.MjModel:
     """The compiled model of an MJCF or URDF file. Raises SurefootError in one clear line."""
-    check_model_file(file)
+    spec = model_spec(file)
     try:
-        model = model_spec(file).compile() if file.suffix == ".urdf" else _compiled_mjcf(file)
+        model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
         raise _unreadable(file, error) from None
     check_compiled(file, model)
     return model
 
 
-def _compiled_mjcf(file: Path) -> mujoco.MjModel:
-    try:
-        return mujoco.MjModel.from_xml_path(str(file))
-    except ValueError:
-        spec, changes = _spec(file)
-        if not changes:
-            raise
-        return spec.compile()
-
-
 def _leave_out_visuals(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...]:
-    """Remove the visuals whose files are missing; returns those files.
+    """Remove the visuals whose files are missing; returns the change in words, if there is one.
 
     Args:
         spec: of the model.
@@ -114,7 +108,8 @@ def _leave_out_visuals(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...]:
             for geom in users:
                 spec.delete(geom)
             spec.delete(mesh)
-    return tuple(left_out)
+    without = f"visuals left out, as their files are missing: {', '.join(left_out)}"
+    return (without,) if left_out else ()
 
 
 def _has_effect(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:

@@ -35,6 +35,8 @@ INCLUDES = 100
 """Maximum number of files in a model, counting nested includes each time."""
 MOST_FILES, MOST_FOLDERS = 10_000, 20
 """Maximum number of shapes and pictures that a model names, and of folders for them."""
+LARGEST = 1e10
+"""Largest number with which MuJoCo computes, its mjMAXVAL."""
 _PARTS = {"body", "geom", "site", "joint", "freejoint", "light", "flexcomp", "composite"}
 _PARTS |= {"link", "visual", "collision"}
 _ASSETS = {".stl", ".obj", ".msh", ".ply", ".dae", ".png", ".jpg", ".jpeg", ".ktx", ".bin"}
@@ -67,19 +69,20 @@ def check_model_file(file: Path) -> None:
 
 
 def check_compiled(file: Path, model: mujoco.MjModel) -> None:
-    """Raise SurefootError for a compiled model with unphysical masses, positions or friction.
+    """Raise SurefootError for a compiled model with masses, lengths, springs, friction or keyframes
+    with which MuJoCo cannot compute.
 
     Args:
         file: named in the message.
         model: as MuJoCo compiled it.
     """
     checked = "body_mass", "body_inertia", "body_pos", "body_quat", "geom_size", "geom_friction"
-    checked += "dof_armature", "dof_damping", "jnt_stiffness"
+    checked += "dof_armature", "dof_damping", "dof_frictionloss", "jnt_stiffness", "key_qpos"
     for name in checked:
         values = np.asarray(getattr(model, name))
-        if not np.isfinite(values).all():
-            raise SurefootError(f"robot {file}: {name} is not finite")
-        if name not in ("body_pos", "body_quat") and (values < 0).any():
+        if not (np.abs(values) <= LARGEST).all():
+            raise SurefootError(f"robot {file}: {name} is not finite, or larger than {LARGEST:g}")
+        if name not in ("body_pos", "body_quat", "key_qpos") and (values < 0).any():
             raise SurefootError(f"robot {file}: {name} is negative")
 
 

@@ -25,7 +25,7 @@ from surefoot.sim.robot.model_file import compiled_model, model_spec
 from surefoot.sim.robot.model_of_log import robot_of_log
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
-_OF_LEGS = ("foot_radius", "sole", "foot_places")
+_OF_LEGS = ("foot_radius", "foot_reach", "sole", "foot_places")
 NO_ROBOT = "the log names no robot: say which"
 IMU_SITES = ("imu", "imu_site", "IMU", "trunk_imu")
 
@@ -63,6 +63,7 @@ class Robot:
     p_BI: np.ndarray  # (3,) m, the IMU's origin in B
     R_BI: np.ndarray  # (3, 3), maps I to B
     foot_radius: np.ndarray  # (L,) m
+    foot_reach: np.ndarray  # (L,) m, from a foot's place to what of its shape may touch the ground
     sole: np.ndarray  # (L, 2) m, half lengths of flat feet, fore and aft and sideways; else zero
     joint_range: np.ndarray  # (J, 2) rad
     torque_limit: np.ndarray  # (J,) N m, infinite where the model has none
@@ -99,6 +100,7 @@ class Robot:
             p_BI=p_BI,
             R_BI=R_BI,
             foot_radius=tree.foot_radius,
+            foot_reach=tree.foot_reach,
             sole=tree.sole,
             joint_range=_ranges(model, joints),
             torque_limit=_torque_limits(model, joints),

@@ -16,13 +16,15 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
 from synthetic import synthetic_walk
 
-from surefoot.estimator.core.checks import DivergedError
+from surefoot.estimator.core.checks import DivergedError, SampleError
 from surefoot.estimator.initial import initial_state
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.observer import Observer
+from surefoot.scenarios.estimate import streaming
 from surefoot.scenarios.estimate.contract import Beginning, Learnt, Sample, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.radar_velocity import RADAR_COLUMNS
+from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LEGS, Log
@@ -225,3 +227,93 @@ def test_whatever_comes(name, steps):
     assert kind.steps >= 0.9 * steps or steps < 10_000
     assert kind.refused > 0
     print(f"{name}: {kind.steps} steps, {kind.refused} refused, {kind.diverged} times diverged")
+
+
+def changed(**fields):
+    return lambda sample, before: sample._replace(**fields)
+
+
+BAD_SAMPLES = {
+    "repeated": lambda sample, before: sample._replace(t=before.t),
+    "late": lambda sample, before: sample._replace(t=before.t - 0.3),
+    "a stamp of NaN": changed(t=np.nan),
+    "a stamp in nanoseconds": changed(t=1.7e18),
+    "a stamp of another clock": changed(t=1.7e9),
+    "a stamp of digits": changed(t="0.5"),
+    "a complex stamp": changed(t=1j),
+    "NaN": changed(gyro=np.full(3, np.nan)),
+    "nothing": changed(accel=None),
+    "another shape": changed(gyro=np.zeros((3, 1))),
+    "text": changed(gyro=["a", "b", "c"]),
+    "digits": changed(accel=["0", "0", "9.8"]),
+    "complex": changed(accel=np.array([0, 0, 9.8 + 1j])),
+    "objects": changed(gyro=[object()] * 3),
+    "ragged": changed(gyro=[[1], [1, 2], 3]),
+    "joints too few": changed(q=np.zeros(11)),
+    "joints missing": changed(q=None),
+    "a contact of a half": changed(contact=np.full(4, 0.5)),
+    "a contact too many": changed(contact=np.ones(5, bool)),
+    "extra text": changed(extra={"x_a": "hot"}),
+    "no sample": lambda sample, before: {"t": sample.t},
+}
+
+
+@pytest.mark.parametrize("at", [0, 1, 20, 60])
+@pytest.mark.parametrize("what", BAD_SAMPLES)
+def test_a_bad_sample_is_refused_alone(what, at):
+    """Before the start, at it and after it: the others give a state as if it had not come."""
+    _, robot, _, every = loop()
+    good = [sample._replace(extra=None) for sample in every[:400:5]]
+    online, alone = StreamingEstimator("imu", robot), StreamingEstimator("imu", robot)
+    refused = []
+    for row, sample in enumerate(good):
+        if row == at:
+            try:
+                online.step(BAD_SAMPLES[what](sample, good[max(row - 1, 0)]))
+            except SampleError:
+                refused.append(row)
+            continue
+        try:
+            online.step(sample)
+        except SampleError:  # a first stamp is wrong by what follows it alone
+            refused.append(row)
+        alone.step(sample)
+    assert len(refused) == (0 if (at, what) == (0, "repeated") or (at, what) == (0, "late") else 1)
+    assert online.state is not None
+    if at > 1:
+        np.testing.assert_array_equal(online.state.p_GI, alone.state.p_GI)
+
+
+def test_samples_may_share_a_buffer():
+    """As a driver reuses one: what is collected before the start are copies."""
+    _, robot, _, every = loop()
+    buffer, online, alone = np.zeros(3), *(StreamingEstimator("imu", robot) for _ in range(2))
+    for sample in every[:400:5]:
+        buffer[:] = sample.gyro
+        online.step(sample._replace(gyro=buffer))
+        alone.step(sample)
+    np.testing.assert_array_equal(online.covariance, alone.covariance)
+    np.testing.assert_array_equal(online.state.R_GI, alone.state.R_GI)
+
+
+def test_samples_that_never_end_half_a_second_are_bounded(monkeypatch):
+    monkeypatch.setattr(streaming, "MOST_WAITING", 10)
+    online, first = StreamingEstimator("imu", None), Sample(0.0, np.zeros(3), [0, 0, 9.8])
+    for row in range(10):
+        online.step(first._replace(t=1e-9 * row))
+    with pytest.raises(SampleError, match="10 samples"):
+        online.step(first._replace(t=1e-3))
+    assert online.step(first._replace(t=1.0)) is not None
+
+
+def test_a_filter_that_cannot_start_collects_anew():
+    """A robot that falls for its first second, then stands."""
+    online, states, errors = StreamingEstimator("imu", None), [], 0
+    for row in range(300):
+        accel = np.array([0.0, 0.0, 2.0 if row < 100 else 9.8])
+        try:
+            states.append(online.step(Sample(0.01 * row, np.zeros(3), accel)))
+        except SurefootError:
+            errors += 1
+    assert errors == 2
+    assert states[-1] is not None

@@ -555,3 +555,23 @@ def test_rows_are_the_axis_that_the_arrays_share(shapes, rows, parameters):
     found, left = rows_first({name: np.zeros(shape) for name, shape in shapes.items()})
     assert {name: len(found[name]) for name in rows} == rows
     assert left == parameters
+
+
+@pytest.mark.parametrize("form", ["npz", "npy", "mat", "h5"])
+def test_complex_numbers_are_refused_by_column(tmp_path, form):
+    """Not read without their imaginary part."""
+    t, path = np.arange(100) / 100.0, tmp_path / f"run.{form}"
+    columns = {"t": t, "turn": np.exp(1j * t)}
+    if form == "npz":
+        np.savez(path, **columns)
+    elif form == "npy":
+        np.save(path, np.rec.fromarrays(list(columns.values()), names="t,turn"))
+    elif form == "mat":
+        scipy.io.savemat(path, columns)
+    else:
+        with h5py.File(path, "w") as file:
+            file.update(columns)
+    prefix = "array." if form == "npy" else ""
+    (tmp_path / "map.toml").write_text(f'[columns]\nt = "{prefix}t"\nx_turn = "{prefix}turn"\n')
+    with pytest.raises(SurefootError, match=f"run.{form}: column '{prefix}turn' .*complex"):
+        read_recording([path], tmp_path / "map.toml").log()

@@ -302,7 +302,7 @@ def test_doubled_unknown_and_mistyped_columns_are_named(tmp_path):
         ({"rate": RATE}, "metadata: schema is missing"),
         ({"schema": SCHEMA}, "metadata: rate is missing"),
         ({"schema": SCHEMA, "rate": "500"}, "rate must be a number, is '500'"),
-        ({"schema": SCHEMA, "rate": -1.0}, "rate must be a number > 0.0, is -1.0"),
+        ({"schema": SCHEMA, "rate": -1.0}, "rate must be a number >= 0.01, is -1.0"),
         ({"schema": SCHEMA, "rate": 10.0}, "runs at 500 Hz, the metadata says 10"),
         ({"schema": SCHEMA, "rate": RATE, "colour": 1}, "metadata: unknown key 'colour'"),
         ({"schema": SCHEMA, "rate": RATE, "effects": [1]}, "effects[0] must be a table, is 1"),
@@ -317,7 +317,7 @@ def test_doubled_unknown_and_mistyped_columns_are_named(tmp_path):
         ({"schema": SCHEMA, "rate": RATE, "model": {"q_BI": [0, 0, 0, 0]}}, "not of unit length"),
         (b"{", "not JSON"),
         (b"[1]", "not a JSON object"),
-        (b'{"schema": 1, "rate": NaN}', "rate must be a number > 0.0, is nan"),
+        (b'{"schema": 1, "rate": NaN}', "rate must be a number >= 0.01, is nan"),
     ],
 )
 def test_bad_metadata_is_named(tmp_path, metadata, said):

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import Registry, plugins
+from surefoot.sim.common.plugins import Registry, load_plugin, plugins
 
 GROUP = "surefoot.tests"
 
@@ -82,3 +82,41 @@ def test_one_name_of_two_packages_is_refused(package):
     package("mine = other_thing:Mine", "Mine = 2\n", name="other")
     with pytest.raises(SurefootError, match="has that name too"):
         dict(Registry(GROUP, {}))
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("import sys; sys.exit(0)", "SystemExit"),
+        ("def", "SyntaxError"),
+        ("import nowhere_at_all", "ModuleNotFoundError"),
+        ("PLUGINS = []", "needs PLUGINS"),
+        ("PLUGINS = {'surefoot.effects': 5}", "a dict of classes"),
+        ("PLUGINS = {'surefoot.effects': {'a': 5}}", "a must be a class"),
+        ("PLUGINS = {'surefoot.effects': {'a': object()}}", "a must be a class"),
+        ("PLUGINS = {'surefoot.effects': {3: int}}", "3 is no name"),
+        ("PLUGINS = {'surefoot.effects': {'a\\x1b[31m': int}}", "is no name"),
+        ("PLUGINS = {7: {'a': int}}", "no group '7'"),
+    ],
+)
+def test_a_file_of_any_wrong_form_is_one_line_that_names_it(tmp_path, text, word):
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(SurefootError, match=r"mine.py") as error:
+        load_plugin(tmp_path / "mine.py")
+    assert word in str(error.value)
+    assert str(error.value).isprintable()
+
+
+def test_what_a_member_raises_while_it_runs_names_it(package):
+    """An exit, too, which would end the command as if it were done."""
+    package(
+        "mine = own_thing:Mine", "class Mine:\n    def run(self):\n        raise SystemExit(0)\n"
+    )
+    registry = Registry(GROUP, {"root": "math:sqrt"})
+    with (
+        pytest.raises(SurefootError, match=r"plugin mine = own_thing:Mine.*own_thing.py, line 3"),
+        registry.running("mine"),
+    ):
+        registry["mine"]().run()
+    with pytest.raises(ValueError, match="math domain"), registry.running("root"):
+        registry["root"](-1.0)
