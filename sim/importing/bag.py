@@ -164,7 +164,8 @@ def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
                     )
                 break
             else:
-                skipped[connection.topic] = "NaN, text or empty"
+                skipped[connection.topic] = "NaN, text, empty or too long"
+    check_limit("columns", len(found), f"{path}: fields of its messages")
     return list(dict.fromkeys(found)), skipped
 
 
