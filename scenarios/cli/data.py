@@ -84,7 +84,8 @@ class Import(CheckedSettings, OutputSettings):
             raise SurefootError(f"--{name} is missing; to draft a map, give --guess")
         if self.robot:
             raise SurefootError("--robot is only for --guess; the robot is named in the map")
-        from surefoot.scenarios.estimate.inputs import not_plausible
+        from surefoot.scenarios.estimate.inputs import findings_of, warned
+        from surefoot.sim.importing.advice import advised_lines
         from surefoot.sim.importing.recording import read_recording
         from surefoot.sim.importing.report import import_lines
 
@@ -92,12 +93,17 @@ class Import(CheckedSettings, OutputSettings):
         log = recording.log()
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
-        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
+        findings = findings_of(log)
+        warnings = warned({log.name: findings}, self.strict).get(log.name, ())
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
         for line in import_lines(log, *recording.reference(), notes=recording.notes):
             print(line)
+        advice = [(one.streams, one.map_line) for one in findings]
+        if lines := advised_lines(advice, recording.rules, recording.name):
+            print("\nfor the import map, in place of its own, what the warnings advise:")
+            print("\n".join(lines))
 
     def _draft(self, files: tuple[str, ...]) -> None:
         from surefoot.sim.common.files import write_whole

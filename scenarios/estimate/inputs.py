@@ -1,7 +1,7 @@
 """Read and check the files that settings name."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from surefoot.scenarios.estimate.contract import Learnt
@@ -9,6 +9,7 @@ from surefoot.scenarios.estimate.run import declared_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
+from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.robot.model_of_log import of_robot
@@ -29,16 +30,28 @@ def not_plausible(
 
     `robot` is the logs' own by default. Raises SurefootError if there are any and `strict` is set.
     """
-    found: dict[str, tuple[str, ...]] = {}
-    for log in logs:
-        try:
-            machine = machine_for_log(log, robot)
-        except SurefootError:  # whoever needs the robot says why there is none
-            machine = None
-        if lines := tuple(one.line for one in check_log(log, machine)):
-            found[log.name] = lines
+    return warned({log.name: findings_of(log, robot) for log in logs}, strict)
+
+
+def findings_of(log: Log, robot: str | Path | None = None) -> tuple[Finding, ...]:
+    """What is implausible in a log of `robot`, by default its own."""
+    try:
+        machine = machine_for_log(log, robot)
+    except SurefootError:  # whoever needs the robot says why there is none
+        machine = None
+    return check_log(log, machine)
+
+
+def warned(
+    findings: Mapping[str, Sequence[Finding]], strict: bool = False
+) -> dict[str, tuple[str, ...]]:
+    """Print findings, by name of the log, to stderr; returns their lines. Raises as
+    `not_plausible`.
+    """
+    found = {name: tuple(one.line for one in every) for name, every in findings.items() if every}
+    for name, lines in found.items():
         for line in lines:
-            print(f"{'error' if strict else 'warning'}: {log.name}: {line}", file=sys.stderr)
+            print(f"{'error' if strict else 'warning'}: {name}: {line}", file=sys.stderr)
     if strict and found:
         count = sum(map(len, found.values()))
         what = "finding" if count == 1 else "findings"

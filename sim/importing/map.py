@@ -31,6 +31,7 @@ class ImportMap:
     Attributes:
         path: of the map.
         columns: of the log.
+        entries: these columns, as they are written in the map.
         source: the main file.
         sources: further files by name.
         clocks: time columns of the further files.
@@ -47,6 +48,7 @@ class ImportMap:
 
     path: Path
     columns: dict[str, MapColumn]
+    entries: Entries = field(default_factory=dict)
     source: Source = field(default_factory=Source)
     sources: dict[str, Source] = field(default_factory=dict)
     clocks: dict[str, MapColumn] = field(default_factory=dict)
@@ -126,6 +128,7 @@ class MapFile:
         return ImportMap(
             path=path,
             columns=columns,
+            entries=self.columns,
             source=self.source,
             sources=self.sources,
             clocks={

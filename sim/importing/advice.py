@@ -1,0 +1,119 @@
+"""Lines of an import map that follow what the findings of a log advise, all of them together."""
+
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+from surefoot.sim.importing.columns import ColumnEntry
+from surefoot.sim.importing.map import ImportMap
+
+_OF_COLUMNS = re.compile(
+    r"([\w, ]+?)(, \.\.\.)? = \{ (?:\.\.\.|column = <their column of (\w+)>)(?:, (.+))? \}"
+)
+_IN_SECTION = re.compile(r"\[([\w.]+)\] (.+ = .+)")
+
+
+def advised_lines(
+    advice: Iterable[tuple[Sequence[str], str]], rules: ImportMap, name: str
+) -> tuple[str, ...]:
+    """Lines to put in place of those of a map; advice that leaves a choice is left out.
+
+    Args:
+        advice: the columns concerned and the line of each finding.
+        rules: the map with which the log was imported.
+        name: of the recording.
+    """
+    own = {"columns": rules.entries}
+    if rules.reference is not None:
+        own["reference.columns"] = rules.reference.columns
+    changed: dict[str, dict[str, Any]] = {}
+    for concerned, text in advice:
+        for line in text.split("; "):
+            if found := _OF_COLUMNS.fullmatch(line):
+                changes = tomllib.loads(f"of = {{ {found[4] or ''} }}")["of"]
+                named = concerned if found[2] else found[1].split(", ")
+                for section, entries in own.items():
+                    for column in (one for one in named if one in entries):
+                        there = changed.setdefault(section, {})
+                        before = there.get(column, entries[column])
+                        there[column] = _changed(entries.get(found[3], before), changes)
+            elif found := _IN_SECTION.fullmatch(line):
+                _add(changed, rules, name, found[1], tomllib.loads(found[2]))
+    lines: list[str] = []
+    for section, values in changed.items():
+        lines += [
+            f"[{section}]",
+            *(f"{_key(key)} = {_toml(value)}" for key, value in values.items()),
+        ]
+    return tuple(lines)
+
+
+def _changed(entry: ColumnEntry | str, changes: Mapping[str, Any]) -> ColumnEntry:
+    """A column's entry, with changes to the values that it gives so far."""
+    entry = ColumnEntry(entry) if isinstance(entry, str) else entry
+    sign, gain = changes.get("sign", 1.0), changes.get("gain", 1.0)
+    return replace(
+        entry,
+        unit=changes.get("unit", entry.unit),
+        sign=sign * entry.sign,
+        gain=gain * entry.gain,
+        offset=sign * gain * entry.offset + changes.get("offset", 0.0),
+        wrap=changes.get("wrap", entry.wrap),
+    )
+
+
+def _add(
+    changed: dict[str, dict[str, Any]],
+    rules: ImportMap,
+    name: str,
+    section: str,
+    values: dict[str, Any],
+) -> None:
+    """Add advised keys of a section, together with what the map has there.
+
+    Args:
+        changed: values by section and key, which are added to.
+        rules: the map.
+        name: of the recording.
+        section: that is named in the advice.
+        values: advised ones.
+    """
+    if section == "robot.joint_sign":
+        signs = changed.setdefault("robot", {}).setdefault("joint_sign", dict(rules.joint_sign))
+        signs |= {joint: sign * rules.joint_sign.get(joint, 1.0) for joint, sign in values.items()}
+        return
+    turns = rules.reference and (rules.reference.frame == "base" or any(rules.reference.q_IM[1:]))
+    if "q_IM" in values and turns:
+        return  # the map turns the body already, or not by q_IM
+    there = changed.setdefault(section, {})
+    if section == "reference" and rules.reference and isinstance(rules.reference.offset, dict):
+        values = {k: rules.reference.offset | {name: x} if k == "offset" else x
+                  for k, x in values.items()}  # fmt: skip
+    elif section == "even" and rules.even is not None:
+        late = rules.even.late
+        values = {
+            key: [*dict.fromkeys((*rules.even.held, *value))]
+            if key == "held"
+            else late | {kind: late.get(kind, 0.0) + delay for kind, delay in value.items()}
+            for key, value in values.items()
+        }
+    there |= values
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else json.dumps(key)
+
+
+def _toml(value: Any) -> str:
+    """A value of a map as TOML; an entry without the keys that have their default."""
+    if isinstance(value, ColumnEntry):
+        plain = asdict(ColumnEntry(value.column))
+        value = {k: x for k, x in asdict(value).items() if k == "column" or x != plain[k]}
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{_key(key)} = {_toml(one)}' for key, one in value.items())} }}"
+    if isinstance(value, float):
+        return f"{value:.9g}" if abs(value) < 1e6 else f"{value:.6f}"
+    return json.dumps(value, ensure_ascii=False)
