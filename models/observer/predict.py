@@ -46,6 +46,13 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     with torch.no_grad():
         outputs = observer.network(x[:, None, :])
     v_I, covariance = _physical(observer, outputs[:, 0].numpy())
+    parts = v_I if covariance is None else np.hstack([v_I, covariance.reshape(len(v_I), 9)])
+    sound = np.isfinite(parts).all()
+    if not sound or (covariance is not None and np.linalg.eigvalsh(covariance).min() <= 0.0):
+        raise ObserverError(
+            f"{log.name}: the observer predicts velocities that are not finite, or whose "
+            "covariance is not positive: its weights are damaged, or extreme; train it again"
+        )
     if not same_mounting(observer, robot):
         if not log.has("imu"):
             raise ObserverError(

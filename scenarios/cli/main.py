@@ -106,4 +106,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except MemoryError:
         sys.exit(f"surefoot: {name}: not enough memory")
     except OSError as error:
-        sys.exit(f"surefoot: {name}: {one_line(error)}")
+        # Files that cannot be written are named where they are; what is left is what was printed.
+        at = error.filename or f"{name}: standard output"
+        sys.exit(f"surefoot: {one_line(at)}: {error.strerror or error}")

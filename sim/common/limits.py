@@ -138,21 +138,21 @@ def bounded_json(path: str | Path, what: str = "") -> Any:
 
     Raises SurefootError, in one line that starts with `what` and the path.
     """
-    try:
-        return parse_json(bounded_text(path, what))
-    except _NotJson as error:
-        raise SurefootError(f"{what} {path}: {error}".lstrip()) from None
+    return parse_json(bounded_text(path, what), f"{what} {path}: ".lstrip())
 
 
-def parse_json(text: str | bytes) -> Any:
-    """Parse a JSON text. Raises SurefootError if it is invalid, too long or nested too deeply."""
-    check_limit("text", len(text), "JSON: bytes")
+def parse_json(text: str | bytes, prefix: str = "") -> Any:
+    """Parse a JSON text. Raises SurefootError, with a prefix, if it is invalid, too long or nested
+    too deeply.
+    """
+    check_limit("text", len(text), f"{prefix}JSON: bytes")
     try:
         return json.loads(text)
     except RecursionError:
-        raise _NotJson("JSON that is nested too deeply") from None
+        raise SurefootError(f"{prefix}JSON that is nested too deeply") from None
     except ValueError as error:
-        raise _NotJson(f"not JSON, truncated? ({' '.join(str(error).split())})") from None
+        reason = " ".join(str(error).split())
+        raise SurefootError(f"{prefix}not JSON, truncated? ({reason})") from None
 
 
 def check_unpacked(path: Path, size: float, what: str, at_once: bool = True) -> None:
@@ -174,10 +174,6 @@ def check_unpacked(path: Path, size: float, what: str, at_once: bool = True) -> 
 def most_unpacked(path: Path) -> float:
     """Largest number of bytes in memory for a packed file of this size."""
     return _SMALL + limits().unpacked * path.stat().st_size
-
-
-class _NotJson(SurefootError):
-    pass
 
 
 def check_toml_keys(text: str) -> None:

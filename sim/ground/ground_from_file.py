@@ -4,6 +4,7 @@ Either becomes a `HeightField`, which is used for collision, by the controller, 
 the log. MuJoCo collides a mesh as its convex hull, which is unsuitable as ground.
 """
 
+import warnings
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -87,7 +88,13 @@ def _picture(path: Path) -> np.ndarray:
     """Grey levels of a PNG; its first row is at the largest y."""
     from PIL import Image
 
-    with Image.open(path, formats=("PNG",)) as image:
+    bombs = Image.DecompressionBombWarning, Image.DecompressionBombError
+    with warnings.catch_warnings(action="error", category=bombs[0]):
+        try:
+            image = Image.open(path, formats=("PNG",))
+        except bombs as error:  # of more points than Pillow opens
+            raise SurefootError(str(error)) from None
+    with image:
         check_limit("cells", image.width * image.height, "points")
         if image.mode not in ("L", "I", "I;16"):
             raise SurefootError(f"must be a grey PNG of 8 or 16 bits, its mode is {image.mode}")

@@ -240,10 +240,7 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
     digest = metadata.get(DIGEST_KEY)
     if digest and digest != metadata_digest(metadata[KEY]):
         raise SurefootError("damaged: the metadata do not match their digest")
-    try:
-        values = parse_json(metadata[KEY])
-    except SurefootError as error:
-        raise SurefootError(f"the metadata is {error}") from error
+    values = parse_json(metadata[KEY], "the metadata is ")
     if not isinstance(values, dict):
         raise SurefootError("the metadata is not a JSON object")
     version = values.get("schema")

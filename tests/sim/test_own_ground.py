@@ -43,9 +43,12 @@ def grid(tmp_path, rest: str = "") -> Scenario:
     return scenario(tmp_path, entry, rest)
 
 
-def png(levels: np.ndarray) -> bytes:
-    """A grey picture, written by hand: its first row is the upper one."""
-    high, wide = levels.shape
+def png(levels: np.ndarray, size: tuple[int, int] | None = None) -> bytes:
+    """A grey picture, written by hand: its first row is the upper one.
+
+    size: rows and columns by its head, if others.
+    """
+    high, wide = size or levels.shape
     bits = 8 * levels.itemsize
     rows = b"".join(b"\0" + row.astype(f">u{levels.itemsize}").tobytes() for row in levels)
 
@@ -214,6 +217,8 @@ SIZE = "size = [1.0, 1.0]"
         ("a.hf", b"", SIZE, "not as long"),
         ("a.png", b"\x89PNG\r\n\x1a\n", SIZE, "file 'a.png'"),
         ("a.png", png(np.zeros((3, 3), np.uint8)), SIZE, "needs heights"),
+        ("a.png", png(np.zeros((3, 3), np.uint8), (10_000, 10_000)), SIZE, "pixels"),
+        ("a.png", png(np.zeros((3, 3), np.uint8), (30_000, 30_000)), SIZE, "pixels"),
         ("a.obj", b"v 0 0 0\n", "", "no faces"),
         ("a.obj", b"v 0 0 0\nf 1 2 3\n", "", "names a vertex"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n", "", "no surface"),
