@@ -30,7 +30,7 @@ NEEDED = "(required)"
 """
 FLAG = ""
 """Text of --help for a flag, instead of tyro's `(default: False)`."""
-NAMED = ("out", "filter", "robot")
+BY_NAME = ("out", "filter", "robot")
 """Required options that are given by name; every other one is positional."""
 REPEATED = ("observer", "bounds", "set", "filter")
 """Lists that are given one by one, each with the option's name."""
@@ -85,7 +85,7 @@ def _shown(field: Field, kind: Any) -> Any:
         shown["aliases"] = ["-o"]
     if kind is bool:
         shown["help_behavior_hint"] = FLAG
-    elif field.default is MISSING and name not in NAMED:
+    elif field.default is MISSING and name not in BY_NAME:
         kind = Positional[kind]
         shown["metavar"] = f"{name.removesuffix('s').upper()}..." if several else name.upper()
         if several:

@@ -33,7 +33,7 @@ __all__ = [
     "with_columns",
 ]
 
-M = TypeVar("M", bound=Any)
+Kind = TypeVar("Kind", bound=Any)
 
 _ESTIMATED = 1.25
 """What a machine may lose of a declared size, as a multiple: the size is an estimate too."""
@@ -282,7 +282,7 @@ def along(axis: str, value: float) -> np.ndarray:
     return value * np.eye(3)[AXES.index(axis)]
 
 
-def declared_on(robot: M, **sizes: Any) -> M:
+def declared_on(robot: Kind, **sizes: Any) -> Kind:
     """The machine with these sizes added to those that its model declares (`extras`), by name."""
     known = {name: getattr(robot.extras, name) + size for name, size in sizes.items()}
     return replace(robot, extras=replace(robot.extras, **known))

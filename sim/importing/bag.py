@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
-from surefoot.sim.common.limits import admitted, bounded_text
+from surefoot.sim.common.limits import admitted, bounded_text, check_limit
 from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
@@ -120,7 +120,8 @@ def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
                     )
                 break
             else:
-                skipped[connection.topic] = "NaN, text or empty"
+                skipped[connection.topic] = "NaN, text, empty or too long"
+    check_limit("columns", len(found), f"{path}: fields of its messages")
     return list(dict.fromkeys(found)), skipped
 
 

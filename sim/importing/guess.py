@@ -17,7 +17,7 @@ from surefoot.sim.importing.columns import EULER, UNITS
 from surefoot.sim.importing.draft import Draft, Entry
 from surefoot.sim.importing.guess_columns import guess_columns, vectors
 from surefoot.sim.importing.guess_units import unit_of_angles
-from surefoot.sim.importing.names import Named, read_name, words_of
+from surefoot.sim.importing.names import Named, lists_of, read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.robot.machine import Machine, load_machine
@@ -25,6 +25,18 @@ from surefoot.sim.sensors.streams import SLOWEST
 
 _FEW = 8
 """Largest number of columns that are listed for an unused file."""
+_UNUSED = {
+    **dict.fromkeys(("bias", "error", "parameter"), "biases, errors, parameters"),
+    **dict.fromkeys(("estimate", "filtered"), "estimates, filtered values"),
+    **dict.fromkeys(
+        ("reference", "ref_p", "ref_q", "ref_v", "euler"),
+        "motion of a body, no reading of a sensor",
+    ),
+    "command": "set points",
+    "other": "of no use in a log",
+    "": "names not understood",
+}
+"""Source or kind of a column -> why it has no use."""
 _POSES = {"reference": 0, "": 1, "estimate": 2}
 """Sources of poses, in the order in which they are a reference."""
 
@@ -49,20 +61,16 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     found = guess_columns(main, machine)
     entries = list(found.entries)
     sources: dict[str, tuple[Path, Entry]] = {}
-    for one in others:
-        if one in poses or one.t is None:
-            continue
-        label = one.label
-        there = {"t", *(entry.name for entry in entries)}
+    for one in (one for one in others if one not in poses):
+        label, there = one.label, {"t", *(entry.name for entry in entries)}
         added = guess_columns(one, machine, commands=read_name(label).commanded).entries
         added = [e for e in added if e.name not in there]
-        if added:
+        if added and one.t is not None:
             sources[label] = (one.path, one.t)
             entries += [replace(e, theirs=f"{label}:{e.theirs}") for e in added]
-    for one in others:
-        if one not in poses and one.label not in sources:
+        else:
             columns = ", ".join([*one.columns][:_FEW])
-            what = one.path.name if one.path != main.path else f"{one.label} in {one.path.name}"
+            what = one.path.name if one.path != main.path else f"{label} in {one.path.name}"
             notes.append(f"nothing of {what} is used: what are its columns {columns}?")
     entries, dropped = _complete(entries)
     notes += [*found.notes, *dropped]
@@ -71,10 +79,12 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     if reference and at is not main:
         notes += _overlap(main, at)
     notes += _missing(main, entries, found.rate, machine)
-    used = {entry.theirs for entry in entries} | {f"{at.label}:{e.theirs}" for e in reference}
-    used |= {f"{main.label}:{name}" for name in used}
+    # Columns of other files are named as in a map.
+    labels = {"": main} | {f"{one.label}:": one for one in others}
+    used = {entry.theirs for entry in entries}
     used |= {f"{label}:{clock.theirs}" for label, (_, clock) in sources.items()}
-    partly = [one for one in read if any(f"{one.label}:{name}" in used for name in one.columns)]
+    used |= {f"{'' if at is main else at.label + ':'}{entry.theirs}" for entry in reference}
+    columns = {f"{label}{n}": v for label, one in labels.items() for n, v in one.columns.items()}
     return Draft(
         files=tuple(dict.fromkeys((main.path, *(one.path for one in others)))),
         main=tuple(entries),
@@ -84,9 +94,9 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         layouts={one.path: one.layout for one in read},
         rate=found.rate if main.t is None else None,
         robot=robot,
-        contact=_threshold(main, entries),
+        contact=_threshold(columns, entries),
         notes=tuple(notes),
-        unused=_unused(main, partly or [main], used),
+        unused=_unused(labels, used),
     )
 
 
@@ -131,16 +141,19 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
     unit = said.pop() if len(said) == 1 else "m" if most < 50.0 else "mm"
     why = "an estimate, no measurement: compare with it?" if own[p[0]].source == "estimate" else ""
     found = [Entry(f"ref_p_{a}", n, unit, doubt=why) for a, n in zip("xyz", p, strict=True)]
-    attitudes: dict[str, dict[str, Named]] = {}
-    for name, named in own.items():
-        if named.kind in ("ref_q", "euler") and named.source == own[p[0]].source:
-            stem = " ".join(w for w in named.stem.split() if w not in ("roll", "pitch", "yaw"))
-            attitudes.setdefault(stem, {})[name] = named
+    turned = {
+        n: x
+        for n, x in own.items()
+        if x.kind in ("ref_q", "euler") and x.source == own[p[0]].source
+    }
     # That of the most words in common with the position.
     words = set(own[p[0]].stem.split())
-    for stem in sorted(attitudes, key=lambda stem: -len(words & set(stem.split()))):
-        if turned := _attitude(one, attitudes[stem]):
-            return (one.t, *found, *turned)
+    stems = sorted(
+        lists_of(turned, "stem").items(), key=lambda of: -len(words & {*of[0][0].split()})
+    )
+    for _, attitude in stems:
+        if entries := _attitude(one, attitude):
+            return (one.t, *found, *entries)
     return ()
 
 
@@ -201,11 +214,15 @@ def _missing(
         found.append("no name says what a column is: which of those not used below is what?")
     if main.seconds is None and rate is None:
         found.append("no times found: which column are they, or what is the [source] rate?")
-    elif main.seconds is not None and (hz := 1.0 / np.median(np.diff(main.seconds))) < SLOWEST:
-        found.append(f"rows at {hz:.3g} Hz are too slow for filters: is there a faster recording?")
-    for one, other, name in (("gyro", "accel", "gyro"), ("accel", "gyro", "accelerometer")):
-        if one not in groups and other in groups:
-            found.append(f"half an IMU: which columns are the {name}?")
+    step = (
+        0.0 if main.seconds is None or len(main.seconds) < 2 else np.median(np.diff(main.seconds))
+    )
+    if step > 1.0 / SLOWEST:
+        found.append(
+            f"rows at {1.0 / step:.3g} Hz are too slow for filters: is there a faster log?"
+        )
+    if len(half := {"gyro", "accel"} - groups) == 1:
+        found.append(f"half an IMU: which columns are the {half.pop()}?")
     if legs and groups & {"gyro", "accel", "q"} and not groups & {"contact", "force"}:
         found.append(
             "legs without contacts: which columns are contacts or forces of the feet, or is"
@@ -214,24 +231,25 @@ def _missing(
     return found
 
 
-def _unused(
-    main: RecordedFile, read: Sequence[RecordedFile], used: Set[str]
-) -> dict[str, list[str]]:
+def _unused(files: Mapping[str, RecordedFile], used: Set[str]) -> dict[str, list[str]]:
     """Columns without a use, and what else the files contain, by the reason.
 
     Args:
-        main: the main file, whose columns are listed by their names alone.
-        read: files that are used.
-        used: columns with a use, as file:column.
+        files: by the prefix of their columns in the map; those of which nothing is used are asked
+            about instead.
+        used: columns with a use, by their names in the map.
     """
     groups: dict[tuple[str, str, str], list[str]] = {}
-    for one in read:
-        label = "" if one is main else f"{one.label}:"
-        for name, named in one.names.items():
-            if f"{one.label}:{name}" not in used:
-                reason = _why_unused(named)
-                groups.setdefault((reason, label, named.stem or name), []).append(f"{label}{name}")
-        for name, reason in one.skipped.items():
+    for label, one in files.items():
+        if label and not any(f"{label}{name}" in used for name in one.columns):
+            continue
+        reasons = {
+            name: (named.source and _UNUSED.get(named.source))
+            or _UNUSED.get(named.kind, "beside others of their kind")
+            for name, named in one.names.items()
+            if f"{label}{name}" not in used
+        }
+        for name, reason in (reasons | dict(one.skipped)).items():
             stem = read_name(name).stem or name
             groups.setdefault((reason, label, stem), []).append(f"{label}{name}")
     found: dict[str, list[str]] = {}
@@ -241,22 +259,10 @@ def _unused(
     return found
 
 
-def _why_unused(one: Named) -> str:
-    if one.source in ("bias", "error", "parameter"):
-        return "biases, errors, parameters"
-    if one.commanded:
-        return "set points"
-    if one.source in ("estimate", "filtered"):
-        return "estimates, filtered values"
-    if one.world or one.source or one.kind in ("ref_p", "ref_q", "ref_v", "euler"):
-        return "motion of a body, no reading of a sensor"
-    if one.kind == "other":
-        return "of no use in a log"
-    return "beside others of their kind" if one.kind else "names not understood"
-
-
-def _threshold(main: RecordedFile, entries: list[Entry]) -> tuple[float, float] | None:
-    forces = [main.columns[e.theirs] for e in entries if e.name.startswith("force_")]
+def _threshold(
+    columns: Mapping[str, np.ndarray], entries: Sequence[Entry]
+) -> tuple[float, float] | None:
+    forces = [columns[e.theirs] for e in entries if e.name.startswith("force_")]
     if not forces or any(e.name.startswith("contact_") for e in entries):
         return None
     low, high = np.quantile(np.concatenate(forces), (0.1, 0.9))

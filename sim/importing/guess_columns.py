@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.sim.importing.columns import DEGREE
+from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.guess_units import (
     gravity_doubt,
@@ -18,9 +18,9 @@ from surefoot.sim.importing.guess_units import (
     unit_of_rates,
 )
 from surefoot.sim.importing.layout import is_number
-from surefoot.sim.importing.names import HINGES, Named, by_their_legs, words_of
+from surefoot.sim.importing.names import HINGES, Named, by_their_legs, lists_of, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, name_in_file
-from surefoot.sim.log.schema import JOINTS, LEGS
+from surefoot.sim.log.schema import JOINTS, LEGS, joint_prefix
 from surefoot.sim.robot.machine import Machine
 
 _SMALL = 4096
@@ -83,7 +83,7 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     values: dict[str, np.ndarray] = {}
     asked: dict[str, str] = {}
     for kind in ("gyro", "accel"):
-        own = {n: one for n, one in _of(file, kind).items() if not (one.leg or one.world)}
+        own = {n: one for n, one in _of(file, kind).items() if not one.leg}
         found = vectors(own, _SOURCES[:2])
         if found:
             axes = triples[kind] = found[0]
@@ -112,10 +112,8 @@ def vectors(own: Mapping[str, Named], sources: Sequence[str]) -> list[tuple[str,
     sources first.
     """
     own = {name: one for name, one in own.items() if one.source in sources}
-    stems: dict[tuple[str, str], dict[str, Named]] = {}
-    for name, one in own.items():
-        stems.setdefault((one.source, one.stem), {})[name] = one
-    found = [axes for group in (*stems.values(), own) if (axes := _three_axes(group))]
+    groups = (*lists_of(own, "source", "stem").values(), own)
+    found = [axes for group in groups if (axes := _three_axes(group))]
     return sorted(dict.fromkeys(found), key=lambda axes: sources.index(own[axes[0]].source))
 
 
@@ -134,11 +132,10 @@ def _source_doubt(source: str) -> str:
 
 
 class _JointColumn(NamedTuple):
-    """A column of a joint, with a doubt, and whether the joint's name is only assumed."""
+    """A column of a joint, with a doubt."""
 
     column: str
     doubt: str
-    assumed: bool = False
 
 
 _Joints = dict[str, dict[str, _JointColumn]]
@@ -152,7 +149,9 @@ def _joint_entries(
     joints = _joint_columns(file, machine, commands)
     swapped = _sides_doubt(file, joints.get("q", {}), imu)
     legs: Sequence[str] = LEGS
-    if swapped and any(one.assumed for of in joints.values() for one in of.values()):
+    if swapped and any(
+        one.doubt == _legs_doubt(LEGS) for of in joints.values() for one in of.values()
+    ):
         # Some robots count their legs from the left, others from the right; strides show which.
         legs, swapped = _OTHER_SIDE_FIRST, ""
         doubt = _legs_doubt(legs)
@@ -161,14 +160,21 @@ def _joint_entries(
             for kind, of in joints.items()
         }
     entries: list[Entry] = []
-    notes: list[str] = []
     rate = None
     for kind in joints:
-        of_kind, limits, rows = _entries_of_kind(file, kind, joints, swapped, machine)
+        of_kind, rows = _entries_of_kind(file, kind, joints, swapped)
         entries += of_kind
-        notes += [limits] * bool(limits)
         rate = rows or rate
-    return entries, notes, legs, rate
+    beyond = [
+        entry.name[2:]
+        for entry in entries
+        if joint_prefix(entry.name) == "q_"
+        and _share_inside(machine, entry.name[2:], entry.scale * file.columns[entry.theirs])
+        < _INSIDE
+    ]
+    which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
+    question = f"{which} beyond the limits of the robot: other joints, signs or zeros?"
+    return entries, [question] * bool(beyond), legs, rate
 
 
 def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) -> _Joints:
@@ -182,9 +188,7 @@ def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) 
     }
     if not any(one.kind == "q" and not one.commanded for one in found.values()):
         found |= _bare_angles(file)
-    lists: dict[tuple[str, bool], dict[str, Named]] = {}
-    for name, one in found.items():
-        lists.setdefault((one.kind, one.commanded), {})[name] = one
+    lists = lists_of(found, "kind", "commanded")
     joints: _Joints = {}
     for (kind, commanded), own in lists.items():
         if not commanded:
@@ -246,17 +250,15 @@ def _joints_of(
     if len(own) == 1:
         return [("joint", _JointColumn(name, "")) for name in own]
     # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
-    order = sorted(
-        {(one.limb or 0, one.place or 0) for one in own.values() if one.place is not None}
-    )
-    names, doubt, assumed = _order(file, machine, angles, order)
-    for name, one in own.items():
-        if one.place is None:
-            found.append(("joint", _JointColumn(name, f"which joint is {name}?")))
-        else:
-            joint = names[order.index((one.limb or 0, one.place))]
-            found.append((joint, _JointColumn(name, doubt, assumed)))
-    return found
+    places = {n: (one.limb or 0, one.place) for n, one in own.items() if one.place is not None}
+    names, doubt = _order(file, machine, angles, sorted(set(places.values())))
+    joint_at = dict(zip(sorted(set(places.values())), names, strict=True))
+    return [
+        (joint_at[places[name]], _JointColumn(name, doubt))
+        if name in places
+        else ("joint", _JointColumn(name, f"which joint is {name}?"))
+        for name in own
+    ]
 
 
 def joint_of_words(one: Named) -> str:
@@ -270,9 +272,9 @@ def _order(
     machine: Machine | None,
     angles: Mapping[str, Named],
     places: Sequence[tuple[int, int]],
-) -> tuple[Sequence[str], str, bool]:
-    """Names for unnamed joints, a doubt, and whether they are only the usual ones: in the order of
-    a list, or of the robot, or by the robot's limits, or in the usual order.
+) -> tuple[Sequence[str], str]:
+    """Names for unnamed joints, and a doubt: in the order of a list, or of the robot, or by the
+    robot's limits, or in the usual order.
 
     Args:
         file: of the recording.
@@ -281,37 +283,34 @@ def _order(
         places: limb and place of each joint, in their order.
     """
     for source, listed in {**file.lists, **_lists_beside(file.path)}.items():
-        if len(listed) == len(places):
+        if len(set(listed)) == len(listed) == len(places):
             read = by_their_legs({one: name_in_file(one, machine) for one in listed})
             names = [
                 joint_of_words(one) if one.joint or (one.leg in LEGS and one.part) else text
                 for text, one in read.items()
             ]
             names = names if len(set(names)) == len(places) else listed
-            return names, f"are its joints in the order of {source}?", False
+            return names, f"are its joints in the order of {source}?"
     if machine is not None and len(machine.limbs.joints) == len(places):
         joints = machine.limbs.joints
-        kinds = [machine.limbs.kind(k) for k in range(len(joints))]
-        by_kind = [
-            joints[k] for k in sorted(range(len(joints)), key=lambda k: kinds.index(kinds[k]))
-        ]
-        values = {
-            places.index(place): file.columns[name]
-            for name, one in angles.items()
-            if (place := (one.limb or 0, one.place)) in places
-        }
-        turns = bool(values) and unit_of_angles(values.values(), set())[0] == "deg"
-        scale = DEGREE if turns else 1.0
+        kinds = {joint: machine.limbs.kind(k) for k, joint in enumerate(joints)}
+        by_kind = tuple(sorted(joints, key=lambda one: [*kinds.values()].index(kinds[one])))
+        values = {(one.limb or 0, one.place): file.columns[n] for n, one in angles.items()}
+        scale = UNITS["q"][unit_of_angles(values.values(), set())[0]]
         fits = {
-            names: sum(_share_inside(machine, names[k], scale * v) for k, v in values.items())
-            for names in (joints, tuple(by_kind))
+            order: sum(
+                _share_inside(machine, joint, scale * values[place])
+                for joint, place in zip(order, places, strict=True)
+                if place in values
+            )
+            for order in (joints, by_kind)
         }
-        names = max(fits, key=lambda one: fits[one])
+        names = max(fits, key=lambda order: fits[order])
         of = f"of {machine.name}" if names == joints else ", ".join(names)
-        return names, f"are its joints in the order {of}?", False
+        return names, f"are its joints in the order {of}?"
     if len(places) == len(JOINTS):
-        return JOINTS, _legs_doubt(LEGS), True
-    return [f"joint{k}" for k in range(len(places))], "which joint is it?", False
+        return JOINTS, _legs_doubt(LEGS)
+    return [f"joint{k}" for k in range(len(places))], "which joint is it?"
 
 
 def _share_inside(machine: Machine | None, joint: str, angles: np.ndarray) -> float:
@@ -342,30 +341,19 @@ def _sides_doubt(
 
 
 def _entries_of_kind(
-    file: RecordedFile, kind: str, joints: _Joints, swapped: str, machine: Machine | None
-) -> tuple[list[Entry], str, float | None]:
-    """Entries of one kind of joint columns; a question about the robot's limits, or ""; and the
-    rate of the rows [Hz] where joint rates determine it.
+    file: RecordedFile, kind: str, joints: _Joints, swapped: str
+) -> tuple[list[Entry], float | None]:
+    """Entries of one kind of joint columns, and the rate of the rows [Hz] where joint rates
+    determine it.
 
-    Args:
-        file: of the recording.
-        kind: of the columns.
-        joints: all columns.
-        swapped: a doubt about left and right, for columns without another.
-        machine: whose limits angles are compared with, or None.
+    swapped: a doubt about left and right, for columns without another.
     """
     own = joints[kind]
     values = {joint: file.columns[one.column] for joint, one in own.items()}
     prefix, rate = kind, None
-    limits = ""
     if kind.startswith("q"):
         named = {file.names[one.column].unit for one in own.values()}
         unit, doubt = unit_of_angles(list(values.values()), named)
-        scale = DEGREE if unit == "deg" else 1.0
-        beyond = [j for j, v in values.items() if _share_inside(machine, j, scale * v) < _INSIDE]
-        if machine is not None and beyond:
-            which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
-            limits = f"{which} beyond the limits of {machine.name}: other joints, signs or zeros?"
     elif kind.startswith("dq"):
         angles = joints.get("q" if kind == "dq" else "q_des", {})
         both = [joint for joint in values if joint in angles]
@@ -387,7 +375,7 @@ def _entries_of_kind(
         Entry(f"{prefix}_{joint}", one.column, unit, doubt=one.doubt or doubt or swapped)
         for joint, one in own.items()
     ]
-    return entries, limits, rate
+    return entries, rate
 
 
 def _feet_entries(
@@ -403,62 +391,58 @@ def _feet_entries(
     found = {n: x for n, x in _of(file, "contact", "force", "foot").items() if x.source in _SOURCES}
     found = _with_legs_of(machine, found)
     named_legs = {one.leg for one in file.names.values() if one.leg}
+    found = {n: replace(one, leg=_leg(one.leg, named_legs)) for n, one in found.items()}
     if machine is not None and machine.limbs.legs:
         legs = machine.limbs.legs
     counted = _counted_legs(found, legs)
+    found |= {name: replace(found[name], leg=leg) for name, leg in counted.items()}
     entries: dict[str, Entry] = {}
     for kind in ("contact", "force"):
-        groups: dict[tuple[int, int, str], dict[str, str]] = {}
-        for name, one in found.items():
-            leg = _leg(one.leg, named_legs) or counted.get(name)
-            if leg and one.kind == kind and one.axis in ("", "z"):
-                order = _SOURCES.index(one.source), len(one.stem.split()), one.stem
-                groups.setdefault(order, {})[leg] = name
-        if not groups:
-            continue
+        own = {n: x for n, x in found.items() if x.kind == kind and x.leg and x.axis in ("", "z")}
         # The stem of fewest words: "contact" goes before "contact threshold".
-        first = min(groups)
-        own = groups[first]
-        others = [one for order, one in groups.items() if order[:2] == first[:2] and one != own]
-        prefix = _contact_or_force(file, kind, [*own.values()])
-        doubt = "" if prefix == kind else "is not 0 or 1: a force?"
-        if any(found[name].axis for name in own.values()):
-            doubt = "the z of a force: is that what presses on the foot?"
-        if others:
-            doubt = f"this, or {next(iter(others[0].values()))}?"
-        for leg, name in own.items():
-            entry = f"{prefix}_{leg}"
-            why = _legs_doubt(legs) if name in counted else doubt
-            entries.setdefault(entry, Entry(entry, name, doubt=why))
-    feet = {n: one for n, one in found.items() if one.kind == "foot" and one.axis}
+        groups = sorted(
+            lists_of(own, "source", "stem").items(),
+            key=lambda one: (_SOURCES.index(one[0][0]), len(one[0][1].split())),
+        )
+        for name, one in groups[0][1].items() if groups else ():
+            binary = all(np.isin(file.columns[n], (0.0, 1.0)).all() for n in groups[0][1])
+            column = f"{kind if binary else 'force'}_{one.leg}"
+            doubt = "" if binary or kind == "force" else "is not 0 or 1: a force?"
+            if name in counted:
+                doubt = _legs_doubt(legs)
+            elif len(groups) > 1 and groups[1][0][0] == one.source:
+                doubt = f"this, or {next(iter(groups[1][1]))}?"
+            elif one.axis:
+                doubt = "the z of a force: is that what presses on the foot?"
+            entries.setdefault(column, Entry(column, name, doubt=doubt))
+    feet = {n: one for n, one in found.items() if one.kind == "foot" and one.leg and one.axis}
     most = max((float(np.abs(file.columns[n]).max()) for n in feet), default=0.0)
-    unit = "m" if most < 3.0 else "mm"
     for name, one in feet.items():
-        if leg := _leg(one.leg, named_legs) or counted.get(name):
-            entry = f"foot_{leg}_{one.axis}"
-            why = _legs_doubt(legs) if name in counted else ""
-            entries.setdefault(entry, Entry(entry, name, unit, doubt=why))
-    placed = any(name.startswith("foot_") for name in entries)
-    notes = ["are foot_<leg> along the IMU's axes, from its origin?"] * placed
+        column = f"foot_{one.leg}_{one.axis}"
+        doubt = _legs_doubt(legs) if name in counted else ""
+        unit = "m" if most < 3.0 else "mm"
+        entries.setdefault(column, Entry(column, name, unit, doubt=doubt))
+    notes = ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
     return list(entries.values()), notes
 
 
 def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, str]:
     """The leg of each column of a list of as many feet as there are legs."""
-    lists: dict[tuple[str, str, str], dict[int, list[str]]] = {}
-    for name, one in found.items():
-        number = one.limb if one.axis and one.limb is not None else one.place
-        number = one.limb if number is None else number
-        if not one.leg and number is not None:
-            members = lists.setdefault((one.kind, one.source, one.stem), {})
-            members.setdefault(number, []).append(name)
-    return {
-        name: leg
-        for members in lists.values()
-        if len(members) == len(legs)
-        for leg, number in zip(legs, sorted(members), strict=True)
-        for name in members[number]
-    }
+    without = {name: one for name, one in found.items() if not one.leg}
+    legs_of: dict[str, str] = {}
+    for members in lists_of(without, "kind", "source", "stem").values():
+        # Of a vector's two numbers, the first is of the foot, the second of the axis.
+        number = {
+            name: one.limb
+            if one.limb is not None and (one.axis or one.place is None)
+            else one.place
+            for name, one in members.items()
+        }
+        numbers = sorted({one for one in number.values() if one is not None})
+        if len(numbers) == len(legs):
+            of = dict(zip(numbers, legs, strict=True))
+            legs_of |= {name: of[one] for name, one in number.items() if one is not None}
+    return legs_of
 
 
 def _with_legs_of(machine: Machine | None, found: Mapping[str, Named]) -> dict[str, Named]:
@@ -486,12 +470,6 @@ def _with_legs_of(machine: Machine | None, found: Mapping[str, Named]) -> dict[s
             one = replace(one, leg=of[0][0], part="", stem=stem)
         read[name] = one
     return read
-
-
-def _contact_or_force(file: RecordedFile, kind: str, names: Sequence[str]) -> str:
-    """Kind of these columns: contacts with values other than 0 and 1 are forces."""
-    binary = all(np.isin(file.columns[name], (0.0, 1.0)).all() for name in names)
-    return "force" if kind == "contact" and not binary else kind
 
 
 def _other_side(joint: str) -> str:

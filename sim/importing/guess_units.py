@@ -34,7 +34,7 @@ def unit_of_angles(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, 
     for unit in ("deg", "rad"):
         if unit in named:
             return unit, ""
-    most = max(float(np.quantile(np.abs(v), 0.99)) for v in values)
+    most = max((float(np.quantile(np.abs(v), 0.99)) for v in values), default=0.0)
     if most > 800.0:
         return "rad", f"reaches {most:.3g}: counts, with which gain?"
     if most > _LARGEST_ANGLE:

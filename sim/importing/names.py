@@ -14,8 +14,8 @@ from surefoot.sim.log.schema import LEGS
 _WORDS: dict[str, tuple[str, str]] = {
     word: vote
     for vote, words in {
-        ("quantity", "t"): "t time stamp timestamp timestamps secs sec seconds clock ts tick"
-        " utime epoch",
+        ("time", ""): "time stamp timestamp timestamps clock ts tick utime epoch",
+        ("quantity", "t"): "t",
         ("quantity", "gyro"): "gyro gyros gyr gyroscope omega angvel w",
         ("quantity", "accel"): "acc accel acceleration accelerometer a",
         ("quantity", "q"): "q qpos jpos angle angles enc encoder theta",
@@ -53,7 +53,8 @@ _WORDS: dict[str, tuple[str, str]] = {
         ("leg", "left"): "left l",
         ("leg", "right"): "right r",
         ("limb", ""): "leg",
-        ("unit", ""): "ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s",
+        ("unit", ""): "ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s sec secs"
+        " seconds nanosec degrees radians",
         ("filler", ""): "state states link measured meas actual of robot data sensor header msg"
         " value raw per is in flag field wrench",
     }.items()
@@ -79,14 +80,12 @@ _HINGES: dict[str, str] = {
 our thigh (`by_their_legs`).
 """
 HINGES = ("hip", "thigh", "calf")
-_OF_A_SECOND = {"dps": "deg/s", "degs": "deg/s", "rads": "rad/s"}
-_VECTORS = {
-    **dict.fromkeys(("ang", "w", "omega", "gyro", "gyr", "g"), "gyro"),
-    **dict.fromkeys(("a", "acc", "accel"), "accel"),
-    **dict.fromkeys(("q", "quat"), "ref_q"),
-    **dict.fromkeys(("p", "pos", "t"), "ref_p"),
+_SPELT = {
+    **{"dps": "deg/s", "degs": "deg/s", "rads": "rad/s", "degrees": "deg", "radians": "rad"},
+    **{"sec": "s", "secs": "s", "seconds": "s", "nanosec": "ns"},
 }
-"""Letters of a vector that its axis may follow at once, as in "gx"."""
+_GLUED = re.compile(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])")
+"""Words of vectors that their axis may follow at once, as in "gx"."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,6 @@ class Named:
         stem: the words that say neither axis, number, unit, leg nor hinge; those of one vector or
             list share it.
         body: whether it is of the body.
-        world: whether its axes are the world's.
         leg: FL, FR, RL, RR, left or right.
         written: the leg as written in the name.
         part: the joint's name without the leg's; hip, thigh or calf for FL to RR.
@@ -116,7 +114,6 @@ class Named:
     source: str = ""
     stem: str = ""
     body: bool = False
-    world: bool = False
     leg: str = ""
     written: str = ""
     part: str = ""
@@ -135,11 +132,14 @@ class Named:
 def words_of(name: str) -> list[str]:
     """The words of a name in lower case, separated at punctuation and capitals."""
     # Frames in between, as in EuRoC's a_RS_S_x.
-    name = re.sub(r"\b([apqw])_[A-Z]{2}(?:_[A-Z])?_([wxyz])\b", r"\1\2", name)
+    name = re.sub(r"\b([apqw])_[A-Z]{2}(?:_[A-Z])?_([wxyz])\b", r"\1 \2", name)
     name = name.replace("°", " deg ")
     apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", name)
-    words = [word.lower() for word in re.split(r"[^A-Za-z0-9]+", apart) if word]
-    return _legs_in_one(words)
+    words: list[str] = []
+    for word in re.split(r"[^a-z0-9]+", apart.lower()):
+        vector = _GLUED.fullmatch(word)
+        words += ["gyro" if vector[1] == "g" else vector[1], vector[2]] if vector else [word]
+    return _legs_in_one([word for word in words if word])
 
 
 def _legs_in_one(words: list[str]) -> list[str]:
@@ -167,7 +167,6 @@ def read_name(name: str) -> Named:
     vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
-        vector = re.fullmatch(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])", word)
         what, which = _WORDS.get(word) or (_WORDS.get(letters) if digits else None) or ("", "")
         if word.isdigit():
             numbers.append(int(word))
@@ -178,14 +177,12 @@ def read_name(name: str) -> Named:
         if what == "leg" and not leg and len(words) > 1 and not digits:
             leg, written = which, word
             continue
-        if what == "unit" and (quantities or axis) and not digits:
+        if what == "unit" and (quantities or axis or "time" in votes) and not digits:
+            word = _SPELT.get(word, word)
             unit = f"{unit}/{word}" if unit else word
             continue
-        if vector:
-            quantities.append(_VECTORS[vector[1]])
-            axis = vector[2]
-            stem.append(vector[1])
-            continue
+        if _SPELT.get(word) == "s":
+            what = "time"
         if word == "w" and (quantities or "turning" in votes or "linear" in votes):
             what, which = "world", ""  # as in Isaac Lab's root_ang_vel_w
         if what == "quantity" and (
@@ -206,7 +203,8 @@ def read_name(name: str) -> Named:
             limb = int(digits)
         elif digits and what:
             numbers.append(int(digits))
-        stem += [letters if what else word] * (what != "" or word not in _HINGES)
+        if word not in _HINGES and (what, which) != ("quantity", "euler"):
+            stem.append(letters if what else word)
     if len(numbers) > 1 and limb is None:
         limb = numbers[-2]
     hinge = _of_a_leg(part) if leg in LEGS else "_".join(part)
@@ -214,6 +212,8 @@ def read_name(name: str) -> Named:
     kind = _kind(quantities, votes, axis, bool(numbers), leg, part)
     if kind == "force" and leg in LEGS and hinge in HINGES:
         kind = "tau"  # the load of a joint
+    if kind in ("gyro", "accel") and "world" in votes:
+        kind = "ref_v"  # no sensor's axes are the world's
     if kind in ("q", "dq", "tau") and source == "reference":
         source = "command"
     if not (kind or quantities or part or leg) and axis:
@@ -224,14 +224,13 @@ def read_name(name: str) -> Named:
         source=source,
         stem=" ".join(stem),
         body="body" in votes.get("of", ()),
-        world="world" in votes,
         leg=leg,
         limb=limb,
         part=hinge,
         written=written,
         place=numbers[-1] if numbers else None,
         axis=axis,
-        unit=_OF_A_SECOND.get(unit, unit),
+        unit=unit,
     )
 
 
@@ -253,6 +252,8 @@ def _kind(
         leg: its name, or "".
         part: words of a joint.
     """
+    if "time" in votes:
+        return "t"
     of, turning = votes.get("of", set()), "turning" in votes
     of_joint = bool(leg or "joint" in of)
     before, kind = ("", "", *quantities)[-2:]
@@ -273,6 +274,8 @@ def _kind(
     if kind == "position":
         tracked = axis or "body" in of or "reference" in votes.get("source", ())
         return "foot" if "foot" in of else "ref_p" if tracked and not of_joint else "q"
+    if kind == "t" and axis:
+        return "ref_p"  # a translation, as TUM's "tx"
     if kind == "q" and not of_joint and (axis or (before == "euler" and len(part) == 1)):
         return "ref_q" if axis else "euler"
     if not kind and turning:
@@ -308,26 +311,32 @@ def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
     return found
 
 
+def lists_of(names: Mapping[str, Named], *shared: str) -> dict[tuple, dict[str, Named]]:
+    """The names that agree in these attributes, by their values."""
+    found: dict[tuple, dict[str, Named]] = {}
+    for name, one in names.items():
+        found.setdefault(tuple(getattr(one, key) for key in shared), {})[name] = one
+    return found
+
+
 def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
     """Interpret the elements of each list of one recording together: vectors of the feet, joints
     where a vector has too many elements, and the pose (and velocities) of a body in one list.
     """
     found = dict(names)
-    lists: dict[tuple[str, str, str], list[str]] = {}
-    for name, one in names.items():
-        if one.place is not None and not (one.axis or one.leg or one.joint):
-            lists.setdefault((one.kind, one.source, one.stem), []).append(name)
-    for (kind, source, _), members in lists.items():
-        limbs = {names[n].limb for n in members}
-        places = sorted({names[n].place or 0 for n in members})
-        for name in members:
-            one, at = names[name], places.index(names[name].place or 0)
+    plain = {n: one for n, one in names.items() if not (one.axis or one.leg or one.joint)}
+    plain = {n: one for n, one in plain.items() if one.place is not None}
+    for (kind, source, _), members in lists_of(plain, "kind", "source", "stem").items():
+        limbs = {one.limb for one in members.values()}
+        places = sorted({one.place or 0 for one in members.values()})
+        for name, one in members.items():
+            at = places.index(one.place or 0)
             if kind in ("force", "foot") and len(limbs) > 1 and len(places) == 3:
                 found[name] = replace(one, axis="xyz"[at])
             elif kind in ("gyro", "ref_p", "ref_v") and len(members) > 3:
-                as_joint = "q" if kind == "ref_p" else "dq"
-                commanded = "command" if source == "reference" else source
-                found[name] = replace(one, kind=as_joint, source=commanded)
+                kind_of_joint = "q" if kind == "ref_p" else "dq"
+                command = "command" if source == "reference" else source
+                found[name] = replace(one, kind=kind_of_joint, source=command)
             elif not kind and one.body and len(members) in (7, 13):
                 what = "ref_p" if at < 3 else "ref_q" if at < 7 else "ref_v"
                 found[name] = replace(one, kind=what)

@@ -20,7 +20,6 @@ from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, r
 from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of
-from surefoot.sim.log.schema import JOINTS
 from surefoot.sim.robot.machine import Machine
 
 _RATES = (0.5, 5000.0)
@@ -91,7 +90,9 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
-        skipped = dict.fromkeys((n for n in table.cells if n not in there), "NaN, text or empty")
+        skipped = dict.fromkeys(
+            (n for n in table.cells if n not in there), "NaN, text, empty or too long"
+        )
         skipped |= dict.fromkeys(table.parameters, "parameters: not one for each row")
         found[0] = replace(found[0], skipped=skipped)
     return found
@@ -137,7 +138,9 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     readings = {n: (t[finite[n]], x[finite[n]]) for n, (t, x) in every.items() if finite[n].any()}
     if not readings:
         return []
-    skipped |= dict.fromkeys((n for n in every if n not in readings), "NaN, text or empty")
+    skipped |= dict.fromkeys(
+        (n for n in every if n not in readings), "NaN, text, empty or too long"
+    )
     layout = {} if all(finite[n].all() for n in readings) else {"sparse": True}
     recorded = {name: values for name, (_, values) in readings.items()}
     names = _names(recorded, machine)
@@ -224,32 +227,18 @@ def _plain(text: str) -> str:
 
 
 def name_in_file(name: str, machine: Machine | None) -> Named:
-    """Interpret a name that may contain a joint's name from the robot's file.
+    """Interpret a name that may contain a joint's name, the log's or that of the robot's file.
 
     Words of the joint's name are ignored for the kind of the column: "wrist_rotation_joint_effort".
     """
-    for joint in sorted(machine.limbs.joints if machine else (), key=len, reverse=True):
-        alone = _alone(joint)
-        if joint not in JOINTS and re.search(alone, name, re.IGNORECASE):
-            rest, whole = read_name(re.sub(alone, " ", name, flags=re.IGNORECASE)), read_name(name)
-            found = whole if whole.kind in _OF_JOINTS and not rest.kind else rest
+    pairs = zip(machine.joint_names, machine.limbs.joints, strict=True) if machine else ()
+    ours = {text: joint for theirs, joint in pairs for text in (theirs, joint)}
+    for text in sorted(ours, key=len, reverse=True):
+        alone = re.compile(rf"(?<![A-Za-z0-9]){re.escape(text)}(?![A-Za-z0-9])", re.IGNORECASE)
+        if alone.search(name):
+            rest, whole = read_name(alone.sub(" ", name)), read_name(alone.sub(ours[text], name))
+            load = whole.kind in _OF_JOINTS and rest.kind not in _OF_JOINTS
+            found = whole if load else rest
             if not found.kind or found.kind in _OF_JOINTS:
-                return replace(found, joint=joint, leg=whole.leg)
-    return read_name(_in_our_words(name, machine))
-
-
-def _alone(word: str) -> str:
-    """A pattern that matches whole words only."""
-    return rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])"
-
-
-def _in_our_words(name: str, machine: Machine | None) -> str:
-    """Replace the joint's name of the robot's file in a column's name by ours."""
-    if machine is None:
-        return name
-    both = zip(machine.joint_names, machine.limbs.joints, strict=True)
-    for theirs, ours in sorted(both, key=lambda pair: -len(pair[0])):
-        alone = _alone(theirs)
-        if theirs != ours and re.search(alone, name, re.IGNORECASE):
-            return re.sub(alone, ours, name, flags=re.IGNORECASE)
-    return name
+                return replace(found, joint=ours[text], leg=whole.leg)
+    return read_name(name)

@@ -81,14 +81,17 @@ def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
     return found
 
 
-def _places(cell: object) -> list[str]:
-    """Places of the elements of a cell: "[0][1]" in a list of lists, "" of what is no list."""
+def _places(cell: object, deeper: int = 2) -> list[str]:
+    """Places of the elements of a cell: "[0][1]" in a list of lists, "" of what is no list; none
+    where there are too many.
+    """
     inner = _list(cell)
     if not isinstance(inner, list | tuple | np.ndarray):
         return [""]
-    if np.size(np.asarray(inner, dtype=object)) > _MOST_PLACES:
+    if deeper == 0 or len(inner) > _MOST_PLACES:
         return []
-    return [f"[{k}]{rest}" for k, one in enumerate(inner) for rest in _places(one)]
+    found = [f"[{k}]{rest}" for k, one in enumerate(inner) for rest in _places(one, deeper - 1)]
+    return found if len(found) <= _MOST_PLACES else []
 
 
 def _cells(table: RecordedTable, column: str, source: Source) -> np.ndarray:

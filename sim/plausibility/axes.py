@@ -34,6 +34,13 @@ class AxesMatch:
     best: np.ndarray
     scale: np.ndarray
 
+    @classmethod
+    def of(cls, axes: np.ndarray) -> "AxesMatch":
+        """The match for measured = axes @ expected, a signed permutation (3, 3)."""
+        order = np.abs(axes).argmax(axis=1)
+        sign = axes[range(3), order]
+        return cls(tuple(order.tolist()), sign, np.diag(axes), np.ones(3), np.ones(3))
+
     @property
     def wrong(self) -> tuple[int, ...]:
         """Axes that measure another one, or with the opposite sign."""

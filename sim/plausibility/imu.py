@@ -18,7 +18,7 @@ from surefoot.sim.plausibility.axes import (
 )
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.noise import noise_of
-from surefoot.sim.plausibility.place import SPEEDING, of_another_point
+from surefoot.sim.plausibility.place import SPEEDING, of_another_point, speed_changes
 from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
 
 ZERO_G = 0.8
@@ -137,6 +137,10 @@ def gravity(view: LogView) -> Iterator[Finding]:
     lean = float(np.degrees(np.arccos(np.clip(mean @ up / max(size, 1e-9), -1.0, 1.0))))
     if lean > MOST_LEAN:
         told = f"{told}, {lean:.0f} deg from up by {whose}"
+        turned = _imu_turned(view)
+        if turned is not None:
+            yield turned
+            return
         yield _turned_over(view, mean, up, told)
     elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
         yield Finding(_AXES_ACCEL, told, f"scaled by {size / GRAVITY:.3g}, or a bias")
@@ -263,21 +267,14 @@ def sampled(view: LogView) -> Iterator[Finding]:
     """
     if not view.trusts_reference:
         return
-    log, rows = view.log, round(SPEEDING / STEP)
-    R_GI = log.ref_R_GI
-    R_GI = 0.5 * (R_GI + np.concatenate([R_GI[:1], R_GI[:-1]]))
-    force = np.einsum("nij,nj->ni", R_GI, log.accel) + GRAVITY_G
-    summed = np.cumsum(force * np.diff(view.t, prepend=view.t[0])[:, None], axis=0)
-    throughout = view.ok[rows:] & view.ok[:-rows]
-    by_imu, by_reference = (
-        (x[rows:] - x[:-rows])[throughout] for x in (view.means(summed), view.ref_v)
-    )
+    by_imu, by_reference = speed_changes(view)
     if len(by_imu) * STEP < SHORTEST_LOG:
         return
     missed, changed = (
         float(np.sqrt(np.sum(x.var(axis=0)))) for x in (by_imu - by_reference, by_reference)
     )
-    bend = log.accel[1:-1] - 0.5 * (log.accel[2:] + log.accel[:-2])
+    accel = view.log.accel
+    bend = accel[1:-1] - 0.5 * (accel[2:] + accel[:-2])
     # White noise has a bend of 1.5 times its variance.
     implied = np.sqrt(np.sum(np.mean(bend**2, axis=0)) / 1.5 * view.step * SPEEDING)
     if missed > MISSED * changed and IMPLIED[0] < missed / max(implied, 1e-12) < IMPLIED[1]:
@@ -331,18 +328,14 @@ def gyro(view: LogView) -> Iterator[Finding]:
     if not view.compares_turning:
         return
     match = view.gyro_match
+    turned = _imu_turned(view)
+    if turned is not None:
+        yield turned
+        return
     if match.wrong:
         columns = tuple(_AXES_GYRO[i] for i in match.wrong)
         told = f"correlation with the reference's turning {_of(match, match.own)}"
-        accel = match_axes(view.accel[view.ok], view.felt[view.ok])
-        both = accel.wrong and accel.order == match.order and np.all(accel.sign == match.sign)
-        if both:
-            columns += tuple(_AXES_ACCEL[i] for i in match.wrong)
-            cause = f"the IMU is turned in the body, or the tracked body is: {match.words}"
-            line = "[robot] imu_orientation, or [reference] q_IM; surefoot align finds it"
-            yield Finding(columns, told, cause, line)
-        else:
-            yield Finding(columns, told, match.words, _lines("gyro", match))
+        yield Finding(columns, told, match.words, _lines("gyro", match))
         return
     if not match.alike:
         if not view.resolves:
@@ -350,13 +343,6 @@ def gyro(view: LogView) -> Iterator[Finding]:
         told = f"correlation of turning {_numbers(match.own)} about x, y, z"
         cause = "another body, other axes or another clock; try surefoot align"
         yield Finding((*_AXES_GYRO, "ref_q"), told, cause)
-        return
-    turned = _turned(view.gyro[view.ok], view.turning[view.ok])
-    if turned is not None:
-        told = f"by {_numbers(turned)} deg about x, y, z, as its turning says"
-        line = "[robot] imu_orientation, or [reference] q_IM; surefoot align finds it"
-        cause = "the IMU is turned in the body, or the tracked body is"
-        yield Finding((*_AXES_GYRO, *_AXES_ACCEL), told, cause, line)
         return
     factor = match.scaled
     weak = np.flatnonzero(
@@ -393,16 +379,72 @@ def accel_noise(view: LogView) -> Iterator[Finding]:
         yield from noise_of(view.log.accel, _AXES_ACCEL, NOISY_ACCEL, "m/s^2")
 
 
-def _turned(gyro: np.ndarray, turning: np.ndarray) -> np.ndarray | None:
-    """Rotation vector [deg] from a gyro's axes (M, 3) to the reference's, by Kabsch's method.
+def _imu_turned(view: LogView) -> Finding | None:
+    """Find an IMU whose gyro and accelerometer are turned alike relative to the reference.
 
-    None where it is small or does not remove the difference.
+    None where there is none, and where one of the two is turned alone.
     """
+    if not view.compares_turning:
+        return None
+    axes = _axes_of_imu(view)
+    if axes is None:
+        return None
+    columns = (*_AXES_GYRO, *_AXES_ACCEL)
+    turned = Rotation.from_matrix(axes).as_rotvec(degrees=True) if np.linalg.det(axes) > 0 else None
+    words = "mirrored" if turned is None else f"by {_numbers(turned)} deg about x, y, z"
+    whole = np.array_equal(axes, np.round(axes))
+    if turned is not None and not _in_body(view, axes):
+        q = Rotation.from_matrix(axes).as_quat(canonical=True, scalar_first=True)
+        told = f"{words}, from the tracked body's axes, as turning and motion say"
+        line = f"[reference] q_IM = [{', '.join(f'{x:.4f}' for x in q + 0.0)}]"
+        return Finding(columns, told, "the tracked body is turned against the IMU", line)
+    told = f"{words}, from the reference's axes, as turning and motion say"
+    if whole:
+        match = AxesMatch.of(axes)
+        line = "; ".join(_lines(kind, match) for kind in ("gyro", "accel"))
+        return Finding(columns, told, f"the IMU is turned in the body: {match.words}", line)
+    line = "[robot] imu_orientation, with [reference] q_IM; surefoot align finds it"
+    return Finding(columns, told, "the IMU is turned in the body", line)
+
+
+def _axes_of_imu(view: LogView) -> np.ndarray | None:
+    """Orthogonal matrix (3, 3) from the reference's axes to those of gyro and accelerometer.
+
+    The rotation by Kabsch's method, or a mirror image along the axes. Whole numbers where it is
+    near to them, and None where it is small or does not fit both.
+    """
+    gyro, turning = view.gyro[view.ok], view.turning[view.ok]
     a, b = gyro - gyro.mean(axis=0), turning - turning.mean(axis=0)
-    R, left = Rotation.align_vectors(b, a)  # pyright: ignore[reportAssignmentType]
-    found = np.degrees(R.as_rotvec())
-    mends = left**2 < STILL_LEFT * float(np.sum((a - b) ** 2))
-    return found if mends and np.linalg.norm(found) > TURNED_IMU else None
+    found = Rotation.align_vectors(a, b)[0].as_matrix()
+    match = view.gyro_match
+    mirrored = np.zeros((3, 3))
+    mirrored[range(3), match.order] = match.sign
+    if np.linalg.det(mirrored) < 0 and len(match.wrong) and match.best.min() > OTHER:
+        found = mirrored
+    if np.abs(found - np.round(found)).max() < np.sin(np.radians(TURNED_IMU)):
+        found = np.round(found) + 0.0
+    accel, felt = view.accel[view.ok], view.felt[view.ok]
+    pairs = ((a, b), (accel, felt))
+    mends = all(
+        np.sum((x - y @ found.T) ** 2) < STILL_LEFT * np.sum((x - y) ** 2) for x, y in pairs
+    )
+    return found if mends and not np.array_equal(found, np.eye(3)) else None
+
+
+def _in_body(view: LogView, axes: np.ndarray) -> bool:
+    """Whether an IMU that is turned from the reference's axes is so in the body, too.
+
+    By up in the body or, where that is on the axis of the turn, by the feet.
+    """
+    up, mean = view.up_by_body, view.log.accel.mean(axis=0)
+    if up is not None:
+        as_is, put_right = (float(x @ up) / np.linalg.norm(mean) for x in (mean, mean @ axes))
+        if abs(as_is - put_right) > 1.0 - np.cos(np.radians(TURNED_IMU)):
+            return put_right > as_is
+    if view.stance is None:
+        return False
+    gyro = view.gyro[view.stance.which]
+    return view.stance.turning_fits(gyro @ axes) > view.stance.turning_fits(gyro)
 
 
 def turning_of_legs(view: LogView) -> Iterator[Finding]:

@@ -197,6 +197,8 @@ def units(view: LogView) -> Iterator[Finding]:
         return
     q = log.q
     turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > TURNS]
+    if 2 * len(turned) > len(log.joints):
+        turned = list(log.joints)  # hips may stay below
     if turned:
         worst = float(np.abs(q).max())
         columns = tuple(f"q_{j}" for j in turned)

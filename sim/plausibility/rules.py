@@ -86,17 +86,6 @@ RULES = (
         streams.saturated,
     ),
     Rule(
-        "coarse",
-        "readings of gyro, accelerometer and angles with each other",
-        "nothing between readings that are "
-        + ", ".join(f"{streams.COARSE[k]:g} {u}" for k, u in _UNITS.items())
-        + " apart",
-        "fifty times what sensors of 16 bits and encoders of 12 bits have",
-        "record more digits",
-        (),
-        streams.coarse,
-    ),
-    Rule(
         "gyro's unit",
         "the gyro's size",
         f"{imu.TUMBLING:g} rad/s root mean square, or 0 throughout",
@@ -135,6 +124,17 @@ RULES = (
         'unit = "deg"',
         ("q",),
         joints.units,
+    ),
+    Rule(
+        "coarse",
+        "readings of gyro, accelerometer and angles with each other",
+        "nothing between readings that are "
+        + ", ".join(f"{streams.COARSE[k]:g} {u}" for k, u in _UNITS.items())
+        + " apart",
+        "fifty times what sensors of 16 bits and encoders of 12 bits have",
+        "record more digits",
+        (),
+        streams.coarse,
     ),
     Rule(
         "joint rates",
@@ -197,16 +197,6 @@ RULES = (
         imu.gyro,
     ),
     Rule(
-        "IMU's rows",
-        f"the accelerometer's sum over {place.SPEEDING:g} s with changes of velocity of ref_p",
-        f"{imu.MISSED:.0%} of these, and {imu.IMPLIED[0]:g} to {imu.IMPLIED[1]:g} times what "
-        "independent samples cause",
-        "averages over each row give the change of velocity at any rate",
-        "log faster, or averages over the rows: filters take rows for such",
-        ("t", "accel", "gyro", "ref"),
-        imu.sampled,
-    ),
-    Rule(
         "gyro's noise",
         "the gyro with itself from row to row",
         f"{imu.NOISY:g} rad/s",
@@ -223,6 +213,16 @@ RULES = (
         "leave the log out, or the axis; a filter takes such noise for 0.1 m/s²",
         ("t", "accel"),
         imu.accel_noise,
+    ),
+    Rule(
+        "IMU's rows",
+        f"the accelerometer's sum over {place.SPEEDING:g} s with changes of velocity of ref_p",
+        f"{imu.MISSED:.0%} of these, and {imu.IMPLIED[0]:g} to {imu.IMPLIED[1]:g} times what "
+        "independent samples cause",
+        "averages over each row give the change of velocity at any rate",
+        "log faster, or averages over the rows: filters take rows for such",
+        ("t", "accel", "gyro", "ref"),
+        imu.sampled,
     ),
     Rule(
         "noise of rates",

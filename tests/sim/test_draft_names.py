@@ -61,6 +61,7 @@ KNOWN = [
     ("base_ang_vel[1]", "gyro", ""),
     ("imu_ang_vel_x", "gyro", ""),
     ("root_ang_vel_b[0]", "gyro", ""),
+    ("root_ang_vel_w[0]", "ref_v", ""),
     ("imu_state.gyroscope[2]", "gyro", ""),
     ("body_rate_z", "gyro", ""),
     ("omega_filtered_x", "gyro", "filtered"),
@@ -103,7 +104,10 @@ KNOWN = [
     ("vicon_pos_x", "ref_p", "reference"),
     ("quat_wxyz_0", "ref_q", ""),
     ("imu_timestamp", "t", ""),
-    ("timestamp_gyro", "gyro", ""),
+    ("timestamp_gyro", "t", ""),
+    ("contact_time_FL", "t", ""),
+    ("Gyro X (rad/sec)", "gyro", ""),
+    ("sec", "t", ""),
 ]
 
 
@@ -225,16 +229,20 @@ def test_names_that_the_robot_has_not_are_asked_about(tmp_path):
     assert not doubts["q_FL_thigh"]
 
 
-@pytest.mark.parametrize("vectors", [False, True])
-def test_forces_of_the_feet_are_understood_along_z(tmp_path, vectors):
-    forces = np.zeros((N, 4, 3))
-    forces[:, :, 2] = FORCES
-    more = {"contact_forces": forces} if vectors else {"foot_force": FORCES}
-    draft = drafted_arrays(tmp_path, t=T, dof_pos=ANGLES, **more)
-    place = "contact_forces[{}][2]" if vectors else "foot_force[{}]"
-    assert {f"force_{leg}": place.format(k) for k, leg in enumerate(LEGS)}.items() <= theirs(
-        draft
-    ).items()
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("contact_forces", "contact_forces[{}][2]"),
+        ("foot_force", "foot_force[{}]"),
+        ("contact_forces_z", "contact_forces_z[{}]"),
+    ],
+)
+def test_forces_of_the_feet_are_understood_along_z(tmp_path, name, place):
+    vectors = name == "contact_forces"
+    forces = FORCES[:, :, None] * [0.0, 0.0, 1.0] if vectors else FORCES
+    draft = drafted_arrays(tmp_path, t=T, dof_pos=ANGLES, **{name: forces})
+    expected = {f"force_{leg}": place.format(k) for k, leg in enumerate(LEGS)}
+    assert expected.items() <= theirs(draft).items()
     assert draft.contact is not None
     assert all(e.doubt for e in draft.main if e.name.startswith("force"))
     assert ("contact_forces[0][0]" in listed(draft)) == vectors

@@ -1,5 +1,7 @@
 """One short walk, made nonsense in many ways: each is noticed, by the right rule and name."""
 
+import json
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -552,7 +554,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "reference of a point above the IMU": (
         of_another_point(0.0, 0.0, 0.5), "reference's point", "0.50) m in the IMU's axes"),
     "reference scaled": (
-        times(1.2, "ref_p", "ref_v"), "reference's motion", "1.2 times as much"),
+        times(1.2, "ref_p", "ref_v"), "reference's motion", "times as much"),
     "reference's positions turned": (positions_turned, "reference's motion", "30 deg about z"),
     "reference made of the legs": (leg_odometry, "reference from legs", "made of the legs"),
     "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or the joints are late"),
@@ -610,6 +612,67 @@ def test_nonsense_is_noticed_by_the_right_name(log, name):
     found = found_in(change(log))
     assert any(line.startswith(f"{rule}: ") and words in line for line in found), found
     assert len(found) <= 3, "a rule is not asked about what an earlier one doubts"
+
+
+def turned(axis: str, degrees: float) -> Rotation:
+    return Rotation.from_euler(axis, degrees, degrees=True)
+
+
+def body_turned(axis: str, degrees: float) -> Callable[[Log], Log]:
+    return attitude(lambda R: R * turned(axis, degrees))
+
+
+ONE_CAUSE: dict[str, Callable[[Log], Log]] = {
+    **{
+        f"IMU turned by {degrees} deg about {axis}": imu_turned(turned(axis, degrees))
+        for axis, degrees in (("x", 90), ("x", 180), ("y", -90), ("y", 180), ("z", 90), ("z", 180))
+    },
+    "IMU mirrored": exchanged(("gyro_y", "gyro_z"), ("accel_y", "accel_z")),
+    **{
+        f"tracked body turned by {degrees} deg about {axis}": body_turned(axis, degrees)
+        for axis, degrees in (("x", 180), ("y", 90), ("z", 90), ("z", 180), ("z", 30))
+    },
+    "attitudes turned about z": attitude(lambda R: turned("z", 90) * R),
+    "gyro in deg/s": times(DEGREE, "gyro"),
+    "gyro negated": times(-1, "gyro"),
+    "accelerometer in g": times(1 / 9.80665, "accel"),
+    "accelerometer negated": times(-1, "accel"),
+    "accelerometer's z negated": times(-1, "accel_z"),
+    "calves reversed": times(-1, "q_", "dq_", "tau_", ends="_calf"),
+    "one thigh reversed": times(-1, "q_", "dq_", "tau_", ends="FR_thigh"),
+    "quaternions of the inverse": attitude(Rotation.inv),
+}
+"""One defect each."""
+
+
+@pytest.mark.parametrize("name", ONE_CAUSE)
+def test_one_cause_has_one_finding_and_what_it_says_to_paste_repairs(log, name):
+    changed = ONE_CAUSE[name](without(log, "ref_v"))
+    (found,) = check_log(changed, SPOT)
+    assert found_in(pasted(changed, found.map_line)) == []
+
+
+def pasted(log: Log, text: str) -> Log:
+    """A log with the columns that an import would give with these lines in its map."""
+    columns: dict[str, np.ndarray] = {}
+    for line in text.split("; "):
+        key, value = line.split(" = ", 1)
+        if key == "[reference] q_IM":
+            back = Rotation.from_quat(json.loads(value), scalar_first=True).inv()
+            log = attitude(lambda R, by=back: R * by)(log)
+            continue
+        signed = -1.0 if value == "-1" or "sign = -1" in value else 1.0
+        if key.startswith("[robot.joint_sign] "):
+            joint = key.split()[1]
+            named = [f"{kind}_{joint}" for kind in ("q", "dq", "tau")]
+            columns |= {name: signed * log.frame[name] for name in named}
+            continue
+        unit = {'unit = "deg/s"': 1 / DEGREE, 'unit = "g"': 9.80665}
+        gain = signed * next((size for words, size in unit.items() if words in value), 1.0)
+        for column in key.split(", "):
+            theirs = re.search("their column of ([a-z_]+)", value)
+            columns[column] = gain * log.frame[theirs[1] if theirs else column]
+    return edited(log, **columns)
 
 
 @pytest.mark.long
