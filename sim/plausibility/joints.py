@@ -113,7 +113,7 @@ def rates(view: LogView) -> Iterator[Finding]:
         if alike[i, other] > 0.8:
             told += f", of q_{names[other]} {alike[i, other]:.2f}"
             cause = f"it is the rate of {names[other]}: swapped"
-            line = f"dq_{names[other]} = <their column of dq_{names[i]}>"
+            line = f"dq_{names[other]} = {{ column = <their column of dq_{names[i]}> }}"
             yield Finding((f"dq_{names[i]}",), told, cause, line)
         else:
             cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
@@ -191,7 +191,7 @@ def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Findin
 
 
 def units(view: LogView) -> Iterator[Finding]:
-    """Check that angles of legs are in radians."""
+    """Check that angles of legs are in radians, and rates that are their change."""
     log = view.log
     if not log.has("q") or view.robot is None:
         return
@@ -204,6 +204,12 @@ def units(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"q_{j}" for j in turned)
         line = f'{columns[0]}, ... = {{ ..., unit = "deg" }}'
         told = f"up to {worst:.4g} rad"
+        if log.has("dq") and view.comparable:
+            sizes = [x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q))]
+            if abs(float(np.median(sizes[0] / np.maximum(sizes[1], 1e-12))) - 1.0) < 0.2:
+                columns += tuple(f"dq_{j}" for j in turned)
+                line += f'; dq_{turned[0]}, ... = {{ ..., unit = "deg/s" }}'
+                told += ", rates likewise"
         yield Finding(columns, told, "in deg, not rad, or not unwrapped", line)
 
 
