@@ -154,8 +154,8 @@ def attitude_fault(
     late, shifted = delay
     if late and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
         which, how = ("after", "late") if late > 0 else ("before", "early")
-        told = f"turns {abs(late):.2f} s {which} the gyro"
-        return AttitudeFault(told, f"the reference's clock is {how}", "", late)
+        seen = f"turns {abs(late):.2f} s {which} the gyro"
+        return AttitudeFault(seen, f"the reference's clock is {how}", "", late)
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [
@@ -175,8 +175,8 @@ def attitude_fault(
         put_right[:, list(match.order)] = gyro * match.sign
         if match.wrong and not trusts_gyro(put_right):
             return None
-    told = (
+    seen = (
         f"correlation of its turning with the gyro {', '.join(f'{x:.2f}' for x in match.own)} "
         f"about x, y, z, its vertical {lean:.0f} deg from gravity"
     )
-    return AttitudeFault(told, best[2].words, best[2].map_line)
+    return AttitudeFault(seen, best[2].words, best[2].map_line)

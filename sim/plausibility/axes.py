@@ -6,6 +6,9 @@ from itertools import permutations
 import numpy as np
 
 AXIS_NAMES = "xyz"
+GYRO, ACCEL, REF_P, REF_V = (
+    tuple(f"{kind}_{a}" for a in AXIS_NAMES) for kind in ("gyro", "accel", "ref_p", "ref_v")
+)
 OTHER = 0.7
 """Correlation with another axis from which that axis is taken to be measured: clean walks have 0.8
 (accelerometers) to 1 with their own axis, below 0.6 with others (roll and sway are correlated).
