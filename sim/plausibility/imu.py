@@ -344,22 +344,20 @@ def _imu_turned(view: LogView) -> Finding | None:
 
     None where there is none, and where one of the two is turned alone.
     """
-    if not view.compares_turning:
-        return None
-    axes = _axes_of_imu(view)
+    axes = _axes_of_imu(view) if view.compares_turning else None
     if axes is None:
         return None
-    columns = (*GYRO, *ACCEL)
-    turned = Rotation.from_matrix(axes).as_rotvec(degrees=True) if np.linalg.det(axes) > 0 else None
-    words = "mirrored" if turned is None else f"by {_numbers(turned)} deg about x, y, z"
-    whole = np.array_equal(axes, np.round(axes))
-    if turned is not None and not _in_body(view, axes):
-        q = Rotation.from_matrix(axes).as_quat(canonical=True, scalar_first=True)
-        seen = f"{words}, from the tracked body's axes, as turning and motion say"
-        line = f"[reference] q_IM = [{', '.join(f'{x:.4f}' for x in q + 0.0)}]"
-        return Finding(columns, seen, "the tracked body is turned against the IMU", line)
+    columns, words = (*GYRO, *ACCEL), "mirrored"
+    if np.linalg.det(axes) > 0.0:
+        turn = Rotation.from_matrix(axes)
+        words = f"by {_numbers(turn.as_rotvec(degrees=True))} deg about x, y, z"
+        if not _in_body(view, axes):
+            q = turn.as_quat(canonical=True, scalar_first=True)
+            seen = f"{words}, from the tracked body's axes, as turning and motion say"
+            line = f"[reference] q_IM = [{', '.join(f'{x:.4f}' for x in q + 0.0)}]"
+            return Finding(columns, seen, "the tracked body is turned against the IMU", line)
     seen = f"{words}, from the reference's axes, as turning and motion say"
-    if whole:
+    if np.array_equal(axes, np.round(axes)):
         match = AxesMatch.of(axes)
         line = "; ".join(_lines(kind, match) for kind in ("gyro", "accel"))
         return Finding(columns, seen, f"the IMU is turned in the body: {match.words}", line)

@@ -206,11 +206,9 @@ def stops(view: LogView) -> Iterator[Finding]:
     if not over.size:
         return
     worst = over[np.argmax(share[over])]
-    seen = (
-        f"{log.joints[worst]} is beyond {low[worst]:.2f} to {high[worst]:.2f} rad of "
-        f"{view.robot.name} in {100 * share[worst]:.0f} % of rows, median "
-        f"{np.median(q[:, worst]):.2f} rad"
-    )
+    limits = f"{low[worst]:.2f} to {high[worst]:.2f} rad of {view.robot.name}"
+    seen = f"{log.joints[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
+    seen += f" {np.median(q[:, worst]):.2f} rad"
     within = np.mean(np.maximum(low + q, -q - high) > BEYOND, axis=0) < BEYOND_SHARE
     names = [log.joints[j] for j in over]
     cause, line = "wrong zero, swapped joints, or another robot", ""

@@ -11,7 +11,6 @@ from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import lag_of
 from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.stance import Stance
-from surefoot.sim.plausibility.units import unit_line
 from surefoot.sim.plausibility.view import STEP, LogView
 from surefoot.sim.robot.robot import Robot
 
@@ -502,14 +501,10 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     columns = tuple(f"tau_{joint}" for joint in log.joints)
     if SUPPORT[0] < share < SUPPORT[1] or contact.mean() < 0.2:
         return
+    cause, line = "swapped joints, another unit, a motor's side of the gear, or another robot", ""
     if -SUPPORT[1] < share < -SUPPORT[0]:
-        line = f"{columns[0]}, ... = {{ ..., sign = -1 }}"
-        yield Finding(columns, seen, "wrong sign", line)
-    elif share > 100.0:
-        yield Finding(columns, seen, "in mN m, not N m", unit_line(columns, "mN m"))
-    else:
-        cause = "swapped joints, another unit, a motor's side of the gear, or another robot"
-        yield Finding(columns, seen, cause)
+        cause, line = "wrong sign", f"{columns[0]}, ... = {{ ..., sign = -1 }}"
+    yield Finding(columns, seen, cause, line)
 
 
 @rule("late torques", "t q contact tau accel", beside="foot")

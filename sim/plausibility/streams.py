@@ -2,6 +2,7 @@
 derived from another column.
 """
 
+import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import chain, combinations
@@ -215,17 +216,15 @@ def held(view: LogView) -> Iterator[Finding]:
     slow = [one for one in held_streams(view.log) if one.rate < SLOWER * rate]
     slow = [one for one in slow if not one.columns[0].startswith(_COMMANDS)]
     if slow:
-        known = [str(name) for name in view.log.frame]
-        columns = sorted((c for one in slow for c in one.columns), key=known.index)
-        low, high = (pick(one.rate for one in slow) for pick in (min, max))
-        rates = f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
+        which = {c for one in slow for c in one.columns}
+        columns = tuple(c for c in map(str, view.log.frame) if c in which)
+        limits = (pick(one.rate for one in slow) for pick in (min, max))
+        rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
         seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
-        kinds = dict.fromkeys(
-            kind for c in columns for kind in (*_SENSORS, "force") if c.startswith(f"{kind}_")
-        )
-        line = f"[even] held = {[*kinds]}".replace("'", '"')
-        yield Finding(tuple(columns), seen, cause, line)
+        every = _kinds(view, (*_SENSORS, "force")).items()
+        line = f"[even] held = {json.dumps([kind for kind, c in every if which & c.keys()])}"
+        yield Finding(columns, seen, cause, line)
 
 
 @rule("interpolated", beside="t", minor=True)
@@ -246,9 +245,8 @@ def interpolated(view: LogView) -> Iterator[Finding]:
         rate = view.log.rate * (1.0 - float(np.median([share[name] for name in found])))
         if kind != "ref_p" or rate < SLOWEST_REFERENCE:
             seen = f"on straight lines between readings at {rate:.0f} Hz"
-            yield Finding(
-                tuple(found), seen, "a slower sensor, interpolated: its noise is not that"
-            )
+            cause = "a slower sensor, interpolated: its noise is not that"
+            yield Finding(tuple(found), seen, cause)
 
 
 @rule("late", beside="t ref", minor=True)
