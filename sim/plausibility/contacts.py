@@ -67,7 +67,7 @@ def missed(view: LogView) -> Iterator[Finding]:
         yield Finding((f"contact_{log.legs[i]}",), seen, cause)
 
 
-@rule("contacts", "contact", when="comparable")
+@rule("contacts", "contact")
 def dead(view: LogView) -> Iterator[Finding]:
     """Check that each foot of a walking robot touches down and lifts off.
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.log.schema import JOINTS, LEGS
+from surefoot.sim.plausibility import legs
 from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.units import in_another_unit, unit_line
 from surefoot.sim.plausibility.view import LogView
@@ -89,11 +90,15 @@ def rates(view: LogView) -> Iterator[Finding]:
     for i in np.flatnonzero(inverted):
         seen = f"correlation with the change of q {own[i]:.2f}, at {slope[i]:.2g} of its size"
         yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
-    flipped = np.flatnonzero(opposite & ~inverted)
-    if flipped.size:
-        columns = tuple(f"dq_{names[i]}" for i in flipped)
-        seen = f"correlation with the change of q {own[flipped].max():.2f} at best"
-        cause = "wrong sign" if len(flipped) < len(names) else "wrong sign, or time runs backwards"
+    flipped = opposite & ~inverted
+    by_legs = legs.opposite_angles(view) if flipped.any() else set()
+    of_angle = np.array([f"q_{name}" in by_legs for name in names])
+    for kind, which in (("q", flipped & of_angle), ("dq", flipped & ~of_angle)):
+        if not which.any():
+            continue
+        columns = tuple(f"{kind}_{names[i]}" for i in np.flatnonzero(which))
+        seen = f"correlation of dq with the change of q {own[which].max():.2f} at best"
+        cause = "wrong sign" if not which.all() else "wrong sign, or time runs backwards"
         line = f"{', '.join(columns)} = {{ ..., sign = -1 }}"
         yield Finding(columns, seen, cause, line)
     for i in np.flatnonzero(strange):

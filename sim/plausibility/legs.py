@@ -411,6 +411,13 @@ def _misread_finding(
     return Finding(columns, seen, " and ".join(causes), line)
 
 
+def opposite_angles(view: LogView) -> set[str]:
+    """Columns of angles that put standing feet right with the opposite sign."""
+    legs = view.stance
+    found = [] if legs is None else _misread(view, legs, _motion(view, legs).where_turning())[1]
+    return {column for one in found if one.cause == "wrong sign" for column in one.streams}
+
+
 def _few(legs: Stance, moving: Moving) -> tuple[Stance, Moving]:
     """Feet and motion at some of the times, at which alternatives are tried."""
     used = np.flatnonzero(moving.used)

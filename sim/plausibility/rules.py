@@ -95,4 +95,4 @@ def check_log(log: Log, machine: Machine | None = None) -> tuple[Finding, ...]:
 
 def rules_table() -> list[dict[str, str]]:
     """The rules as rows of a table."""
-    return [{"rule": rule.name} | rule.explained for rule in RULES]
+    return [{"Rule": rule.name} | rule.explained for rule in RULES]

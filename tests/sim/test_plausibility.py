@@ -54,6 +54,14 @@ def test_the_beginning_of_a_walk_is_plausible(log):
     assert found_in(log.rows(log.t < 1.5)) == []
 
 
+def test_dead_contacts_of_a_second_are_noticed(log):
+    second = log.rows((log.t >= 2.0) & (log.t < 3.0))
+    assert found_in(second) == []
+    (line,) = found_in(constant(0.0, "contact_")(second))
+    assert line.startswith("contacts: contact_FL")
+    assert "always 0" in line
+
+
 @pytest.mark.parametrize("rate", [5.0, 6.0, 8.0, 10.0, 12.5, 20.0, 25.0, 50.0])
 def test_rows_of_a_low_rate_are_plausible(log, rate):
     """Averages lag by half a row, and trapezoids miss what lies between samples."""
@@ -641,6 +649,7 @@ ONE_CAUSE: dict[str, Callable[[Log], Log]] = {
     "accelerometer's z negated": times(-1, "accel_z"),
     "calves reversed": times(-1, "q_", "dq_", "tau_", ends="_calf"),
     "one thigh reversed": times(-1, "q_", "dq_", "tau_", ends="FR_thigh"),
+    "an angle reversed": times(-1, "q_FR_thigh"),
     "quaternions of the inverse": attitude(Rotation.inv),
 }
 """One defect each."""
@@ -846,7 +855,7 @@ def test_a_log_of_some_rows_has_nothing_to_compare(log, rows):
 def test_every_rule_says_why():
     assert len({rule.name for rule in RULES}) == len(RULES)
     for row in rules_table():
-        assert [*row] == ["rule", *PARAGRAPHS]
+        assert [*row] == ["Rule", *PARAGRAPHS]
         assert min(map(len, row.values())) > 2
         assert "{" not in "".join(row.values())
 
