@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.plausibility.axes import match_axes
+from surefoot.sim.plausibility.axes import angle_between, match_axes
 
 LATEST = 2.0
 """Largest delay of a reference that is searched for [s]; `surefoot align` searches further."""
@@ -145,8 +145,7 @@ def attitude_fault(
         if not np.any(force):
             return 0.0
         up = read(begin).inv().apply([0.0, 0.0, 1.0]).mean(axis=0)
-        size = max(float(np.linalg.norm(force) * np.linalg.norm(up)), 1e-9)
-        return float(np.degrees(np.arccos(np.clip(force @ up / size, -1.0, 1.0))))
+        return angle_between(force, up)
 
     as_is = turned(lambda R: R)
     match, lean = match_axes(gyro, as_is), leaning(lambda R: R)

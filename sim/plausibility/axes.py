@@ -92,6 +92,12 @@ def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
     return AxesMatch(tuple(order), sign, np.diag(alike).copy(), np.abs(matched), np.abs(scale))
 
 
+def angle_between(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two vectors (3,) [deg]."""
+    size = max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9)
+    return float(np.degrees(np.arccos(np.clip(a @ b / size, -1.0, 1.0))))
+
+
 def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> tuple[float, float]:
     """Delay [s] of `late` (M, D) relative to `witness` (M, D), and their mean correlation at it.
 

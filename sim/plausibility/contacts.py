@@ -90,10 +90,10 @@ def dead(view: LogView) -> Iterator[Finding]:
         feet = None if view.stance is None else view.stance.foot[:, :, :2]
         walks = walks and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
     if walks and still.size:
-        for state, words in ((True, "always 1"), (False, "always 0")):
+        for state in (1, 0):
             columns = tuple(f"contact_{log.legs[i]}" for i in still if contact[0, i] == state)
             if columns:
-                seen = f"{words} although the robot walks"
+                seen = f"always {state} although the robot walks"
                 yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
     for i in np.flatnonzero(count > 0):
         for first, last in stretches_without_change(view.t, contact[:, i], UNCHANGED)[:1]:

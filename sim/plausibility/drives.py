@@ -19,7 +19,7 @@ OPPOSITE = -0.5
 moves of a command and its joint. Measured drives have 0.7 and more, 0 where they are touched, -0.2
 where the commands are smaller than a servo's backlash.
 """
-TOLD = 0.7
+EXPLAINED = 0.7
 """Correlation with model and friction from which the scale and sign of a torque can be judged."""
 SCALED = (0.4, 2.0)
 """Range of the scale relative to the model: measured drives have 0.6 to 1.3, because of friction
@@ -106,46 +106,57 @@ def driving(view: LogView) -> Iterator[Finding]:
     Because: three measured machines have 0.6 to 1.3 times what their models ask for.
     Remedy: sign, unit or gain of tau; torques of the output, not of the motor.
     """
-    everywhere = np.ones(len(view.at), dtype=bool)
     for one in _torques(view):
         column = f"tau_{one.joint}"
-        hangs = _hangs(view, column, one)
-        if hangs is not None:
-            seen = f"no change from {hangs[0]:.2f} to {hangs[1]:.2f} s while what it drives goes on"
-            yield Finding((column,), seen, "a sensor that hangs")
-            continue
-        alike, (fitted, scale) = _correlation(one.tau, one.rigid), one.fitted(everywhere)
-        # The model alone is inconclusive for a machine that pushes against something.
-        explained = _correlation(one.tau, fitted) > TOLD
-        when = sign_change(view.at, one.tau, one.rigid, TOLD)
-        if when is not None:
-            yield turned_round(column, when, "what the model asks for")
-        elif explained and alike < OPPOSITE:
-            seen = f"correlation with what the model asks for {alike:.2f}"
-            yield Finding((column,), seen, "wrong sign", f"{column} = {{ ..., sign = -1 }}")
-        elif explained and abs(one.beside_friction) > TOLD and not SCALED[0] < scale < SCALED[1]:
-            seen = f"{scale:.3g} times what the model asks for"
-            line = f"{column} = {{ ..., gain = {1.0 / scale:.3g} }}"
-            cause = "another unit, or of the motor's side"
-            cause += ", or a load that the model lacks" if scale > 1.0 else ""
-            yield Finding((column,), seen, cause, line)
+        for seen, during, outside in _holds(view, column, LIMITED):
+            if _strays(one.tau - one.fitted(outside)[0], during, outside):
+                seen += " while what it drives goes on"
+                yield Finding((column,), seen, "a sensor that hangs")
+                break
+        else:
+            yield from _against_model(view, column, one)
 
 
-def _hangs(view: LogView, column: str, one: _Torque) -> tuple[float, float] | None:
-    """Start and end [s] of a constant torque while the motion requires another; None where there is
-    none.
+def _against_model(view: LogView, column: str, one: _Torque) -> Iterator[Finding]:
+    """Check sign and scale of a torque."""
+    fitted, scale = one.fitted(np.ones(len(view.at), dtype=bool))
+    alike = _correlation(one.tau, one.rigid)
+    # The model alone is inconclusive for a machine that pushes against something.
+    explained = _correlation(one.tau, fitted) > EXPLAINED
+    when = sign_change(view.at, one.tau, one.rigid, EXPLAINED)
+    if when is not None:
+        yield turned_round(column, when, "what the model asks for")
+    elif explained and alike < OPPOSITE:
+        seen = f"correlation with what the model asks for {alike:.2f}"
+        yield Finding((column,), seen, "wrong sign", f"{column} = {{ ..., sign = -1 }}")
+    elif explained and abs(one.beside_friction) > EXPLAINED and not SCALED[0] < scale < SCALED[1]:
+        seen = f"{scale:.3g} times what the model asks for"
+        line = f"{column} = {{ ..., gain = {1.0 / scale:.3g} }}"
+        cause = "another unit, or of the motor's side"
+        cause += ", or a load that the model lacks" if scale > 1.0 else ""
+        yield Finding((column,), seen, cause, line)
 
-    Drives at their limit or switched off are excluded.
+
+def _holds(
+    view: LogView, column: str, least: float, settles: float = 0.0
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Sections of at least `least` [s] in which a column does not change.
+
+    Each is given in words, with masks (M,) of the times in it and outside, without the first
+    `settles` seconds of both; sections with less than three times are left out.
     """
-    for first, last in stretches_without_change(view.t, view.log.frame[column].to_numpy(), LIMITED):
-        during = (view.at > view.t[first]) & (view.at < view.t[last])
-        if during.sum() < 3 or (~during).sum() < 3:
-            continue
-        rest = one.tau - one.fitted(~during)[0]
-        inside, outside = (np.sqrt(np.mean(rest[rows] ** 2)) for rows in (during, ~during))
-        if inside > STRAYS * outside:
-            return float(view.t[first]), float(view.t[last])
-    return None
+    for first, last in stretches_without_change(view.t, view.log.frame[column].to_numpy(), least):
+        begin, end = view.t[first], view.t[last]
+        during = (view.at > begin + settles) & (view.at < end)
+        outside = (view.at < begin) | (view.at > end + settles)
+        if min(during.sum(), outside.sum()) >= 3:
+            yield f"no change from {begin:.2f} to {end:.2f} s", during, outside
+
+
+def _strays(rest: np.ndarray, during: np.ndarray, outside: np.ndarray) -> bool:
+    """Whether an error (M,) is larger than usual during a section."""
+    inside, usual = (np.sqrt(np.mean(rest[rows] ** 2)) for rows in (during, outside))
+    return bool(inside > STRAYS * usual)
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -168,17 +179,17 @@ def followed(view: LogView) -> Iterator[Finding]:
     if not view.on_fixed_base:
         return
     q, asked = view.means(log.q), view.means(log.q_des)
-    gone, sent = (
+    moved, sent = (
         view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in (log.q, log.q_des)
     )
     for j, name in enumerate(log.joints):
         a, b, column = q[:, j], asked[:, j], f"q_des_{name}"
         if not (a.std() > 0.0 and b.std() > 0.0):
             continue
-        alike, when = _correlation(a, b), sign_change(view.at, sent[:, j], gone[:, j], TOLD)
+        alike, when = _correlation(a, b), sign_change(view.at, sent[:, j], moved[:, j], EXPLAINED)
         if when is not None:
             yield turned_round(column, when, f"the moves of q_{name}")
-        elif (opposed := _correlation(sent[:, j], gone[:, j])) < OPPOSITE:
+        elif (opposed := _correlation(sent[:, j], moved[:, j])) < OPPOSITE:
             seen = f"correlation with the moves of q_{name} {opposed:.2f}"
             yield Finding((column,), seen, "wrong sign", f"{column} = {{ ..., sign = -1 }}")
         elif alike > FOLLOWED and not SCALED[0] < b.std() / a.std() < SCALED[1]:
@@ -187,26 +198,11 @@ def followed(view: LogView) -> Iterator[Finding]:
             seen = f"{scale:.3g} times as far as q_{name} goes"
             yield Finding((column,), seen, "another unit than its angle's", line)
         else:
-            yield from _hanging_command(view, name, a, b)
-
-
-def _hanging_command(
-    view: LogView, joint: str, angle: np.ndarray, asked: np.ndarray
-) -> Iterator[Finding]:
-    """Find a command that stays constant while its joint sweeps its range, or moves far from it."""
-    command = view.log.frame[f"q_des_{joint}"].to_numpy()
-    for first, last in stretches_without_change(view.t, command, COMMANDED):
-        # After a step of the command, a joint is still moving.
-        late = view.t[first] + 0.5 * COMMANDED
-        during = (view.at > late) & (view.at < view.t[last])
-        outside = (view.at < view.t[first]) | (view.at > view.t[last] + 0.5 * COMMANDED)
-        if not (during.any() and outside.any()):
-            continue
-        off = angle - asked
-        off -= np.median(off[outside])
-        strays, usual = (np.sqrt(np.mean(off[rows] ** 2)) for rows in (during, outside))
-        goes = np.ptp(angle[during])
-        if goes > SWEPT * np.ptp(angle) or min(strays, goes) > STRAYS * usual:
-            seen = f"no change from {view.t[first]:.2f} to {view.t[last]:.2f} s while q_{joint}"
-            yield Finding((f"q_des_{joint}",), f"{seen} goes on", "a command that was not logged")
-            return
+            # After a step of the command, a joint is still moving.
+            for seen, during, outside in _holds(view, column, COMMANDED, 0.5 * COMMANDED):
+                off, goes = a - b - np.median((a - b)[outside]), np.ptp(a[during])
+                moves = goes > STRAYS * np.sqrt(np.mean(off[outside] ** 2))
+                if goes > SWEPT * np.ptp(a) or (moves and _strays(off, during, outside)):
+                    seen += f" while q_{name} goes on"
+                    yield Finding((column,), seen, "a command that was not logged")
+                    break

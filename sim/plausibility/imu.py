@@ -15,6 +15,7 @@ from surefoot.sim.plausibility.axes import (
     OTHER,
     REF_P,
     AxesMatch,
+    angle_between,
     lag_of,
     match_axes,
 )
@@ -113,13 +114,10 @@ def gravity(view: LogView) -> Iterator[Finding]:
         cause = "gravity was taken off: an acceleration, not the specific force that filters need"
     elif np.linalg.norm(accel, axis=1).std() < SAME_SIZE * size < 0.1 * spread and not cause:
         cause = "a direction: its size is the same in every row"
-    lean = 0.0
-    if up is not None:
-        lean = float(np.degrees(np.arccos(np.clip(mean @ up / max(size, 1e-9), -1.0, 1.0))))
+    lean = 0.0 if up is None else angle_between(mean, up)
     if cause:
         yield Finding(ACCEL, seen, cause, line)
-    elif lean > MOST_LEAN:
-        assert up is not None
+    elif up is not None and lean > MOST_LEAN:
         seen = f"{seen}, {lean:.0f} deg from up by {whose}"
         yield _imu_turned(view) or _turned_over(view, mean, up, seen)
     elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
@@ -330,12 +328,10 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield Finding(GYRO, seen, cause, line)
     off = (view.gyro - view.turning)[view.ok]
     blocks = np.array_split(off, max(1, round(len(off) * STEP / _BLOCK)))
-    apart, means = off.mean(axis=0), np.array([one.mean(axis=0) for one in blocks])
-    worst = np.quantile(np.abs(means), 0.9, axis=0)
-    for i in np.flatnonzero(np.maximum(np.abs(apart), worst) > ZERO_RATE):
-        seen = f"mean {apart[i]:.2f} rad/s off the reference's turning"
-        if abs(apart[i]) < ZERO_RATE:
-            seen = f"up to {worst[i]:.2f} rad/s off the reference's turning for {_BLOCK:g} s"
+    means = np.array([one.mean(axis=0) for one in blocks])
+    most = np.quantile(np.abs(means), 0.9, axis=0)
+    for i in np.flatnonzero(most > ZERO_RATE):
+        seen = f"up to {most[i]:.2f} rad/s off the reference's turning for {_BLOCK:g} s"
         yield Finding((GYRO[i],), seen, "a bias")
 
 

@@ -185,14 +185,14 @@ def climbing(view: LogView) -> Iterator[Finding]:
         return
     used = view.ok[legs.which]
     up = view.R_GI.inv().apply([0.0, 0.0, 1.0])[legs.which]
-    by_feet = np.einsum("kli,ki->kl", legs.body_velocity(view.gyro[legs.which]), up)
-    by_reference = np.einsum("ki,ki->k", view.v_I[legs.which], up)
+    apart = view.v_I[legs.which][:, None] - legs.body_velocity(view.gyro[legs.which])
+    climbs = np.einsum("kli,ki->kl", apart, up)
     on = legs.contact & used[:, None]
     if on.sum() < _FEWEST:
         return
-    apart = float(np.median((by_reference[:, None] - by_feet)[on]))
-    if abs(apart) > CLIMBS:
-        seen = f"{'climbs' if apart > 0 else 'sinks'} by {abs(apart):.2f} m/s, and the feet do not"
+    climb = float(np.median(climbs[on]))
+    if abs(climb) > CLIMBS:
+        seen = f"{'climbs' if climb > 0 else 'sinks'} by {abs(climb):.2f} m/s, and the feet do not"
         yield Finding(("ref_p_z",), seen, "an estimate that drifts, or a world that is not level")
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -75,13 +76,11 @@ class Stance:
 
     def turning_fits(self, gyro: np.ndarray) -> float:
         """Correlation of the rotation of lines between standing feet with that of a gyro (K, 3)."""
-        count = self.foot.shape[1]
         moved, by_gyro = [], []
-        for i in range(count):
-            for j in range(i):
-                on = self.contact[:, i] & self.contact[:, j]
-                moved.append(self.rate[on, i] - self.rate[on, j])
-                by_gyro.append(np.cross(self.foot[on, i] - self.foot[on, j], gyro[on]))
+        for i, j in combinations(range(self.foot.shape[1]), 2):
+            on = self.contact[:, i] & self.contact[:, j]
+            moved.append(self.rate[on, i] - self.rate[on, j])
+            by_gyro.append(np.cross(self.foot[on, i] - self.foot[on, j], gyro[on]))
         a, b = np.concatenate(moved), np.concatenate(by_gyro)
         if len(a) < 50:
             return 0.0
