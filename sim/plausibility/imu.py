@@ -197,8 +197,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)
         seen = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
-        lines = _lines("ref_p", in_world)
-        yield Finding(columns, seen, f"{down}{in_world.words}", lines)
+        yield Finding(columns, seen, f"{down}{in_world.words}", _lines("ref_p", in_world))
     elif _shakes(view, in_body):
         columns = tuple(ACCEL[i] for i in in_body.wrong)
         seen = f"correlation with the reference's motion {_of(in_body, in_body.own)}"
@@ -209,8 +208,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, cause)
     else:
         apart = accel.mean(axis=0) - felt.mean(axis=0)
-        R_GI = view.attitudes(0.0, view.ok)
-        aside = R_GI.apply(accel - felt).mean(axis=0)[:2]
+        aside = view.R_GI[view.ok].apply(accel - felt).mean(axis=0)[:2]
         lean = float(np.degrees(np.arctan2(np.linalg.norm(aside), GRAVITY)))
         if lean > NOT_LEVEL and np.linalg.norm(aside) > 1.05 * np.linalg.norm(apart):
             seen = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"

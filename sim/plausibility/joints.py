@@ -24,8 +24,6 @@ less.
 """
 BEYOND_SHARE = 0.02
 """Share of rows beyond the limits; touchdowns reach them for an instant."""
-TURNS = 2.0 * np.pi
-"""Angle that no joint of a leg reaches [rad]; in degrees, even a leg at rest exceeds it."""
 TOO_STRONG = 1.5
 """Ratio of the 99 % quantile to the model's largest torque; peak torques are rated for seconds."""
 ZERO_OFF = {"hip": 0.15, "thigh": 0.25, "calf": 0.25}
@@ -179,7 +177,7 @@ def units(view: LogView) -> Iterator[Finding]:
     if view.robot is None:
         return
     q = log.q
-    turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > TURNS]
+    turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > 2.0 * np.pi]
     if 2 * len(turned) > len(log.joints):
         turned = list(log.joints)  # hips may stay below
     if turned:

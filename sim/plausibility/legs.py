@@ -183,11 +183,10 @@ def climbing(view: LogView) -> Iterator[Finding]:
     legs = view.stance
     if legs is None:
         return
-    used = view.ok[legs.which]
     up = view.R_GI.inv().apply([0.0, 0.0, 1.0])[legs.which]
     apart = view.v_I[legs.which][:, None] - legs.body_velocity(view.gyro[legs.which])
     climbs = np.einsum("kli,ki->kl", apart, up)
-    on = legs.contact & used[:, None]
+    on = legs.contact & view.ok[legs.which, None]
     if on.sum() < _FEWEST:
         return
     climb = float(np.median(climbs[on]))

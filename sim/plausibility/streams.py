@@ -74,7 +74,6 @@ STRAIGHT = 0.6
 """Share of moving rows whose step equals the last one to a millionth; no sensor has such rows."""
 SLOWEST_REFERENCE = 20.0
 """Rate of a reference that is interpolated [Hz], ten samples per stride."""
-_READ = ("gyro", "accel", "q", "dq", "tau", "foot")
 SLOWER = 0.75
 """Ratio to the rows' rate below which a stream is held: a coarsely quantised one repeats itself by
 chance at a sixth of the rows.
@@ -237,7 +236,7 @@ def interpolated(view: LogView) -> Iterator[Finding]:
     Remedy: nothing, if it is known: noise is less than it seems, and impacts are missing.
     """
     known = " ".join(view.log.meta.derived)
-    for kind, columns in _kinds(view, (*_READ, "ref_p")).items():
+    for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "foot", "ref_p")).items():
         share = {name: _straight(x) for name, x in columns.items()}
         found = [name for name in columns if share[name] > STRAIGHT]
         if not found or f"{kind} (between held readings)" in known:
