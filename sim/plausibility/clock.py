@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.units import unit_line
 from surefoot.sim.plausibility.view import RESTS, LogView
 
@@ -47,7 +47,7 @@ _AT_ONCE = 0.4
 """Share of joints, or of the reference's columns, that jump at one row."""
 
 
-@rule("rows")
+@rule_named("rows")
 def stamps(view: LogView) -> Iterator[Finding]:
     """Check that rows come at the stated rate, without gaps.
 
@@ -92,7 +92,7 @@ def _leaps_from_row_to_row(view: LogView) -> bool:
     return bool(step.size) and float(np.median(step)) > LEAPS
 
 
-@rule("single rows", "t", minor=True)
+@rule_named("single rows", "t", minor=True)
 def single_rows(view: LogView) -> Iterator[Finding]:
     """Find single missing rows, which can be interpolated.
 
@@ -124,7 +124,7 @@ def _lost(view: LogView) -> tuple[str, bool]:
     return seen, gap
 
 
-@rule("speed of time", "t", when="comparable")
+@rule_named("speed of time", "t", when="comparable")
 def speed(view: LogView) -> Iterator[Finding]:
     """Check that logged rates agree with numerical derivatives in all streams; else the stamps are
     wrong.
@@ -160,7 +160,7 @@ def speed(view: LogView) -> Iterator[Finding]:
         yield Finding(("t",), seen, cause)
 
 
-@rule("jumps", beside="t q foot", when="comparable")
+@rule_named("jumps", beside="t q foot", when="comparable")
 def leaps(view: LogView) -> Iterator[Finding]:
     """Check that joints and body do not jump between two rows.
 

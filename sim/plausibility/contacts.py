@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.streams import stretches_without_change
 from surefoot.sim.plausibility.view import LogView
 
@@ -46,7 +46,7 @@ stairs and slopes too, since heights are relative to the body.
 """
 
 
-@rule("missed steps", "t contact", when="comparable")
+@rule_named("missed steps", "t contact", when="comparable")
 def missed(view: LogView) -> Iterator[Finding]:
     """Check that feet touch down about as often as each other.
 
@@ -67,7 +67,7 @@ def missed(view: LogView) -> Iterator[Finding]:
         yield Finding((f"contact_{log.legs[i]}",), seen, cause)
 
 
-@rule("contacts", "contact")
+@rule_named("contacts", "contact")
 def dead(view: LogView) -> Iterator[Finding]:
     """Check that each foot of a walking robot touches down and lifts off.
 
@@ -105,7 +105,7 @@ def dead(view: LogView) -> Iterator[Finding]:
                 yield Finding((f"contact_{log.legs[i]}",), seen, "a sensor that hangs")
 
 
-@rule("flickering", "t contact", when="comparable")
+@rule_named("flickering", "t contact", when="comparable")
 def flickering(view: LogView) -> Iterator[Finding]:
     """Check that a foot does not touch down and lift off too often.
 
@@ -144,7 +144,7 @@ def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 
-@rule("contact heights", "contact", beside="q foot accel")
+@rule_named("contact heights", "contact", beside="q foot accel")
 def inverted(view: LogView) -> Iterator[Finding]:
     """Check that feet in contact are lower than lifted ones.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.joints import sign_change, turned_round
 from surefoot.sim.plausibility.streams import LIMITED, stretches_without_change
 from surefoot.sim.plausibility.view import LogView
@@ -94,7 +94,7 @@ def _torques(view: LogView) -> list[_Torque]:
     ]
 
 
-@rule("torques of a fixed base", "t q tau", when="comparable")
+@rule_named("torques of a fixed base", "t q tau", when="comparable")
 def driving(view: LogView) -> Iterator[Finding]:
     """Check that the torques of drives on a fixed base explain its motion.
 
@@ -164,7 +164,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
 
 
-@rule("commands of a fixed base", "t q q_des", when="comparable")
+@rule_named("commands of a fixed base", "t q q_des", when="comparable")
 def followed(view: LogView) -> Iterator[Finding]:
     """Check that the joints of a machine on a fixed base follow their commands.
 

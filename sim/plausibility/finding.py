@@ -11,7 +11,7 @@ from surefoot.sim.plausibility.view import LogView
 
 _OF_NEED = {"gyro": "imu", "accel": "imu", "ref": "reference"}
 """Group of columns of a log by what a rule needs, where it has another name."""
-Condition = Literal["comparable", "compares_turning", "trusts_reference"]
+_When = Literal["comparable", "compares_turning", "trusts_reference"] | None
 PARAGRAPHS = ("Compares", "Speaks from", "Because", "Remedy")
 """Titles of the paragraphs that explain a rule."""
 
@@ -58,7 +58,7 @@ class Rule:
     find: Callable[[LogView], Iterator[Finding]]
     needs: tuple[str, ...]
     beside: tuple[str, ...]
-    when: Condition | None
+    when: _When
     minor: bool
 
     def findings(self, view: LogView, doubted: set[str]) -> list[Finding]:
@@ -86,10 +86,22 @@ class Rule:
         return dict(zip(parts[::2], texts, strict=True))
 
 
-def rule(
-    name: str, needs: str = "", beside: str = "", when: Condition | None = None, minor: bool = False
+def rule_named(
+    name: str,
+    needs: str = "",
+    beside: str = "",
+    when: _When = None,
+    minor: bool = False,
 ) -> Callable[[Callable[[LogView], Iterator[Finding]]], Rule]:
-    """Make a function that finds violations in a log a rule (see `Rule` for the arguments)."""
+    """Make a function that finds violations in a log a rule.
+
+    Args:
+        name: unique.
+        needs: columns or their prefixes that it needs, as one text.
+        beside: those that may be missing, but must not be in doubt.
+        when: property of the view without which there is nothing to compare.
+        minor: it puts no column in doubt.
+    """
     return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, minor)
 
 

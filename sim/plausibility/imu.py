@@ -19,7 +19,7 @@ from surefoot.sim.plausibility.axes import (
     lag_of,
     match_axes,
 )
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.place import SPEEDING, other_point, speed_changes
 from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
@@ -88,7 +88,7 @@ _BLOCK = 2.0
 """Averaging time of a gyro's bias [s], four strides."""
 
 
-@rule("gravity", "accel", when="comparable")
+@rule_named("gravity", "accel", when="comparable")
 def gravity(view: LogView) -> Iterator[Finding]:
     """Check that the mean specific force of a body that stays near the ground is gravity,
     upwards.
@@ -156,7 +156,7 @@ def _up(view: LogView) -> tuple[np.ndarray | None, str]:
     return None, ""
 
 
-@rule("accelerometer", "t accel gyro ref", when="trusts_reference")
+@rule_named("accelerometer", "t accel gyro ref", when="trusts_reference")
 def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference.
 
@@ -221,7 +221,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
             yield Finding((ACCEL[i],), seen, cause)
 
 
-@rule("IMU's rows", "t accel gyro ref", when="trusts_reference")
+@rule_named("IMU's rows", "t accel gyro ref", when="trusts_reference")
 def averaged(view: LogView) -> Iterator[Finding]:
     """Check that an IMU's rows are averages: summed over time they give the change of velocity.
 
@@ -258,7 +258,7 @@ def _shakes(view: LogView, match: AxesMatch) -> bool:
     return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
 
 
-@rule("gyro's unit", "gyro", when="comparable")
+@rule_named("gyro's unit", "gyro", when="comparable")
 def gyro_unit(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures something, in rad/s.
 
@@ -286,7 +286,7 @@ def gyro_unit(view: LogView) -> Iterator[Finding]:
         yield Finding(GYRO, seen, cause, line)
 
 
-@rule("gyro", "t gyro ref", when="compares_turning")
+@rule_named("gyro", "t gyro ref", when="compares_turning")
 def gyro(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures the rotation of the reference.
 
@@ -399,7 +399,7 @@ def _in_body(view: LogView, axes: np.ndarray) -> bool:
     return view.stance.turning_fits(gyro @ axes) > view.stance.turning_fits(gyro)
 
 
-@rule("gyro and legs", "t gyro contact", beside="q foot")
+@rule_named("gyro and legs", "t gyro contact", beside="q foot")
 def turning_of_legs(view: LogView) -> Iterator[Finding]:
     """Check a gyro without a reference, by the rotation of lines between standing feet.
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.units import in_another_unit, unit_line
 from surefoot.sim.plausibility.view import LogView
 
@@ -49,7 +49,7 @@ _TURNED, _ALWAYS = 0.1, 0.9
 """For a rate whose sign changes: least correlation before and after, and least sum of the two."""
 
 
-@rule("joint rates", "t q dq", when="comparable")
+@rule_named("joint rates", "t q dq", when="comparable")
 def rates(view: LogView) -> Iterator[Finding]:
     """Check that a joint's rate is the derivative of its angle.
 
@@ -164,7 +164,7 @@ def _scaled_rates(columns: tuple[str, ...], typical: float, seen: str) -> Findin
     return Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
 
 
-@rule("joints' unit", "q")
+@rule_named("joints' unit", "q")
 def units(view: LogView) -> Iterator[Finding]:
     """Check that angles of legs are in radians.
 
@@ -188,7 +188,7 @@ def units(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, unit_line(columns, "deg"))
 
 
-@rule("joint range", "q")
+@rule_named("joint range", "q")
 def stops(view: LogView) -> Iterator[Finding]:
     """Check that angles are within the limits of the robot's joints.
 
@@ -221,7 +221,7 @@ def stops(view: LogView) -> Iterator[Finding]:
     yield Finding(tuple(f"q_{name}" for name in names), seen, cause, line)
 
 
-@rule("torque", "tau")
+@rule_named("torque", "tau")
 def torques(view: LogView) -> Iterator[Finding]:
     """Check that torques are within the limits of the robot's drives.
 
@@ -245,7 +245,7 @@ def torques(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, line)
 
 
-@rule("magnitudes", "tau")
+@rule_named("magnitudes", "tau")
 def magnitudes(view: LogView) -> Iterator[Finding]:
     """Check that torques have both signs.
 
@@ -263,7 +263,7 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, "magnitudes, without their sign")
 
 
-@rule("zeros", "q", when="comparable")
+@rule_named("zeros", "q", when="comparable")
 def zeros(view: LogView) -> Iterator[Finding]:
     """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
@@ -294,7 +294,7 @@ def zeros(view: LogView) -> Iterator[Finding]:
                 yield Finding(names, seen, "one of them has a wrong zero", line)
 
 
-@rule("commands", "q q_des")
+@rule_named("commands", "q q_des")
 def commands(view: LogView) -> Iterator[Finding]:
     """Check that commanded angles are in the unit of the measured ones.
 

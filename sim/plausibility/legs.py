@@ -9,7 +9,7 @@ import numpy as np
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import lag_of
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.stance import Stance
 from surefoot.sim.plausibility.view import STEP, LogView
 from surefoot.sim.robot.robot import Robot
@@ -125,7 +125,7 @@ class Moving:
         return np.array([self.misfit(u[:, [i]], contact[:, [i]]) for i in range(u.shape[1])])
 
 
-@rule("legs", "t gyro contact", beside="q ref foot")
+@rule_named("legs", "t gyro contact", beside="q ref foot")
 def kinematics(view: LogView) -> Iterator[Finding]:
     """Check that all legs in contact and the reference agree on the body's velocity.
 
@@ -171,7 +171,7 @@ def _motion(view: LogView, legs: Stance) -> Moving:
     return Moving(gyro, view.v_I[legs.which] if view.trusts_reference else None, used)
 
 
-@rule("climbing", "t gyro contact ref", beside="q foot accel", when="trusts_reference")
+@rule_named("climbing", "t gyro contact ref", beside="q foot accel", when="trusts_reference")
 def climbing(view: LogView) -> Iterator[Finding]:
     """Check that a reference climbs as its feet do.
 
@@ -424,7 +424,7 @@ def _few(legs: Stance, moving: Moving) -> tuple[Stance, Moving]:
     return legs.at(some), moving.rows(some)
 
 
-@rule("zeros of most legs", "t gyro q contact ref", beside="foot", when="trusts_reference")
+@rule_named("zeros of most legs", "t gyro q contact ref", beside="foot", when="trusts_reference")
 def zeros_of_most(view: LogView) -> Iterator[Finding]:
     """Check that the angles of most legs count from where the model's do.
 
@@ -484,7 +484,7 @@ def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, fl
     return both / float(np.sum(b**2)), both / float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
 
 
-@rule("support", "q contact tau accel", beside="foot")
+@rule_named("support", "q contact tau accel", beside="foot")
 def weight_carried(view: LogView) -> Iterator[Finding]:
     """Check that torques of standing legs carry the robot's weight.
 
@@ -513,7 +513,7 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     yield Finding(columns, seen, cause, line)
 
 
-@rule("late torques", "t q contact tau accel", beside="foot")
+@rule_named("late torques", "t q contact tau accel", beside="foot")
 def late_torques(view: LogView) -> Iterator[Finding]:
     """Check that torques load the legs while they stand.
 

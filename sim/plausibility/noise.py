@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.plausibility.axes import AXIS_NAMES
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import LogView
 
 NOISY = {"gyro": 0.2, "accel": 2.0, "dq": 1.5}
@@ -18,8 +18,8 @@ Hz), logs of a Go1, a SCALER and an iCub 0.3 to 0.6. Rates: one count of 12 bits
 """
 
 
-@rule("noise", beside="t", when="comparable")
-def noise(view: LogView) -> Iterator[Finding]:
+@rule_named("noise", beside="t", when="comparable")
+def noisy(view: LogView) -> Iterator[Finding]:
     """Check the noise of gyro, accelerometer and joint rates.
 
     Third differences hold little of a body's smooth motion.
@@ -31,8 +31,8 @@ def noise(view: LogView) -> Iterator[Finding]:
     Remedy: leave the log or the column out; of rates, or filter them: surefoot derives them from
         angles, and says so; a filter takes such noise for 0.01 rad/s and 0.1 m/s².
     """
-    log = view.log
-    streams = {}
+    log, streams = view.log, {}
+    cause = "a broken sensor, a drive that chatters, or readings of several samples mixed up"
     if log.has("imu") and view.resolves:
         streams |= {"gyro": log.gyro, "accel": log.accel}
     if log.has("dq"):
@@ -41,12 +41,9 @@ def noise(view: LogView) -> Iterator[Finding]:
     for kind, x in streams.items():
         # Third differences of white noise have 20 times its variance; the median ignores impacts.
         rough = np.median(np.abs(np.diff(x, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
-        noisy = np.flatnonzero(rough > NOISY[kind])
-        if noisy.size:
+        over = np.flatnonzero(rough > NOISY[kind])
+        if over.size:
             names = log.joints if kind == "dq" else AXIS_NAMES
-            columns = tuple(f"{kind}_{names[i]}" for i in noisy)
-            seen = f"{rough[noisy].max():.2f} {next(iter(UNITS[kind]))} from row to row"
-            cause = (
-                "a broken sensor, a drive that chatters, or readings of several samples mixed up"
-            )
+            columns = tuple(f"{kind}_{names[i]}" for i in over)
+            seen = f"{rough[over].max():.2f} {next(iter(UNITS[kind]))} from row to row"
             yield Finding(columns, seen, cause)

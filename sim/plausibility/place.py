@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.plausibility.axes import REF_P
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.stance import feet_at
 from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
 
@@ -42,7 +42,7 @@ _STRETCH = 20.0
 """Length of the section in the middle of a log that is used for it [s]: some tens of strides."""
 
 
-@rule("reference's point", "t accel gyro ref", when="trusts_reference")
+@rule_named("reference's point", "t accel gyro ref", when="trusts_reference")
 def point(view: LogView) -> Iterator[Finding]:
     """Check that the reference tracks the IMU: other points accelerate as the body rotates.
 
@@ -93,7 +93,7 @@ def speed_changes(view: LogView) -> tuple[np.ndarray, np.ndarray]:
     return by_imu, by_reference
 
 
-@rule("reference's motion", "t accel gyro ref", when="trusts_reference")
+@rule_named("reference's motion", "t accel gyro ref", when="trusts_reference")
 def motion(view: LogView) -> Iterator[Finding]:
     """Check that the reference's horizontal changes of velocity agree with the accelerometer.
 
@@ -121,7 +121,7 @@ def motion(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, "scaled: the tracker's calibration, or another unit")
 
 
-@rule("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
+@rule_named("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
 def from_legs(view: LogView) -> Iterator[Finding]:
     """Check that the reference is not leg odometry; real feet roll and slip.
 

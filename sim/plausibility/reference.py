@@ -9,7 +9,7 @@ from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.plausibility.attitude import LATE, LATEST
 from surefoot.sim.plausibility.axes import GYRO, REF_P, REF_V, lag_of, match_axes
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.units import in_another_unit, unit_line
 from surefoot.sim.plausibility.view import STEP, LogView
 
@@ -26,7 +26,7 @@ DEAD = 0.05
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
 
 
-@rule("reference's samples", "t ref", minor=True)
+@rule_named("reference's samples", "t ref", minor=True)
 def even_samples(view: LogView) -> Iterator[Finding]:
     """Check that a reference's samples are evenly spaced and continuous.
 
@@ -43,7 +43,7 @@ def even_samples(view: LogView) -> Iterator[Finding]:
         )
 
 
-@rule("reference's attitude", "t gyro ref")
+@rule_named("reference's attitude", "t gyro ref")
 def attitude(view: LogView) -> Iterator[Finding]:
     """Check that the reference rotates with the gyro, without a delay, and that gravity points
     down.
@@ -73,7 +73,7 @@ def attitude(view: LogView) -> Iterator[Finding]:
     yield Finding((*REF_P, *_Q), fault.evidence, fault.cause, line)
 
 
-@rule("reference's unit", "t ref", when="comparable")
+@rule_named("reference's unit", "t ref", when="comparable")
 def position(view: LogView) -> Iterator[Finding]:
     """Check that positions are in metres, by the speed.
 
@@ -91,7 +91,7 @@ def position(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, f"in {unit}, not m", unit_line(REF_P, unit))
 
 
-@rule("reference's velocity", "t ref ref_v", when="comparable")
+@rule_named("reference's velocity", "t ref ref_v", when="comparable")
 def velocity(view: LogView) -> Iterator[Finding]:
     """Check that the reference's velocity is the derivative of its positions, in the world.
 

@@ -42,7 +42,7 @@ RULES: tuple[Rule, ...] = (
     # IMU and reference with each other.
     reference.attitude,
     imu.gyro,
-    noise.noise,
+    noise.noisy,
     imu.averaged,
     imu.turning_of_legs,
     reference.velocity,

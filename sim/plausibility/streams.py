@@ -14,7 +14,7 @@ from surefoot.sim.importing.streams import LateStream, delay_between, held_strea
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.plausibility.attitude import LATE
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import MEAN, RESTS, LogView
 
 LATE_RATE = 4e-3
@@ -86,7 +86,7 @@ _LEAST_DISTINCT = 20
 """Number of distinct values below which a column is a state or a command, not a reading."""
 
 
-@rule("frozen")
+@rule_named("frozen")
 def frozen(view: LogView) -> Iterator[Finding]:
     """Check that a sensor changes while related ones do.
 
@@ -201,7 +201,7 @@ def _moves(x: np.ndarray, rows: slice) -> bool:
     return bool(high > low) and float(least) > _ALIVE * float(high - low)
 
 
-@rule("held", beside="t", minor=True)
+@rule_named("held", beside="t", minor=True)
 def held(view: LogView) -> Iterator[Finding]:
     """Find columns that are sampled more slowly than the rows.
 
@@ -226,7 +226,7 @@ def held(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, line)
 
 
-@rule("interpolated", beside="t", minor=True)
+@rule_named("interpolated", beside="t", minor=True)
 def interpolated(view: LogView) -> Iterator[Finding]:
     """Find readings on straight lines between samples, which have been interpolated.
 
@@ -248,7 +248,7 @@ def interpolated(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule("late", beside="t ref", minor=True)
+@rule_named("late", beside="t ref", minor=True)
 def late(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
@@ -298,7 +298,7 @@ def _explains(view: LogView, late: LateStream) -> bool:
     return float(np.sum((shifted - witness) ** 2)) < 0.5 * float(np.sum((x - witness) ** 2))
 
 
-@rule("coarse", minor=True)
+@rule_named("coarse", minor=True)
 def coarse(view: LogView) -> Iterator[Finding]:
     """Check that readings resolve what they measure.
 
@@ -317,7 +317,7 @@ def coarse(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule("overflow")
+@rule_named("overflow")
 def overflows(view: LogView) -> Iterator[Finding]:
     """Check that readings do not wrap around at the ends of their range.
 
@@ -342,7 +342,7 @@ def overflows(view: LogView) -> Iterator[Finding]:
             yield Finding((name,), seen, cause, line)
 
 
-@rule("saturated", minor=True)
+@rule_named("saturated", minor=True)
 def saturated(view: LogView) -> Iterator[Finding]:
     """Check that readings do not accumulate at their largest value.
 
@@ -369,7 +369,7 @@ def saturated(view: LogView) -> Iterator[Finding]:
                 yield Finding((name,), seen, "the sensor's range, or a clip")
 
 
-@rule("spikes", beside="t q dq tau gyro")
+@rule_named("spikes", beside="t q dq tau gyro")
 def spikes(view: LogView) -> Iterator[Finding]:
     """Check that no stream jumps for a row and back.
 
@@ -430,7 +430,7 @@ def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> n
     return np.abs(beside - frame[name].to_numpy()[rows]).min(axis=0) < within
 
 
-@rule("copied")
+@rule_named("copied")
 def copies(view: LogView) -> Iterator[Finding]:
     """Check that no two sensors read exactly the same.
 
@@ -450,7 +450,7 @@ def copies(view: LogView) -> Iterator[Finding]:
                 yield Finding((a, b), seen, f"one of two {kind} columns was read twice")
 
 
-@rule("derived", when="comparable")
+@rule_named("derived", when="comparable")
 def derived(view: LogView) -> Iterator[Finding]:
     """Find columns that follow exactly from others and are no measurement.
 
