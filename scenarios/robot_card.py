@@ -16,7 +16,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.legs import outline_G
 from surefoot.sim.robot.machine import Modelled, load_machine
-from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
+from surefoot.sim.robot.model_file import compiled_model, read_model
 from surefoot.sim.robot.robot import IMU_SITES, Robot
 from surefoot.sim.walking.trial import why_not
 
@@ -54,7 +54,7 @@ def _card_without_legs(machine: Modelled) -> RobotCard:
         text += f"\nno legs: {machine.legless}"
     elif machine.file.suffix != ".urdf":
         text += "\nbase: fixed, as no body has a free joint; that of a walking robot needs one"
-    text = "\n".join([text, *changes_on_reading(machine.file)])
+    text = "\n".join([text, *read_model(machine.file)[1]])
     values = {"name": machine.name, "file": machine.file, "joints": machine.joint_names}
     return RobotCard(text, values)
 
@@ -71,7 +71,7 @@ def _card(robot: Robot) -> RobotCard:
         f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
         f"does not walk in simulation: {fault}" if fault else "walks in simulation",
     ]
-    lines += changes_on_reading(robot.file)
+    lines += read_model(robot.file)[1]
     # With all that is fixed to it; in a URDF a motor's mass is often that of a link of its own.
     moved = [model.body_weldid[model.jnt_bodyid[model.joint(n).id]] for n in robot.joint_names]
     joints = [

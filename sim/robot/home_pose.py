@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import least_squares
 
-from surefoot.sim.robot.kinematics import Legs, leg_forward
+from surefoot.sim.robot.kinematics import Legs, feet, leg_forward
 
 CROUCH = 0.76  # height of the thigh joint over the foot, as a share of the straight leg
 # Criteria of standing, as shares of the straight leg.
@@ -16,16 +16,12 @@ def stands(legs: Legs, q: np.ndarray) -> bool:
 
     The "home" keyframe of some published models only folds the legs, that of others is zero.
     """
-    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    drops = np.empty(4)
-    for leg in range(4):
-        leg_forward(legs, leg, q, foot, J, axes)
-        hip, straight = _thigh_joint(legs, leg), _straight(legs, leg)
-        drops[leg] = (hip[2] - foot[2]) / straight
-        reaches = LOWEST <= drops[leg] <= HIGHEST  # not of nan
-        if not reaches or abs(foot[0] - hip[0]) > ASKEW * straight:
-            return False
-    return bool(np.ptp(drops) < UNEVEN)
+    hips = np.array([_thigh_joint(legs, leg) for leg in range(4)])
+    straight = np.array([_straight(legs, leg) for leg in range(4)])
+    feet_B, _, _ = feet(legs, q[None], np.eye(3), np.zeros(3))
+    askew, _, drops = np.transpose((hips - feet_B[0]) / straight[:, None])
+    reach = (drops >= LOWEST) & (drops <= HIGHEST) & (np.abs(askew) <= ASKEW)  # not of nan
+    return bool(reach.all() and np.ptp(drops) < UNEVEN)
 
 
 def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.export import export
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.draft import Draft
 from surefoot.sim.importing.guess import guess_map
