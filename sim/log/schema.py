@@ -68,15 +68,13 @@ def group_columns(group: str, joints: tuple[str, ...], legs: tuple[str, ...]) ->
     """The columns of a group for these joints and legs; without any, the name with its
     placeholder.
     """
-    names: list[str] = []
-    for name in GROUPS[group]:
-        for placeholder, each in (("<joint>", joints), ("<leg>", legs)):
-            if placeholder in name and each:
-                names += [name.replace(placeholder, one) for one in each]
-                break
-        else:
-            names.append(name)
-    return tuple(names)
+    names = (
+        name.replace("<joint>", joint).replace("<leg>", leg)
+        for name in GROUPS[group]
+        for joint in joints or ("<joint>",)
+        for leg in legs or ("<leg>",)
+    )
+    return tuple(dict.fromkeys(names))
 
 
 def joint_prefix(column: str) -> str | None:
@@ -93,11 +91,8 @@ def foot_vector(column: str) -> str | None:
 
 def is_column(name: str) -> bool:
     """Whether a log may have a column of this name."""
-    return (
-        name in _PLAIN
-        or name.startswith("x_")
-        or _pattern(name, (*_OF_JOINTS, *_OF_LEGS)) is not None
-    )
+    is_of_part = _pattern(name, (*_OF_JOINTS, *_OF_LEGS)) is not None
+    return is_of_part or name in _PLAIN or name.startswith("x_")
 
 
 def joint_names(columns: Iterable[str]) -> tuple[str, ...]:
@@ -121,13 +116,12 @@ def _pattern(column: str, patterns: tuple[str, ...]) -> tuple[str, str] | None:
     """The most specific matching pattern, and the joint or leg: force_<leg>_x and FL for
     force_FL_x.
     """
-    found: tuple[str, str] | None = None
-    for pattern in patterns:
+    for pattern in sorted(patterns, key=len, reverse=True):
         start, end = pattern.split("<")[0], pattern.split(">")[1]
-        fits = column.startswith(start) and column.endswith(end)
-        if fits and len(column) > len(start + end) and (not found or len(pattern) > len(found[0])):
-            found = pattern, column[len(start) : len(column) - len(end)]
-    return found
+        part = column[len(start) : len(column) - len(end)]
+        if part and column == f"{start}{part}{end}":
+            return pattern, part
+    return None
 
 
 @dataclass(frozen=True)

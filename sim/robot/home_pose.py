@@ -1,5 +1,7 @@
 """A standing pose for a robot whose model has no home keyframe."""
 
+from itertools import product
+
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -46,20 +48,17 @@ def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
             return foot - target
 
         best, best_cost = middle, np.inf
-        for thigh_start in np.linspace(lower[1], upper[1], 5):
-            for knee_start in (
-                0.75 * lower[2] + 0.25 * middle[2],
-                0.75 * upper[2] + 0.25 * middle[2],
-            ):
-                start = np.clip([0.0, thigh_start, knee_start], lower + 1e-6, upper - 1e-6)
-                found = least_squares(miss, start, bounds=(lower, upper))
-                off_middle = np.abs((found.x - middle) / (upper - lower)).max()
-                miss(found.x)
-                knee_x = foot[0] - np.cross(J[:, 2], axes[:, 2])[0]
-                cost = off_middle + 1e3 * found.cost + np.abs(found.x[0])
-                cost += 0.01 * (knee_x > thigh[0])
-                if cost < best_cost:
-                    best, best_cost = found.x, cost
+        knees = 0.75 * lower[2] + 0.25 * middle[2], 0.75 * upper[2] + 0.25 * middle[2]
+        for thigh_start, knee_start in product(np.linspace(lower[1], upper[1], 5), knees):
+            start = np.clip([0.0, thigh_start, knee_start], lower + 1e-6, upper - 1e-6)
+            found = least_squares(miss, start, bounds=(lower, upper))
+            off_middle = np.abs((found.x - middle) / (upper - lower)).max()
+            miss(found.x)
+            knee_x = foot[0] - np.cross(J[:, 2], axes[:, 2])[0]
+            cost = off_middle + 1e3 * found.cost + np.abs(found.x[0])
+            cost += 0.01 * (knee_x > thigh[0])
+            if cost < best_cost:
+                best, best_cost = found.x, cost
         q_home[3 * leg : 3 * leg + 3] = best
     return q_home
 

@@ -15,8 +15,6 @@ from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.kinematics import Legs
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
-__all__ = ["JOINTS", "LEGS", "LegTree", "find_legs", "outline_G"]
-
 STANDING = 0.3
 """Largest height of a foot in the model's home pose, relative to the base's; hands and heads are
 higher.

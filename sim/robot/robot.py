@@ -20,7 +20,7 @@ from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
 from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
-from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.limbs import Limbs, refuse_foreign
 from surefoot.sim.robot.model_file import compiled_model, read_model
 from surefoot.sim.robot.model_of_log import robot_of_log
 
@@ -149,12 +149,8 @@ class Robot:
         """
         own, joints = self.limbs, log.joints if log.has("q") else self.limbs.joints
         legs = log.legs or own.legs
-        for what, there, known in (("joint", joints, own.joints), ("leg", legs, own.legs)):
-            for one in there:
-                if one not in known:
-                    raise SurefootError(
-                        f"{log.name}: {what} {one} is not one of {self.name}'s: {', '.join(known)}"
-                    )
+        refuse_foreign(joints, own.joints, f"{log.name}: joint", self.name)
+        refuse_foreign(legs, own.legs, f"{log.name}: leg", self.name)
         needed = [own.joints[joint] for chain in own.chains for joint in chain]
         lacking = [f"q_{n}" for n in needed if n not in joints] or [
             f"contact_{leg}" for leg in own.legs if leg not in legs
@@ -216,6 +212,19 @@ class Robot:
         return read_model(self.file)[0]
 
     @cached_property
+    def home_feet_B(self) -> np.ndarray:
+        """Feet (L, 3) in the home pose, in B [m]."""
+        return self.feet_I(self.q_home[None])[0] @ self.R_BI.T + self.p_BI
+
+    def at_home(self, model: mujoco.MjModel) -> mujoco.MjData:
+        """The home pose of a compiled model that has the robot's joints."""
+        data = mujoco.MjData(model)
+        for name, angle in zip(self.joint_names, self.q_home, strict=True):
+            data.qpos[model.joint(name).qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        return data
+
+    @cached_property
     def leg_length(self) -> float:
         """Length [m] of the first leg when straight, from its second hinge to the foot's centre;
         from its first where it has no more than two.
@@ -269,11 +278,8 @@ def _body_changes(robot: Robot) -> BodyChanges:
 
 def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:
     model = robot.spec().compile()
-    data = mujoco.MjData(model)
-    base = model.body(robot.base_name).id
+    data, base = robot.at_home(model), model.body(robot.base_name).id
     data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
-    for name, angle in zip(robot.joint_names, robot.q_home, strict=True):
-        data.qpos[model.joint(name).qposadr[0]] = angle
     mujoco.mj_forward(model, data)
     M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
