@@ -5,12 +5,24 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.log_file import check_first_bytes
+from surefoot.sim.common.plugins import plugins
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import machine_file, robot_file
 from surefoot.sim.scenario_catalog import scenario_file
+
+EFFECT_NAMES = (
+    *("encoder_offset", "link_length", "foot_rolling", "imu_rotation", "gyro_scale", "joint_delay"),
+    *("gyro_bias", "accel_bias", "accel_scale", "imu_position", "gyro_g_sensitivity", "imu_delay"),
+    *("imu_lowpass", "encoder_scale", "leg_compliance", "foot_elasticity", "backlash", "payload"),
+    *("hip_offset", "mounting_rotation", "viscous_friction", "coulomb_friction", "armature"),
+    *("torque_scale", "torque_bias", "torque_delay", "com_offset", "foot_slip", "soft_ground"),
+    *("contact_delay", "reference_delay", "clock_scale", "leg_heading", "rate_delay"),
+    *("command_delay", "link_mass", "link_com", "link_inertia"),
+)
+"""Names of the bundled effects; the catalogue itself takes seconds to import."""
 
 
 def refuse_unnamed(given: Mapping[str, Any]) -> None:
@@ -44,6 +56,12 @@ def _known_filter(name: str) -> None:
         estimator_named(name)
 
 
+def _known_effect(name: str) -> None:
+    known = (*EFFECT_NAMES, *plugins("surefoot.effects"))
+    if name not in known:
+        raise SurefootError(unknown("effect", name, known))
+
+
 _NEEDED = {
     "logs": "give at least one log",
     "effects": "name at least one effect",
@@ -58,6 +76,7 @@ _LOOKED_UP = {
     "walker": robot_file,
     "scenarios": scenario_file,
     "map": map_file,
+    "effects": _known_effect,
 }
 """Option that is a name, or for some a file -> function that raises SurefootError if it is unknown.
 """

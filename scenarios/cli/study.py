@@ -6,6 +6,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from surefoot.scenarios.cli import options
+from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.scenarios.settings import (
     CheckedSettings,
@@ -198,13 +199,6 @@ class Tune(TuneSettings, LearntSettings):
         print(f"parameters: {self.out / 'tuned.toml'}")
 
 
-def _known_effects(_default: str) -> str:
-    """Names of the effects, whose catalogue is imported when help is printed."""
-    from surefoot.sim.effects import known_effects
-
-    return f"They are {', '.join(known_effects())}. {options.NEEDED}"
-
-
 @options.command
 class PlanCommand(options.JsonOption):
     """Plan which motion reveals each effect, how long it takes, and which effect could mask it."""
@@ -213,9 +207,12 @@ class PlanCommand(options.JsonOption):
     """Name of the robot, or its file (MJCF or URDF): a quadruped that walks in simulation."""
     effects: Annotated[
         Positional[tuple[str, ...]],
-        arg(metavar="EFFECT...", help_behavior_hint=_known_effects),
+        arg(
+            metavar="EFFECT...",
+            help=f"Effects: {', '.join(EFFECT_NAMES)}, or your own.",
+            help_behavior_hint=options.NEEDED,
+        ),
     ]
-    """Effects to plan the motion for."""
 
     def run(self) -> None:
         from surefoot.scenarios.motion_plan import (
