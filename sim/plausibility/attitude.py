@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.plausibility.axes import match_axes
+from surefoot.sim.plausibility.axes import angle_between, match_axes
 
 LATEST = 2.0
 """Largest delay of a reference that is searched for [s]; `surefoot align` searches further."""
@@ -145,8 +145,7 @@ def attitude_fault(
         if not np.any(force):
             return 0.0
         up = read(begin).inv().apply([0.0, 0.0, 1.0]).mean(axis=0)
-        size = max(float(np.linalg.norm(force) * np.linalg.norm(up)), 1e-9)
-        return float(np.degrees(np.arccos(np.clip(force @ up / size, -1.0, 1.0))))
+        return angle_between(force, up)
 
     as_is = turned(lambda R: R)
     match, lean = match_axes(gyro, as_is), leaning(lambda R: R)
@@ -154,8 +153,8 @@ def attitude_fault(
     late, shifted = delay
     if late and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
         which, how = ("after", "late") if late > 0 else ("before", "early")
-        told = f"turns {abs(late):.2f} s {which} the gyro"
-        return AttitudeFault(told, f"the reference's clock is {how}", "", late)
+        seen = f"turns {abs(late):.2f} s {which} the gyro"
+        return AttitudeFault(seen, f"the reference's clock is {how}", "", late)
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [
@@ -175,8 +174,8 @@ def attitude_fault(
         put_right[:, list(match.order)] = gyro * match.sign
         if match.wrong and not trusts_gyro(put_right):
             return None
-    told = (
+    seen = (
         f"correlation of its turning with the gyro {', '.join(f'{x:.2f}' for x in match.own)} "
         f"about x, y, z, its vertical {lean:.0f} deg from gravity"
     )
-    return AttitudeFault(told, best[2].words, best[2].map_line)
+    return AttitudeFault(seen, best[2].words, best[2].map_line)
