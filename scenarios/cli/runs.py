@@ -3,13 +3,11 @@ an interruption ends in one line.
 """
 
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from glob import escape
 from pathlib import Path
-from shutil import get_terminal_size
 from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
@@ -27,9 +25,6 @@ from surefoot.sim.common.files import (
     unfinished,
 )
 from surefoot.sim.common.limits import check_limit
-
-NARROWEST = 20
-"""Columns of a terminal below which help would take minutes to wrap."""
 
 try:
     import fcntl
@@ -153,22 +148,3 @@ def how_to_go_on(name: str, written: Sequence[Path], own: Sequence[Path]) -> str
     if name in GOES_ON:
         return "interrupted; run the same command to continue"
     return "interrupted; nothing was written, the same command starts again"
-
-
-def plain_terminals() -> None:
-    """Print characters that a terminal does not support as question marks; print nothing to closed
-    streams.
-    """
-    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
-    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
-    if get_terminal_size().columns < NARROWEST:
-        os.environ["COLUMNS"] = str(NARROWEST)
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
-
-
-def one_line(text: object) -> str:
-    """Any message as one line without control characters."""
-    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in str(text))
-    return line if len(line) <= 2000 else f"{line[:1500]} ... {line[-100:]}"
