@@ -9,7 +9,7 @@ from surefoot.sim.importing.reference_noise import (
 )
 from surefoot.sim.log.derived import derivative
 from surefoot.sim.log.reference import Poses
-from surefoot.sim.log.reference_vs_imu import compare_with_imu
+from surefoot.sim.log.reference_vs_imu import ReferenceVsImu, compare_with_imu
 
 _WINDOW = 0.1
 """Interval over which the reference's velocity is compared with the integrated accelerometer [s]: a
@@ -57,12 +57,23 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     if not bad.any() or bad.mean() > _MOST:
         return found
     out = _closed(beside.t, bad)
-    if out.mean() > 2.0 * _MOST:
+    if out.mean() > 2.0 * _MOST or _missed_about_axes(beside, ~out) > MOST_MISSED_ROTATION:
         return found
     found[known] = out
     found[: known[0]] = found[known[0]]
     found[known[-1] + 1 :] = found[known[-1]]
     return found
+
+
+def _missed_about_axes(beside: ReferenceVsImu, at: np.ndarray) -> float:
+    """Share of the gyro's rotation that the reference does not have at samples of a mask (K,), the
+    median of the three axes: a robot that turns on a wrong clock, or by other axes, still has most
+    of its rotation about the vertical.
+    """
+    other = derivative(beside.t, beside.turn, _WINDOW, causal=False)
+    other = np.einsum("kji,kj->ki", beside.R_GI, other)
+    turning = np.maximum(np.var(beside.omega[at], axis=0), 1e-12)
+    return float(np.median(np.var(other[at], axis=0) / turning))
 
 
 def _closed(t: np.ndarray, bad: np.ndarray) -> np.ndarray:
