@@ -105,7 +105,7 @@ def gravity(view: LogView) -> Iterator[Finding]:
     accel = view.log.accel
     mean, spread = accel.mean(axis=0), float(accel.std(axis=0).max())
     size = float(np.linalg.norm(mean))
-    up, whose = _up(view)
+    up, source = _up(view)
     seen = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
     cause, line = in_another_unit("accel", ACCEL, size / GRAVITY, "")
     if 0.8 < size / GRAVITY**2 < 1.2:
@@ -118,7 +118,7 @@ def gravity(view: LogView) -> Iterator[Finding]:
     if cause:
         yield Finding(ACCEL, seen, cause, line)
     elif up is not None and lean > MOST_LEAN:
-        seen = f"{seen}, {lean:.0f} deg from up by {whose}"
+        seen = f"{seen}, {lean:.0f} deg from up by {source}"
         yield _imu_turned(view) or _turned_over(view, mean, up, seen)
     elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
         yield Finding(ACCEL, seen, f"scaled by {size / GRAVITY:.3g}, or a bias")
@@ -245,9 +245,7 @@ def averaged(view: LogView) -> Iterator[Finding]:
     # White noise has a bend of 1.5 times its variance.
     implied = np.sqrt(np.sum(np.mean(bend**2, axis=0)) / 1.5 * view.step * SPEEDING)
     if missed > SUM_OFF * changed and IMPLIED[0] < missed / max(implied, 1e-12) < IMPLIED[1]:
-        seen = (
-            f"summed over {SPEEDING:g} s, it is {missed:.2f} m/s off changes of {changed:.2f} m/s"
-        )
+        seen = f"its sum over {SPEEDING:g} s is {missed:.2f} m/s off changes of {changed:.2f} m/s"
         cause = "sampled at the rows, not averaged over them; log faster, or log averages"
         yield Finding((*GYRO, *ACCEL), seen, cause)
 
