@@ -312,9 +312,8 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield Finding((*GYRO, "ref_q"), seen, cause)
         return
     factor = match.scaled
-    weak = np.flatnonzero(
-        (match.best > _GOES_WELL) & (np.abs(np.log(match.scale)) > np.log1p(WEAK))
-    )
+    scaled = np.abs(np.log(match.scale)) > np.log1p(WEAK)
+    weak = np.flatnonzero((match.best > _GOES_WELL) & scaled)
     if len(weak) == 1:
         seen = f"{match.scale[weak[0]]:.3g} times as fast as the reference turns, unlike the others"
         yield Finding((GYRO[weak[0]],), seen, "scaled")
@@ -373,8 +372,7 @@ def _axes_of_imu(view: LogView) -> np.ndarray | None:
         found = mirrored
     if np.abs(found - np.round(found)).max() < np.sin(np.radians(TURNED_IMU)):
         found = np.round(found) + 0.0
-    accel, felt = view.accel[view.ok], view.felt[view.ok]
-    pairs = ((a, b), (accel, felt))
+    pairs = ((a, b), (view.accel[view.ok], view.felt[view.ok]))
     mends = all(
         np.sum((x - y @ found.T) ** 2) < STILL_LEFT * np.sum((x - y) ** 2) for x, y in pairs
     )

@@ -228,10 +228,8 @@ def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
         return then.misfits(legs.body_velocity(then.gyro), legs.contact)
 
     def better(share: float, late: float) -> str:
-        which = "earlier" if late > 0 else "later"
-        return (
-            f"standing feet move {1.0 / share:.1f} times less (squared) {abs(late):.2f} s {which}"
-        )
+        when = f"{abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
+        return f"standing feet move {1.0 / share:.1f} times less (squared) {when}"
 
     if moving.truth is None:
         return []
@@ -557,7 +555,6 @@ def _loads(view: LogView, robot: Robot, rows: np.ndarray) -> np.ndarray | None:
     usable = np.abs(np.linalg.det(J)) > 1e-4
     if not usable.any():
         return None
-    pushed = -np.linalg.solve(
-        np.where(usable[..., None, None], np.swapaxes(J, 2, 3), np.eye(3)), tau[..., None]
-    )[..., 0]
+    J_T = np.where(usable[..., None, None], np.swapaxes(J, 2, 3), np.eye(3))
+    pushed = -np.linalg.solve(J_T, tau[..., None])[..., 0]
     return (pushed @ up) * usable
