@@ -26,9 +26,9 @@ def advised_lines(
         rules: the map with which the log was imported.
         name: of the recording.
     """
-    own = {"columns": rules.entries}
-    if rules.reference is not None:
-        own["reference.columns"] = rules.reference.columns
+    own = {"columns": rules.sections.columns}
+    if rules.sections.reference is not None:
+        own["reference.columns"] = rules.sections.reference.columns
     changed: dict[str, dict[str, Any]] = {}
     for concerned, text in advice:
         for line in text.split("; "):
@@ -82,25 +82,24 @@ def _add(
         values: advised ones.
     """
     if section == "robot.joint_sign":
-        signs = changed.setdefault("robot", {}).setdefault("joint_sign", dict(rules.joint_sign))
-        signs |= {joint: sign * rules.joint_sign.get(joint, 1.0) for joint, sign in values.items()}
+        own = rules.sections.robot.joint_sign if rules.sections.robot else {}
+        signs = changed.setdefault("robot", {}).setdefault("joint_sign", dict(own))
+        signs |= {joint: sign * own.get(joint, 1.0) for joint, sign in values.items()}
         return
-    turns = rules.reference and (rules.reference.frame == "base" or any(rules.reference.q_IM[1:]))
+    reference, even = rules.sections.reference, rules.sections.even
+    turns = reference and (reference.frame == "base" or any(reference.q_IM[1:]))
     if "q_IM" in values and turns:
         return  # the map turns the body already, or not by q_IM
     there = changed.setdefault(section, {})
-    if section == "reference" and rules.reference and isinstance(rules.reference.offset, dict):
-        values = {k: rules.reference.offset | {name: x} if k == "offset" else x
-                  for k, x in values.items()}  # fmt: skip
-    elif section == "even" and rules.even is not None:
-        late = rules.even.late
-        values = {
-            key: [*dict.fromkeys((*rules.even.held, *value))]
-            if key == "held"
-            else late | {kind: late.get(kind, 0.0) + delay for kind, delay in value.items()}
-            for key, value in values.items()
-        }
     there |= values
+    if section == "reference" and reference and isinstance(reference.offset, dict):
+        there |= {key: reference.offset | {name: x} for key, x in values.items() if key == "offset"}
+    elif section == "even" and even is not None:
+        if "held" in values:
+            there["held"] = [*dict.fromkeys((*even.held, *values["held"]))]
+        if "late" in values:
+            more = {kind: even.late.get(kind, 0.0) + x for kind, x in values["late"].items()}
+            there["late"] = even.late | more
 
 
 def _key(key: str) -> str:

@@ -13,15 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
 from surefoot.sim.common.limits import admitted, bounded_text, check_limit
 from surefoot.sim.importing.clock import Stamped
+from surefoot.sim.importing.table import parsed_as
 
 RECEIVED = "received"
+UNREADABLE = "NaN, text, empty or too long"
+"""Why a column of a recording cannot be used."""
 _MOST_PLACES = 64
 """Largest array in a message whose elements may be columns; longer ones are images or scans."""
 BAGS = (".bag", ".mcap", ".db3")
@@ -61,19 +64,13 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
         names = ", ".join(one.name for one in files)
         raise SurefootError(f"{path}: has several bags, name one of them: {names}")
-    try:
-        with AnyReader(
+    with (
+        parsed_as("a readable bag", path, _remedy(files)),
+        AnyReader(
             [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
-        ) as bag:
-            yield bag
-    except SurefootError:
-        raise
-    except (AnyReaderError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise SurefootError(f"{path}: {reason}{_remedy(files)}") from None
-    except Exception as error:  # the parsers of broken bags raise whatever they stumble on
-        reason = type(error).__name__
-        raise SurefootError(f"{path}: not a readable bag ({reason}){_remedy(files)}") from error
+        ) as bag,
+    ):
+        yield bag
 
 
 def is_bag(path: Path) -> bool:
@@ -120,7 +117,7 @@ def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
                     )
                 break
             else:
-                skipped[connection.topic] = "NaN, text, empty or too long"
+                skipped[connection.topic] = UNREADABLE
     check_limit("columns", len(found), f"{path}: fields of its messages")
     return list(dict.fromkeys(found)), skipped
 

@@ -1,5 +1,6 @@
 """Contacts for a log without them, from joint torques, kinematics or the gait."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -49,13 +50,23 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
         else:
             up = up_by_feet(log.t, log.gyro, log.accel, feet_I)
             load = -heights_beside_others(log.t, feet_I, up)
-    stands = {}
-    for leg, (offset, on, off) in rule.by_leg(legs).items():
-        own = load[:, legs.index(leg)] - offset
-        standing = contact_from_force(log.t, own, on, off, rule.debounce)
-        stands[f"contact_{leg}"] = standing.astype(float)
+    stands = contacts_from_loads(log.t, dict(zip(legs, load.T, strict=True)), rule)
     meta = replace(log.meta, derived=(*log.meta.derived, f"contact from {rule.of}"))
     return replace(log, meta=meta).with_columns(stands)
+
+
+def contacts_from_loads(
+    t: np.ndarray, loads: Mapping[str, np.ndarray], rule: ContactTable
+) -> dict[str, np.ndarray]:
+    """Columns contact_<leg>, 1 where a load by leg, each (N,) at t (N,) [s], stays beyond the
+    rule's thresholds.
+    """
+    return {
+        f"contact_{leg}": contact_from_force(t, loads[leg] - offset, on, off, rule.debounce).astype(
+            float
+        )
+        for leg, (offset, on, off) in rule.by_leg(tuple(loads)).items()
+    }
 
 
 def speeds_beside_lowest(

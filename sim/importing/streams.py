@@ -7,7 +7,6 @@ positions.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,13 +44,6 @@ class HeldStream:
     columns: tuple[str, ...]
     rate: float
 
-    @property
-    def line(self) -> str:
-        """Description in words."""
-        return (
-            f"held: {_names(self.columns)} are sampled at {self.rate:.0f} Hz and repeated between"
-        )
-
 
 @dataclass(frozen=True)
 class LateStream:
@@ -60,15 +52,6 @@ class LateStream:
     columns: tuple[str, ...]
     delay: float
     witness: str
-
-    @property
-    def line(self) -> str:
-        """Description in words."""
-        which = "late" if self.delay > 0 else "early"
-        return (
-            f"{which}: {_names(self.columns)} by {1e3 * abs(self.delay):.1f} ms against "
-            f"{self.witness}"
-        )
 
 
 def held_streams(log: Log) -> tuple[HeldStream, ...]:
@@ -169,7 +152,3 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 def _even(even: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     values = np.column_stack([np.interp(even, t, column) for column in x.T])
     return values - values.mean(axis=0)
-
-
-def _names(columns: Sequence[str]) -> str:
-    return ", ".join(columns) if len(columns) <= 3 else f"{columns[0]} to {columns[-1]}"

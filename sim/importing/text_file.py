@@ -8,20 +8,17 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.layout import COMMENTS, encoding_of, no_table
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable
+from surefoot.sim.importing.table import RecordedTable, parsed_as
 
 _SPACES = r"\s+"
 
 
 def read_text(path: Path, source: Source) -> RecordedTable:
     """Read the table of a text file. Raises SurefootError in one line with file and line."""
-    if not is_file(path):
-        raise SurefootError(f"{path}: no such file")
-    try:
+    with parsed_as("a table of text", path):
         encoding = encoding_of(path)
         if source.long is None and (why := no_table(path, source.skip)):
             raise SurefootError(f"{path}: {why}")
@@ -42,13 +39,6 @@ def read_text(path: Path, source: Source) -> RecordedTable:
                 skip_blank_lines=False,
                 low_memory=False,
             )
-    except SurefootError:
-        raise
-    except UnicodeDecodeError as error:
-        raise SurefootError(f"{path}: not a text file ({error.reason})") from error
-    except (ValueError, pd.errors.ParserWarning, csv.Error, OSError) as error:
-        reason = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
-        raise SurefootError(f"{path}: {reason}") from error
     if len(frame.columns) != len(header):
         # Quotation marks keep spaces together in one of the two readings, but not in the other.
         raise SurefootError(f"{path}: line {source.skip + 1}: quotation marks in the header")
