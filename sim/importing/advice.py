@@ -1,13 +1,12 @@
 """Lines of an import map that follow what the findings of a log advise, all of them together."""
 
-import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
-from surefoot.sim.importing.columns import ColumnEntry
+from surefoot.sim.importing.columns import ColumnEntry, map_line
 from surefoot.sim.importing.map import ImportMap
 
 _OF_COLUMNS = re.compile(
@@ -46,7 +45,7 @@ def advised_lines(
     for section, values in changed.items():
         lines += [
             f"[{section}]",
-            *(f"{_key(key)} = {_toml(value)}" for key, value in values.items()),
+            *(map_line(key, value) for key, value in values.items()),
         ]
     return tuple(lines)
 
@@ -100,19 +99,3 @@ def _add(
         if "late" in values:
             more = {kind: even.late.get(kind, 0.0) + x for kind, x in values["late"].items()}
             there["late"] = even.late | more
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else json.dumps(key)
-
-
-def _toml(value: Any) -> str:
-    """A value of a map as TOML; an entry without the keys that have their default."""
-    if isinstance(value, ColumnEntry):
-        plain = asdict(ColumnEntry(value.column))
-        value = {k: x for k, x in asdict(value).items() if k == "column" or x != plain[k]}
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{_key(key)} = {_toml(one)}' for key, one in value.items())} }}"
-    if isinstance(value, float):
-        return f"{value:.9g}" if abs(value) < 1e6 else f"{value:.6f}"
-    return json.dumps(value, ensure_ascii=False)

@@ -114,6 +114,8 @@ def _cells(table: RecordedTable, column: str, source: Source) -> np.ndarray:
     where, name, indices = f"{table.path}: column {column!r}", column, []
     while (cells := table.cells.get(name)) is None and (place := _PLACE.match(name)):
         name, indices = place[1], [place[2], *indices]
+    if name in table.skipped:
+        raise SurefootError(f"{where}: {table.skipped[name]}")
     if cells is None:
         there = [" ".join(name.split()) for name in table.cells]
         shown = ", ".join(there[:_SHOWN]) + ", ..." * (len(there) > _SHOWN)
