@@ -1,7 +1,7 @@
 """Assemble a Log from the columns of a recording, by an import map (`sim.importing.map`)."""
 
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +120,7 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         robot=rules.robot,
         motor_law=law,
         derived=tuple(derived),
-        versions=_versions(),
+        versions={"surefoot": version("surefoot")},
         model=rules.model
         | _robot_file(rules.robot)
         | ({REFERENCE_OFFSET: offset} if offset else {}),
@@ -237,10 +237,3 @@ def _column_order(column: str) -> int:
     prefix = joint_prefix(column) or column
     matches = [i for i, start in enumerate(_ORDER) if prefix.startswith(start)]
     return 0 if column == "t" else max(matches, default=len(_ORDER))
-
-
-def _versions() -> dict[str, str]:
-    try:
-        return {"surefoot": version("surefoot")}
-    except PackageNotFoundError:
-        return {"surefoot": "source"}

@@ -297,17 +297,12 @@ def _fitting_order(
     """
     if machine is not None and len(machine.limbs.joints) == len(angles):
         joints = machine.limbs.joints
-        kinds = [machine.limbs.kind(k) for k in range(len(joints))]
-        by_kind = [
-            joints[k] for k in sorted(range(len(joints)), key=lambda k: kinds.index(kinds[k]))
-        ]
-        scale = UNITS["q"][unit_of_angles([x for x in angles if x is not None], set())[0]]
+        kinds = {joint: machine.limbs.kind(k) for k, joint in enumerate(joints)}
+        by_kind = sorted(joints, key=lambda joint: [*kinds.values()].index(kinds[joint]))
+        known = {k: x for k, x in enumerate(angles) if x is not None}
+        scale = UNITS["q"][unit_of_angles(known.values(), set())[0]]
         fits = [
-            sum(
-                _share_inside(machine, joint, scale * x)
-                for joint, x in zip(order, angles, strict=True)
-                if x is not None
-            )
+            sum(_share_inside(machine, order[k], scale * x) for k, x in known.items())
             for order in (joints, by_kind)
         ]
         if fits[0] >= fits[1]:
@@ -387,12 +382,11 @@ def _beyond_limits(
     file: RecordedFile, machine: Machine | None, entries: Sequence[Entry]
 ) -> list[str]:
     """A question where angles are beyond the limits of the robot's joints."""
+    angles = {e.name[2:]: e for e in entries if joint_prefix(e.name) == "q_"}
     beyond = [
         joint
-        for entry in entries
-        if joint_prefix(entry.name) == "q_"
-        for joint in [entry.name[2:]]
-        if _share_inside(machine, joint, entry.scale * file.columns[entry.theirs]) < _INSIDE
+        for joint, e in angles.items()
+        if _share_inside(machine, joint, e.scale * file.columns[e.theirs]) < _INSIDE
     ]
     which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
     question = f"{which} beyond the limits of the robot: other joints, signs or zeros?"

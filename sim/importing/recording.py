@@ -272,7 +272,7 @@ def _parquet(path: Path) -> RecordedTable:
     with parsed_as("a Parquet file", path):
         about = pq.read_metadata(path)
         size = 8.0 * about.num_rows * about.num_columns
-        check_unpacked(path, size, f"{path}: bytes of columns")
+        check_unpacked(path.stat().st_size, size, f"{path}: bytes of columns")
         frame = pq.read_table(path).to_pandas(ignore_metadata=True)
     return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
 

@@ -17,6 +17,10 @@ from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 
 _MOVES = 20.0
 """Motion within _MOVING seconds, in resolutions, at which a repeated value is significant."""
+_STEPS = 3.0
+"""Mean size of the changes within _MOVING seconds, in resolutions, from which rounding explains
+fewer repeated values than _HELD_SHARE: it repeats those between which there is no whole resolution.
+"""
 _MOVING = 0.05
 """Half a swing [s]."""
 _HELD_SHARE = 0.15
@@ -131,13 +135,18 @@ def _repeated(t: np.ndarray, x: np.ndarray) -> float:
         return 0.0
     resolution = change[change > 0].min()
     # The distance travelled within the window is much cheaper than its range, and as informative.
-    travelled = np.concatenate([[0.0], np.cumsum(change)])
-    ahead = np.interp(t[1:] + 0.5 * _MOVING, t, travelled)
-    behind = np.interp(t[1:] - 0.5 * _MOVING, t, travelled)
-    moving = ahead - behind > _MOVES * resolution
+    travelled, changes = _moving_sum(t, change), _moving_sum(t, change > 0.0)
+    moving = travelled > np.maximum(_MOVES, _STEPS * changes) * resolution
     if moving.sum() < _MOVING_ROWS:
         return 0.0
     return float(np.mean(change[moving] == 0.0))
+
+
+def _moving_sum(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Sum of x (N - 1,) within _MOVING seconds around each of t[1:], for t (N,) [s]."""
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    ends = [np.interp(t[1:] + side * _MOVING, t, total) for side in (-0.5, 0.5)]
+    return ends[1] - ends[0]
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:

@@ -21,8 +21,8 @@ def parsed_as(what: str, path: Path, remedy: str = "") -> Iterator[None]:
     """Raise SurefootError, in one line, for whatever a parser raises on a broken file."""
     try:
         yield
-    except SurefootError:
-        raise
+    except SurefootError as error:
+        raise SurefootError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
         raise SurefootError(
