@@ -10,7 +10,6 @@ import numpy as np
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.guess_units import (
-    gravity_doubt,
     stride_in_turns,
     unit_of_accel,
     unit_of_angles,
@@ -98,16 +97,16 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     values = {k: np.column_stack([file.columns[n] for n in of]) for k, of in triples.items()}
     entries: list[Entry] = []
     for kind, axes in triples.items():
-        gain, doubts = 1.0, {}
-        if kind == "gyro":
+        if kind == "accel":
+            unit, gain, doubt = unit_of_accel(values["accel"])
+        else:
             named = {file.names[name].unit for name in axes}
             unit, doubt = unit_of_gyro(file.seconds, values["gyro"], values.get("accel"), named)
-        else:
-            unit, gain, doubt = unit_of_accel(values["accel"])
-            doubts = gravity_doubt(values["accel"].mean(axis=0))
-        for axis, name in zip("xyz", axes, strict=True):
-            why = asked[kind] or doubt or doubts.get(axis, "")
-            entries.append(Entry(f"{kind}_{axis}", name, unit, gain, why))
+            gain = 1.0
+        entries += [
+            Entry(f"{kind}_{axis}", name, unit, gain, asked[kind] or doubt)
+            for axis, name in zip("xyz", axes, strict=True)
+        ]
     return entries, notes
 
 
