@@ -243,7 +243,9 @@ def by_name(
     """
     if not isinstance(value, dict):
         return dict.fromkeys(names, value)
-    for name in sorted(set(value) ^ set(names)):
-        what = "is missing" if name in names else f"is unknown; known: {', '.join(names)}"
-        raise SurefootError(f"[{place}] {name!r} {what}")
+    for name in (*value, *names):
+        if name not in names:
+            raise SurefootError(f"[{place}] unknown key {name!r}; known: {', '.join(names)}")
+        if name not in value:
+            raise SurefootError(f"[{place}] {name} is missing")
     return value
