@@ -9,7 +9,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from surefoot.scenarios.reporting.plotting import png
-from surefoot.scenarios.reporting.tables import Table, to_html, to_markdown
+from surefoot.scenarios.reporting.tables import (
+    Table,
+    in_markdown,
+    to_html,
+    to_markdown,
+    without_tags,
+)
 from surefoot.sim.common.files import whole_file, write_whole
 
 _STYLE = """
@@ -105,9 +111,9 @@ def html_report(title: str, sections: Sequence[Section]) -> str:
 
 def markdown_report(title: str, sections: Sequence[Section]) -> str:
     """The same in Markdown: headings, words and tables, without the pictures."""
-    parts = [f"# {title}"]
+    parts = [f"# {in_markdown(title)}"]
     for section in sections:
-        parts += [heading(section), section.prose.strip()]
+        parts += [in_markdown(heading(section)), without_tags(section.prose.strip())]
         parts.append("" if section.table is None else to_markdown(section.table))
     return "\n\n".join(part for part in parts if part) + "\n"
 

@@ -6,12 +6,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from surefoot.sim.importing.columns import ColumnEntry, map_line
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.importing.columns import ColumnEntry, kind_of, map_line, read_column
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.sections import ReferenceTable
 
 _OF_COLUMNS = re.compile(
     r"([\w, ]+?)(, \.\.\.)? = \{ (?:\.\.\.|column = <their column of (\w+)>)(?:, (.+))? \}"
 )
+_NO_TURN = (1.0, 0.0, 0.0, 0.0)
 _IN_SECTION = re.compile(r"\[([\w.]+)\] (.+ = .+)")
 
 
@@ -33,12 +37,14 @@ def advised_lines(
         for line in text.split("; "):
             if found := _OF_COLUMNS.fullmatch(line):
                 changes = tomllib.loads(f"of = {{ {found[4] or ''} }}")["of"]
-                named = concerned if found[2] else found[1].split(", ")
+                named = found[1].split(", ")
+                if found[2]:
+                    named = [one for one in concerned if kind_of(one) == kind_of(named[0])]
                 for section, entries in own.items():
                     for column in (one for one in named if one in entries):
                         there = changed.setdefault(section, {})
                         before = there.get(column, entries[column])
-                        there[column] = _changed(entries.get(found[3], before), changes)
+                        there[column] = _changed(column, entries.get(found[3], before), changes)
             elif found := _IN_SECTION.fullmatch(line):
                 _add(changed, rules, name, found[1], tomllib.loads(found[2]))
     lines: list[str] = []
@@ -50,18 +56,20 @@ def advised_lines(
     return tuple(lines)
 
 
-def _changed(entry: ColumnEntry | str, changes: Mapping[str, Any]) -> ColumnEntry:
-    """A column's entry, with changes to the values that it gives so far."""
+def _changed(column: str, entry: ColumnEntry | str, changes: Mapping[str, Any]) -> ColumnEntry:
+    """A column's entry, with changes to the values in SI that it gives so far."""
     entry = ColumnEntry(entry) if isinstance(entry, str) else entry
     sign, gain = changes.get("sign", 1.0), changes.get("gain", 1.0)
-    return replace(
+    entry = replace(
         entry,
         unit=changes.get("unit", entry.unit),
         sign=sign * entry.sign,
         gain=gain * entry.gain,
         offset=sign * gain * entry.offset + changes.get("offset", 0.0),
-        wrap=changes.get("wrap", entry.wrap),
     )
+    if "wrap" not in changes:
+        return entry
+    return replace(entry, wrap=changes["wrap"] / abs(read_column("", column, entry, ()).scale))
 
 
 def _add(
@@ -86,16 +94,32 @@ def _add(
         signs |= {joint: sign * own.get(joint, 1.0) for joint, sign in values.items()}
         return
     reference, even = rules.sections.reference, rules.sections.even
-    turns = reference and (reference.frame == "base" or any(reference.q_IM[1:]))
-    if "q_IM" in values and turns:
-        return  # the map turns the body already, or not by q_IM
     there = changed.setdefault(section, {})
     there |= values
-    if section == "reference" and reference and isinstance(reference.offset, dict):
-        there |= {key: reference.offset | {name: x} for key, x in values.items() if key == "offset"}
+    if section == "reference" and reference is not None:
+        there |= _turned_further(values, reference, rules.model)
+        if "offset" in values and isinstance(reference.offset, dict):
+            there["offset"] = reference.offset | {name: values["offset"]}
     elif section == "even" and even is not None:
         if "held" in values:
             there["held"] = [*dict.fromkeys((*even.held, *values["held"]))]
         if "late" in values:
             more = {kind: even.late.get(kind, 0.0) + x for kind, x in values["late"].items()}
             there["late"] = even.late | more
+
+
+def _turned_further(
+    values: Mapping[str, Any], reference: ReferenceTable, model: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Advised rotations of a reference, together with those of the map, in the frame "imu"."""
+    of_map = {"q_GW": reference.q_GW, "q_IM": reference.q_IM}
+    made = {}
+    if "q_IM" in values and reference.frame == "base":
+        R_IB = Rotation.from_quat(model.get("q_BI", _NO_TURN), scalar_first=True).inv()
+        made |= {"frame": "imu", "p_IM": (-R_IB.apply(model["p_BI"])).tolist()}
+        of_map["q_IM"] = R_IB.as_quat(scalar_first=True)
+    for key in values.keys() & of_map.keys():
+        both = [Rotation.from_quat(q, scalar_first=True) for q in (values[key], of_map[key])]
+        q = (both[0] * both[1]).as_quat(canonical=True, scalar_first=True)
+        made[key] = (q.round(6) + 0.0).tolist()
+    return made

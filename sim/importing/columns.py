@@ -158,6 +158,8 @@ def _map_value(value: Any) -> str:
         value = {k: x for k, x in asdict(value).items() if k == "column" or x != default[k]}
     if isinstance(value, Mapping):
         return f"{{ {', '.join(map_line(key, one) for key, one in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_map_value, value))}]"
     if isinstance(value, float):
         return f"{value:.9g}" if abs(value) < 1e6 else f"{value:.6f}"
     return json.dumps(value, ensure_ascii=False)
