@@ -26,7 +26,8 @@ from surefoot.scenarios.reporting.figures import (
     trajectories,
     velocity_figure,
 )
-from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
+from surefoot.scenarios.reporting.html import Picture, Section, write_report
+from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
 from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
@@ -204,7 +205,7 @@ def write_comparison(
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
         for name, picture in pictures.items():
-            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png")
+            save_png(picture.figure, out / "figures" / f"{comparison.log.name}_{name}.png")
         heading = f"The log '{comparison.log.name}'"
         sections.append(
             Section(heading, _walk_prose(comparison), pictures=tuple(pictures.values()))

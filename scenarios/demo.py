@@ -14,9 +14,10 @@ from surefoot.scenarios.compare import compare_log, write_comparison
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.first_use import compile_filters
-from surefoot.scenarios.reporting.html import Picture, Section, nested, save_picture
+from surefoot.scenarios.reporting.html import Picture, Section, nested
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
+from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.stages import processes, submitted
@@ -148,7 +149,7 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
     if bounds.mixing is not None:
         caption = "Correlation of errors over time: calibration samples are taken K steps apart."
         pictures = (Picture(mixing_curve(bounds.mixing), caption),)
-        save_picture(pictures[0], out / "figures" / "observer_mixing.png")
+        save_png(pictures[0].figure, out / "figures" / "observer_mixing.png")
     learning = Section(
         "The observer and its bounds",
         f"Trained on one walk; calibrated on another at joint level {bounds.gamma:g} with "
@@ -161,7 +162,7 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
     tested = observer.errors, test_errors
     errors = error_section(*tested, bounds.epsilon, bounds.gamma, "the third walk")
     for k, picture in enumerate(errors.pictures):
-        save_picture(picture, out / "figures" / f"observer_errors_{k + 1}.png")
+        save_png(picture.figure, out / "figures" / f"observer_errors_{k + 1}.png")
     return [learning, errors]
 
 

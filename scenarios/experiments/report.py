@@ -38,10 +38,10 @@ from surefoot.scenarios.reporting.html import (
     Picture,
     Section,
     markdown_report,
-    save_picture,
     write_report,
 )
 from surefoot.scenarios.reporting.pages import origin_of, write_page
+from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
@@ -144,7 +144,7 @@ def report_sections(
         pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
     for name, picture in pictures.items():
-        save_picture(picture, out / "figures" / f"{name}.png")
+        save_png(picture.figure, out / "figures" / f"{name}.png")
     pages.append(Section("Errors and consistency by sequence", "", None, tuple(pictures.values())))
     swept = sweep(rows, found)
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
@@ -152,7 +152,7 @@ def report_sections(
             gamma_sweep(swept, "Influence of γ, on average over the test sequences"),
             "Bounds are calibrated for each γ; filters without bounds do not depend on it.",
         )
-        save_picture(picture, out / "figures" / "gamma.png")
+        save_png(picture.figure, out / "figures" / "gamma.png")
         pages.append(Section("The level γ", "", swept, (picture,)))
     pages += _walks(outcome, found, out)
     for condition in found.conditions:
@@ -243,7 +243,7 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
                 f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start. "
                 "Estimates ten times as far off as the best leave the panels.",
             )
-            save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png")
+            save_png(picture.figure, out / "figures" / f"{name}_{_slug(condition.name)}.png")
             pictures.append(picture)
         if series:
             what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
@@ -253,7 +253,7 @@ def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
                 f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "
                 "overconfident.",
             )
-            save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png")
+            save_png(picture.figure, out / "figures" / f"errors_{_slug(condition.name)}.png")
             pages.append(Section(PATHS + condition.name, "", None, (picture, *pictures)))
     return pages
 

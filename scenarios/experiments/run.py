@@ -14,11 +14,11 @@ from typing import Any
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.scenarios.cache import Product
 from surefoot.scenarios.estimate.estimators import estimator_named
-from surefoot.scenarios.experiments.cells import Cell, Group, cell_inputs, cells_of
-from surefoot.scenarios.experiments.file import Experiment, Learning
+from surefoot.scenarios.experiments.file import Cell, Experiment, Group, Learning, cells_of
 from surefoot.scenarios.experiments.products import (
     ESTIMATION,
     LearntFiles,
+    cell_inputs,
     make_bounds,
     make_estimates,
     make_observer,
@@ -122,7 +122,8 @@ def run(
     with processes(workers) as pool:
         for seed in experiment.seeds:
             mine = [cell for cell in cells if cell.seed == seed]
-            kept = _kept(experiment, mine, data) if data else {}
+            rows = {c: read_case(data, *_case(experiment, c), ESTIMATION) for c in mine if data}
+            kept = {cell: _from_row(row) for cell, row in rows.items() if row is not None}
             record = recordings and seed == experiment.seeds[0]
             wanted = [cell for cell in mine if record or cell not in kept]
             groups = {cell.group for cell in wanted}
@@ -139,23 +140,12 @@ def run(
             found |= kept | stage(pool, f"seed {seed}: estimates", made)
             if record:
                 recorded = _record(pool, experiment, folder, walks, learnt)
-    ordered = {cell: found[cell] for cell in cells}
-    return Outcome(ordered, folder / "estimate", recorded)
+    return Outcome({cell: found[cell] for cell in cells}, folder / "estimate", recorded)
 
 
-def _kept(experiment: Experiment, cells: list[Cell], data: Path) -> dict[Cell, CellResult]:
-    """Cells whose rows are in `data`, from the same code and inputs."""
-    found = {}
-    for cell in cells:
-        name, inputs = _case_name(experiment, cell), cell_inputs(experiment, cell)
-        row = read_case(data, name, inputs, ESTIMATION)
-        if row is not None:
-            found[cell] = _from_row(row)
-    return found
-
-
-def _case_name(experiment: Experiment, cell: Cell) -> str:
-    return f"{cell.title(experiment)}_{cell.seed}"
+def _case(experiment: Experiment, cell: Cell) -> tuple[str, dict[str, Any]]:
+    """Name of a cell's row, and what determines it."""
+    return f"{cell.title(experiment)}_{cell.seed}", cell_inputs(experiment, cell)
 
 
 def _from_row(row: dict[str, Any]) -> CellResult:
@@ -178,14 +168,14 @@ def _learn(
     held_out, seeds = by_role["calibrate"], {cell.seed for cell in walks}
     label = ", ".join(f"seed {seed}" for seed in seeds)
     # Learnings that differ only in their method share observers.
-    ways = {(one.inputs, loss): one for one in experiment.learnings for loss in one.losses}
     observers = stage(
         pool,
         f"{label}: observers",
         {
-            (group, inputs, loss): (make_observer, folder, logs, one, loss, group[2])
+            (group, one.inputs, loss): (make_observer, folder, logs, one, loss, group[2])
             for group, logs in by_role["train"].items()
-            for (inputs, loss), one in ways.items()
+            for one in experiment.learnings
+            for loss in one.losses
         },
     )
     bounds = stage(
@@ -255,8 +245,7 @@ def _result(
 
     if data is None:
         return _from_row(make())
-    name, inputs = _case_name(experiment, cell), cell_inputs(experiment, cell)
-    return _from_row(finished_case(data, name, inputs, ESTIMATION, make))
+    return _from_row(finished_case(data, *_case(experiment, cell), ESTIMATION, make))
 
 
 def _estimates(
@@ -283,14 +272,14 @@ def _estimates(
             experiment.filters_of(learning),
             experiment.gammas_of(learning, cell.seed),
         )
-        if learning != experiment.learning and not files.bounds:
+        further = learning != experiment.learning
+        if further and not files.bounds:
             why = dict.fromkeys(why, "the walk to calibrate with is too short for this method")
         for (name, gamma), one in products.items():
             inputs = learning.inputs if estimator_named(name).needs.learnt else None
             method = None if gamma is None else learning.method
             found.append(Estimated(name, gamma, inputs, method, one.facts, one.path.name))
-        first = learning == experiment.learning
-        way = "" if first else f", {learning.inputs}, {learning.method}"
+        way = f", {learning.inputs}, {learning.method}" if further else ""
         left_out |= {name + way: text for name, text in why.items()}
     return CellResult(walk.facts, tuple(found), left_out)
 

@@ -27,6 +27,8 @@ HELD = "coverage [%]"
 SHOWN_COLUMNS = [name for name in MEANINGS if name in TABLE_METRICS or name == HELD]
 SHOWN_COLUMNS.insert(1, SHARE)
 """Order of the columns for averages and sequences."""
+SWEPT = [c for c in SHOWN_COLUMNS if c not in ("RPE_rot [deg/m]", "NEES_att", "step [us]")]
+"""Columns of the table by gamma."""
 TABLE_MEANINGS = {
     **MEANINGS,
     HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
@@ -86,16 +88,17 @@ def _of(rows: pd.DataFrame, values: Mapping[str, object]) -> pd.DataFrame:
 
 def averages(rows: pd.DataFrame) -> pd.DataFrame:
     """Means over test sequences, and their spread over seeds, by condition, robot and filter."""
-    test = rows[rows["role"] == "test"]
+    keys = ["condition", "robot", "filter"]
+    return _marked(_averaged(rows[rows["role"] == "test"], keys), [*keys, *SHOWN_COLUMNS])
+
+
+def _averaged(rows: pd.DataFrame, keys: list[str]) -> list[dict[str, object]]:
+    """Means over the walks of a seed, and their spread over seeds, by these columns."""
     found = []
-    for (condition, robot, name), part in test.groupby(
-        ["condition", "robot", "filter"], sort=False
-    ):
+    for values, part in rows.groupby(keys, sort=False, dropna=False):
         by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
-        row: dict[str, object] = {"condition": condition, "robot": robot, "filter": name}
-        found.append(row | _summary(part, by_seed))
-    order = ["condition", "robot", "filter", *SHOWN_COLUMNS]
-    return _marked(found, order) if found else pd.DataFrame(columns=order)
+        found.append(dict(zip(keys, values, strict=True)) | _summary(part, by_seed))
+    return found
 
 
 def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
@@ -124,10 +127,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
             at = part[part["gamma"] == gamma]
             if len(at):
                 row: dict[str, object] = {"condition": condition, "filter": name, "gamma": gamma}
-                row |= {c: at[c].mean() for c in ("APE_trans [m]", SHARE, "APE_rot [deg]")}
-                row |= {c: at[c].mean() for c in ("RPE_trans [m]", "pi<gamma [%]")}
-                row |= {HELD: _held(at), "NEES_pos": at["NEES_pos"].mean()}
-                row |= {"NEES_vel": at["NEES_vel"].mean()}
+                row |= {c: _held(at) if c == HELD else at[c].mean() for c in SWEPT}
                 found.append(row)
     return pd.DataFrame(found)
 
@@ -140,13 +140,8 @@ def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     if len(experiment.learnings) == 1:
         return pd.DataFrame()
     learnt = rows[(rows["role"] == "test") & rows["inputs"].notna()]
-    learnt = _of(learnt, {"gamma": experiment.gammas[0]})
-    found = []
     keys = ["condition", "filter", "inputs", "method"]
-    for values, part in learnt.groupby(keys, sort=False, dropna=False):
-        row: dict[str, object] = dict(zip(keys, values, strict=True))
-        by_seed = pd.DataFrame(part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean())
-        found.append(row | _summary(part, by_seed))
+    found = _averaged(_of(learnt, {"gamma": experiment.gammas[0]}), keys)
     return pd.DataFrame(found, columns=[*keys, *SHOWN_COLUMNS])
 
 

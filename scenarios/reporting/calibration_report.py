@@ -15,10 +15,11 @@ from surefoot.scenarios.reporting.calibration_tables import (
     methods_table,
     sequence_table,
 )
-from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
+from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.pages import origin_of, write_page
+from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.sim.common.files import write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
@@ -59,7 +60,7 @@ def write_calibration_report(
     pictures = ()
     if bounds.mixing is not None:
         pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION),)
-        save_picture(pictures[0], out / "mixing.png")
+        save_png(pictures[0].figure, out / "mixing.png")
     # In the frame of that log's IMU.
     epsilon = first.bounds.epsilon
     sections = [

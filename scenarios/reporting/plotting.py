@@ -133,8 +133,10 @@ def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:
         figure.legend(handles, labels, ncols=n, loc=place, fontsize=8.5, frameon=False)
 
 
-def png(figure: Figure) -> bytes:
-    """The figure as PNG bytes; equal figures give equal bytes."""
+def png(figure: Figure | bytes) -> bytes:
+    """The figure as PNG bytes, equal for equal figures; those of a PNG are returned as they are."""
+    if isinstance(figure, bytes):
+        return figure
     stream = BytesIO()
     with rc_context(_STYLE):
         # `savefig` would draw the figure twice, first for its layout alone.
@@ -142,7 +144,7 @@ def png(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-def save_png(figure: Figure, path: str | Path, force: bool = False) -> None:
+def save_png(figure: Figure | bytes, path: str | Path, force: bool = False) -> None:
     """Write the figure as a PNG. Raises SurefootError where the file exists (no `force`)."""
     with whole_file(path, force) as temporary:
         temporary.write_bytes(png(figure))

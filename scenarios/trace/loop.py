@@ -44,7 +44,7 @@ from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest
-from surefoot.sim.effects import Effect, declared_effects, effect
+from surefoot.sim.effects import Effect, compensate_all, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log
@@ -119,7 +119,8 @@ def loop(
         walks = TrainingWalks(style, robot, effects, gait, spread)
         learnt, simulated = _learnt(walks, log, out / name, seed, plan)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
-        worlds.append(LoopWorld(name, effects, learnt, comparison, simulated))
+        measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)
+        worlds.append(LoopWorld(name, effects, learnt, comparison, simulated, measured))
     last = worlds[-1].comparison
     assert last.robot is not None
     trained_on_measured = _from_measured(last.log, last.robot, out / "measured.json", seed, plan)
@@ -180,8 +181,7 @@ def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log
 
     The log no longer declares any effects, so that none is compensated twice.
     """
-    declaring = replace(log, meta=replace(log.meta, effects=tuple(e.as_dict() for e in effects)))
-    compensated, model = declared_model(declaring, robot)
+    compensated, model = compensate_all(effects, log, robot)
     compensated = replace(compensated, meta=replace(compensated.meta, effects=()))
     return rates_as_of(compensated, log), model
 

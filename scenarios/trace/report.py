@@ -9,10 +9,9 @@ from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.selection import Candidate
-from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.trace.figures import candidate_gains, residuals
-from surefoot.scenarios.trace.filters import DEAD_RECKONING
+from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import (
     VERDICTS,
@@ -25,18 +24,6 @@ from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot.machine import Machine
 
-_METRICS = {
-    "ape_trans": "APE [m]",
-    "ape_rot": "APE [deg]",
-    "rpe_trans": "RPE [m]",
-    "rpe_rot": "RPE [deg/m]",
-    "drift": "drift [m/m]",
-    "velocity": "velocity [m/s]",
-    "nees_position": "NEES position",
-    "nees_velocity": "NEES velocity",
-    "nees_attitude": "NEES attitude",
-}
-"""Metric -> heading of its two columns."""
 _OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
 """Metrics of dead reckoning, which takes its attitude from the reference and has no covariance."""
 
@@ -70,7 +57,7 @@ def sections(found: Trace) -> list[Section]:
         parts.append(Section("Zeros and clocks of each run", words, table=rows))
     if found.channels:
         picture = Picture(
-            residuals(channel_rows(found.channels)),
+            residuals(found.channels),
             "Root mean square residual of each channel on the end of the log, which was used "
             "neither to fit nor to choose. The dashed line is the noise floor: the residual of a "
             "robot that matches its model exactly.",
@@ -128,9 +115,9 @@ def _filters(filters: Filters, title: str, words: str) -> list[Section]:
     """A table with one row per filter: errors before and after."""
     rows: list[dict[str, Any]] = []
     for name, metrics in filters.items():
-        known = _OF_POSITION if name == DEAD_RECKONING else _METRICS
+        known = _OF_POSITION if name == DEAD_RECKONING else REPORTED
         rows.append({"filter": name})
-        for key, label in _METRICS.items():
+        for key, label in REPORTED.items():
             for side in ("before", "after"):
                 rows[-1][f"{label} {side}"] = metrics[side][key] if key in known else None
     return [Section(title, words, table=rows)] if rows else []
@@ -149,13 +136,6 @@ def channel_row(name: str, level: Mapping[str, Any]) -> dict[str, Any]:
     """Residual of a channel before and after, and its noise floor, from a ChannelLevel's fields."""
     keys = ("before", "after", "noise_floor", "unit")
     return {"channel": name} | {key.replace("_", " "): level[key] for key in keys}
-
-
-def channel_rows(levels: Mapping[str, ChannelLevel]) -> dict[str, dict[str, Any]]:
-    """Each channel in the form that `trace.figures.residuals` takes."""
-    return {
-        name: {**vars(level), "label": channels()[name].label} for name, level in levels.items()
-    }
 
 
 def _sentences(found: Trace) -> list[str]:

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.scenarios.experiments.cells import cell_inputs, cells_of
-from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.file import Experiment, cells_of
+from surefoot.scenarios.experiments.products import cell_inputs
 from surefoot.scenarios.experiments.report import experiment, falls
 from surefoot.scenarios.experiments.run import CellResult, Outcome
 from surefoot.scenarios.experiments.tables import (

@@ -11,7 +11,9 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.calibration.mixing import mixing
+from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
@@ -42,7 +44,7 @@ def errors(walk):
 def drawn(walk, errors) -> dict[str, Figure]:
     rng = np.random.default_rng(1)
     train, test = rng.normal(0, 0.02, (2000, 3)), rng.normal(0.02, 0.03, (2000, 3))
-    channel = {"before": 0.3, "after": 0.1, "noise_floor": 0.08, "unit": "m/s"}
+    level = ChannelLevel(0.3, 0.1, 0.08, "m/s")
     return {
         "trajectories": figures.trajectories(walk.log, errors, walk.patches),
         "height": figures.height_figure(walk.log, errors),
@@ -52,8 +54,8 @@ def drawn(walk, errors) -> dict[str, Figure]:
             train, test, walk.bounds.epsilon, walk.bounds.gamma
         ),
         "mixing": observer_figures.mixing_curve(mixing(train)),
-        "residuals": trace_figures.residuals({"leg_velocity": channel}),
-        "gains": trace_figures.candidate_gains({"a": 0.5, "b": (0.1, 0.0, 0.2)}, ["a"]),
+        "residuals": trace_figures.residuals({"leg_velocity": level}),
+        "gains": trace_figures.candidate_gains({"a": (0.5, 0.4, 0.6), "b": (0.1, 0.0, 0.2)}, ["a"]),
     }
 
 
@@ -121,8 +123,8 @@ def test_legends_stand_outside_the_curves(drawn):
 
 
 def test_a_noise_floor_does_not_strike_out_the_number_of_a_bar():
-    channel = {"before": 0.3, "after": 0.1, "noise_floor": 0.105, "unit": "m/s^2"}
-    (ax,) = trace_figures.residuals({"imu_accel": channel}).axes
+    level = ChannelLevel(0.3, 0.1, 0.105, "m/s^2")
+    (ax,) = trace_figures.residuals({"imu_accel": level}).axes
     (floor,) = ax.get_lines()
     assert ax.get_ylabel() == "RMS [m/s²]"
     assert len(ax.texts) == 2
@@ -179,8 +181,8 @@ def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
 
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
-    channel = {"before": 0.3, "after": None, "noise_floor": None, "unit": "rad"}
-    assert png(trace_figures.residuals({f"channel_{k}": channel for k in range(6)}))
+    level = ChannelLevel(0.3, 0.1, None, "rad")
+    assert png(trace_figures.residuals(dict.fromkeys(list(channels())[:6], level)))
     assert png(trace_figures.residuals({}))
     assert png(trace_figures.candidate_gains({}))
     assert png(figures.trajectories(walk.log, {}))
