@@ -13,7 +13,7 @@ from scipy.stats import chi2
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import Metrics, path_length
-from surefoot.scenarios.datasets.index import slip_and_creep
+from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
@@ -210,26 +210,21 @@ def write_comparison(
         sections.append(
             Section(heading, _walk_prose(comparison), pictures=tuple(pictures.values()))
         )
-        if (walk := _recorded(comparison, ground)) is not None:
+        if comparison.drawn is not None:
+            drawn = [r for r in comparison.results if traits(r.filter).drawn]
+            walk = RecordedWalk(
+                comparison.log,
+                comparison.drawn,
+                {r.filter: r.trajectory for r in drawn},
+                comparison.prediction,
+                comparison.bounds,
+                ground,
+            )
             write_recording(out / f"{comparison.log.name}.rrd", walk)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
     write_report(out / "report.html", title, sections)
     return found
-
-
-def _recorded(comparison: Comparison, ground: Ground | None) -> RecordedWalk | None:
-    """What a recording shows of a comparison; None if there is nothing to draw it along."""
-    if comparison.drawn is None:
-        return None
-    return RecordedWalk(
-        comparison.log,
-        comparison.drawn,
-        {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
-        comparison.prediction,
-        comparison.bounds,
-        ground,
-    )
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
@@ -264,10 +259,11 @@ def _walk_prose(comparison: Comparison) -> str:
     if log.has("reference"):
         text += f", {path_length(log.t, log.ref_p):.1f} m"
     if log.has("truth"):
-        slipping, creep = slip_and_creep(log)
+        facts = walk_facts([log])
         text += (
-            f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * slipping:.1f} % of their "
-            f"samples; on dry ground they creep at {1e3 * creep:.2f} mm/s (median)"
+            f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * facts['slip_share']:.1f} % "
+            "of their samples; on dry ground they creep at "
+            f"{1e3 * facts['creep']:.2f} mm/s (median)"
         )
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon

@@ -7,7 +7,7 @@ gains a line as each walk ends; an interrupted run continues from it.
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
@@ -31,7 +31,7 @@ from surefoot.sim.common.files import (
 )
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
-from surefoot.sim.log import Log, LogReader
+from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.walk import Fallen, Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
@@ -104,7 +104,7 @@ def _versions() -> dict[str, str]:
 def row_of(walked: Walked) -> IndexRow:
     """The row of a walk, without its file's hash."""
     log = walked.log
-    return row_with(walked.job, walked.plan, log if isinstance(log, Fallen) else walk_facts(log))
+    return row_with(walked.job, walked.plan, log if isinstance(log, Fallen) else walk_facts([log]))
 
 
 def row_with(job: Job, made: Plan, found: dict[str, float] | Fallen) -> IndexRow:
@@ -141,37 +141,16 @@ def _drawn(made: Plan) -> dict[str, float]:
     }
 
 
-def walk_facts(log: Log) -> dict[str, float]:
-    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `IndexRow`."""
-    slip_share, creep = slip_and_creep(log)
-    return {
-        "duration": float(log.t[-1]),
-        "length": path_length(log.t, log.ref_p),
-        "slip_share": slip_share,
-        "creep": creep,
-    }
+def walk_facts(pieces: Iterable[Log]) -> dict[str, float]:
+    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `IndexRow`, of a
+    log in pieces.
 
-
-def slip_and_creep(log: Log) -> tuple[float, float]:
-    """Share of the loaded feet's samples that slip, and median speed [m/s] of feet loaded on dry
-    ground; NaN where there are none.
-    """
-    slip = log.slip
-    loaded = slip > 0.0
-    dry = slip[loaded & (log.mu >= DRY)]
-    share = float((slip[loaded] > SLIPPING).mean()) if loaded.any() else np.nan
-    return share, float(np.median(dry)) if dry.size else np.nan
-
-
-def facts_of_file(reader: LogReader) -> dict[str, float]:
-    """`walk_facts` of a file that is read a minute at a time.
-
-    Each minute's path is sampled separately, and the creep is the weighted median of the minutes',
-    by their loaded samples.
+    The path of each piece is sampled separately, and the creep is the weighted median of the
+    pieces', by their loaded samples. NaN where no foot is loaded, or none on dry ground.
     """
     loaded = slipping = 0.0
     length, duration, creeps, weights = 0.0, 0.0, [], []
-    for log in Log.chunks(reader, MINUTE):
+    for log in pieces:
         slip = log.slip
         dry = slip[(slip > 0.0) & (log.mu >= DRY)]
         loaded, slipping = loaded + (slip > 0.0).sum(), slipping + (slip > SLIPPING).sum()
@@ -184,7 +163,7 @@ def facts_of_file(reader: LogReader) -> dict[str, float]:
     return {
         "duration": duration,
         "length": length,
-        "slip_share": slipping / loaded if loaded else np.nan,
+        "slip_share": float(slipping / loaded) if loaded else np.nan,
         "creep": creeps[order[np.searchsorted(upto, 0.5 * upto[-1])]] if creeps else np.nan,
     }
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from surefoot.scenarios.datasets.cluster import walk_on_cluster
 from surefoot.scenarios.datasets.index import (
     INDEX_FOLDER,
+    MINUTE,
     IndexRow,
     Journal,
-    facts_of_file,
     fall_path,
     log_name,
     recipe,
@@ -148,7 +148,8 @@ def walk_and_save(
                 raise fall
     except Fallen as error:
         return row_with(job, made, error)
-    return with_hash(row_with(job, made, facts_of_file(LogReader(path))), path)
+    facts = walk_facts(Log.chunks(LogReader(path), MINUTE))
+    return with_hash(row_with(job, made, facts), path)
 
 
 def save_walk(walked: Walked, folder: Path, force: bool) -> IndexRow:
@@ -243,7 +244,7 @@ def _done(journal: Journal, job: Job) -> bool:
     if found != (job.scenario.name, made.robot.name, job.seed, declared):
         refuse_overwrite(path, False)
     long = reader.rows / meta.rate > LONG_WALK
-    facts = facts_of_file(reader) if long else walk_facts(Log.read(path))
+    facts = walk_facts(Log.chunks(reader, MINUTE) if long else [Log.read(path)])
     journal.add(with_hash(row_with(job, made, facts), path))
     return True
 

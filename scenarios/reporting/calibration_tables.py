@@ -158,21 +158,19 @@ def percent(share) -> str:
 
 def case_table(walks: Sequence[CalibratedWalk]) -> pd.DataFrame:
     """Coverage by case, over all test walks, and the walk on which each case is covered least."""
-    found: dict[tuple[str, str], list[tuple[str, int, CaseCoverage]]] = {}
-    for walk in walks:
-        if walk.role != "test" or not len(walk.errors):
-            continue
+    found: dict[tuple[str, str], list[tuple[CalibratedWalk, CaseCoverage]]] = {}
+    tests = [walk for walk in walks if walk.role == "test" and len(walk.errors)]
+    for walk in tests:
         for case in coverage_by(walk.log, walk.rows, walk.errors, walk.bounds):
-            entry = (walk.log.name, round(case.time * len(walk.errors)), case)
-            found.setdefault((case.split, case.case), []).append(entry)
-    total = sum(len(walk.errors) for walk in walks if walk.role == "test")
+            found.setdefault((case.split, case.case), []).append((walk, case))
+    total = sum(len(walk.errors) for walk in tests)
     rows: list[dict[str, object]] = []
     for (split, name), entries in found.items():
-        counts = np.array([count for _, count, _ in entries])
-        joint = float(counts @ np.array([case.joint for *_, case in entries]) / counts.sum())
-        low, high = binomial_interval(joint, sum(case.n for *_, case in entries))
-        counted = [e for e in entries if e[2].n >= 5] or entries
-        worst = min(counted, key=lambda entry: entry[2].joint)
+        counts = np.array([round(case.time * len(walk.errors)) for walk, case in entries])
+        joint = float(counts @ np.array([case.joint for _, case in entries]) / counts.sum())
+        low, high = binomial_interval(joint, sum(case.n for _, case in entries))
+        counted = [(walk, case) for walk, case in entries if case.n >= 5] or entries
+        walk, worst = min(counted, key=lambda entry: entry[1].joint)
         rows.append(
             {
                 "split": split,
@@ -180,7 +178,7 @@ def case_table(walks: Sequence[CalibratedWalk]) -> pd.DataFrame:
                 "time [%]": percent(counts.sum() / total),
                 "coverage [%]": percent(joint),
                 "95 % interval": f"{100 * low:.0f}–{100 * high:.0f}",
-                "worst walk": f"{worst[0]} {100 * worst[2].joint:.0f} %",
+                "worst walk": f"{walk.log.name} {100 * worst.joint:.0f} %",
             }
         )
     return pd.DataFrame(rows)
