@@ -27,7 +27,6 @@ from surefoot.scenarios.reporting.figures import (
     velocity_figure,
 )
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
-from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
 from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
@@ -204,12 +203,8 @@ def write_comparison(
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
-        for name, picture in pictures.items():
-            save_png(picture.figure, out / "figures" / f"{comparison.log.name}_{name}.png")
         heading = f"The log '{comparison.log.name}'"
-        sections.append(
-            Section(heading, _walk_prose(comparison), pictures=tuple(pictures.values()))
-        )
+        sections.append(Section(heading, _walk_prose(comparison), pictures=tuple(pictures)))
         if comparison.drawn is not None:
             drawn = [r for r in comparison.results if traits(r.filter).drawn]
             walk = RecordedWalk(
@@ -277,35 +272,38 @@ def _walk_prose(comparison: Comparison) -> str:
     return text + "."
 
 
-def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Picture]:
+def _pictures(comparison: Comparison, ground: Ground | None) -> list[Picture]:
     if not (comparison.log.has("reference") and comparison.results):
-        return {}
+        return []
     truth = reference(comparison.log)
     shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
     patches, fields = (ground.patches, ground.fields) if ground else ((), ())
-    pictures = {
-        "trajectories": Picture(
+    files = f"figures/{comparison.log.name}"
+    pictures = [
+        Picture(
             trajectories(comparison.log, errors, patches, fields),
             "The walk from above: truth and every estimate, aligned at the start.",
+            f"{files}_trajectories.png",
         ),
-        "height": Picture(
+        Picture(
             height_figure(comparison.log, errors),
             "Height over time: no sensor on board measures it, so every filter drifts.",
+            f"{files}_height.png",
         ),
-        "position_error": Picture(
+        Picture(
             position_error(errors),
             "Distance from the truth, and the three sigma each filter claims for itself.",
+            f"{files}_position_error.png",
         ),
-    }
+    ]
     prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
     if prediction is not None and bounds is not None and robot is not None:
-        pictures["velocity"] = Picture(
-            velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI)),
-            "Body velocity: the observer's prediction, its calibrated bounds, and the truth.",
-        )
+        velocity = velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI))
+        words = "Body velocity: the observer's prediction, its calibrated bounds, and the truth."
+        pictures.append(Picture(velocity, words, f"{files}_velocity.png"))
     return pictures
 
 

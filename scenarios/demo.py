@@ -148,8 +148,8 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
     pictures = ()
     if bounds.mixing is not None:
         caption = "Correlation of errors over time: calibration samples are taken K steps apart."
-        pictures = (Picture(mixing_curve(bounds.mixing), caption),)
-        save_png(pictures[0].figure, out / "figures" / "observer_mixing.png")
+        file = "figures/observer_mixing.png"
+        pictures = (Picture(mixing_curve(bounds.mixing), caption, file),)
     learning = Section(
         "The observer and its bounds",
         f"Trained on one walk; calibrated on another at joint level {bounds.gamma:g} with "

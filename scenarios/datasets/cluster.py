@@ -22,8 +22,8 @@ def walk_on_cluster(
     address: str,
     jobs: Sequence[Job],
     folder: Path,
-    force: bool = False,
-    progress: Callable[[float], None] | None = None,
+    force: bool,
+    progress: Callable[[float], None],
 ) -> Iterator[IndexRow]:
     """Run walks on the scheduler at `address`; yields rows as their files are written here.
 
@@ -47,8 +47,7 @@ def walk_on_cluster(
             with whole_file(path, force or bool(row.falls)) as temporary:
                 temporary.write_bytes(content)
         yield row
-        if progress:
-            progress(done / len(jobs))
+        progress(done / len(jobs))
 
 
 def run_on_cluster(

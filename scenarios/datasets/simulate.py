@@ -4,7 +4,7 @@ resumed.
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -68,7 +68,7 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     if settings.undeclared and not chosen:
         raise SurefootError("undeclared: needs effects")
     seeds = seed_range(settings.seeds)
-    jobs = _jobs(settings.scenarios, settings.robot, seeds, chosen, not settings.undeclared)
+    jobs = _jobs(settings, seeds, chosen)
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
             print(_without_imu(name))
@@ -171,32 +171,19 @@ def _without_imu(robot: str) -> str:
     return f"note: {robot}: its model has no IMU, so the base frame is used instead; {how}"
 
 
-def _jobs(
-    scenarios: Sequence[str | Path],
-    robot: str | None,
-    seeds: range,
-    effects: tuple[Effect, ...],
-    declared: bool,
-) -> list[Job]:
-    """The walks of a dataset: each scenario with each seed.
-
-    Args:
-        scenarios: files or bundled names.
-        robot: its name, or None for each scenario's own.
-        seeds: of the walks.
-        effects: injected into every walk.
-        declared: whether the logs list them.
-    """
-    if not scenarios:
+def _jobs(settings: SimulateSettings, seeds: range, effects: tuple[Effect, ...]) -> list[Job]:
+    """The walks of a dataset: each scenario with each seed, with these effects."""
+    if not settings.scenarios:
         raise SurefootError("give at least one scenario: a file, or a bundled name")
     jobs = []
-    check_limit("walks", len(seeds) * len(scenarios), "walks")
-    for path in scenarios:
+    check_limit("walks", len(seeds) * len(settings.scenarios), "walks")
+    for path in settings.scenarios:
         scenario = Scenario.load(path)
-        name = robot or scenario.robot
+        name = settings.robot or scenario.robot
         if not name:
             raise SurefootError(f"scenario {path}: names no robot: say which")
         known_robot(name)
+        declared = not settings.undeclared
         jobs += [Job(scenario, name, seed, effects, declared) for seed in seeds]
     for name, count in Counter(map(log_name, jobs)).items():
         if count > 1:

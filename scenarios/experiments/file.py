@@ -279,16 +279,11 @@ class _ConditionTable:
 
     def condition(self, folder: Path) -> Condition:
         """Load the files that it names, relative to the experiment's folder."""
+        effects = load_effects(folder / self.effects) if self.effects else ()
         drawn = load_imperfections(folder / self.imperfections) if self.imperfections else ()
-        return Condition(
-            self.name,
-            self.words,
-            load_effects(folder / self.effects) if self.effects else (),
-            self.declared,
-            drawn,
-            tuple(self.sensors.items()),
-            load_as_walked(folder / self.walked) if self.walked else None,
-        )
+        walked = load_as_walked(folder / self.walked) if self.walked else None
+        sensors = tuple(self.sensors.items())
+        return Condition(self.name, self.words, effects, self.declared, drawn, sensors, walked)
 
 
 @dataclass(frozen=True)

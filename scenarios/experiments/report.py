@@ -41,7 +41,6 @@ from surefoot.scenarios.reporting.html import (
     write_report,
 )
 from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
@@ -89,7 +88,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         for name, recording in outcome.recordings.items():
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
-        pages = report_sections(rows, outcome, found, made)
+        pages = report_sections(rows, outcome, found)
         write_whole(made / "report.md", markdown_report(found.title, pages))
         write_report(made / "report.html", found.title, pages)
     if settings.page:
@@ -123,9 +122,7 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
             write_whole(out / f"{name}.md", to_markdown(table) + "\n")
 
 
-def report_sections(
-    rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path
-) -> list[Section]:
+def report_sections(rows: pd.DataFrame, outcome: Outcome, found: Experiment) -> list[Section]:
     """Sections of the report: averages, findings, errors by sequence, consistency, sweep, paths,
     rows.
     """
@@ -143,18 +140,16 @@ def report_sections(
     if found.published:
         pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
-    for name, picture in pictures.items():
-        save_png(picture.figure, out / "figures" / f"{name}.png")
-    pages.append(Section("Errors and consistency by sequence", "", None, tuple(pictures.values())))
+    pages.append(Section("Errors and consistency by sequence", pictures=tuple(pictures)))
     swept = sweep(rows, found)
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
         picture = Picture(
             gamma_sweep(swept, "Influence of γ, on average over the test sequences"),
             "Bounds are calibrated for each γ; filters without bounds do not depend on it.",
+            "figures/gamma.png",
         )
-        save_png(picture.figure, out / "figures" / "gamma.png")
         pages.append(Section("The level γ", "", swept, (picture,)))
-    pages += _walks(outcome, found, out)
+    pages += _walks(outcome, found)
     for condition in found.conditions:
         part = main[main["condition"] == condition.name]
         text = "Test sequences in bold. Mean ± standard deviation over seeds."
@@ -204,57 +199,59 @@ def _published(name: str) -> list[Section]:
     ]
 
 
-def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
+def _pictures(main: pd.DataFrame, gamma: float) -> list[Picture]:
     shown = pd.DataFrame(main[[traits(name).drawn for name in main["filter"]]])
     band = (NOMINAL / FACTOR, NOMINAL * FACTOR)
-    pictures = {
-        "ape": Picture(
+    pictures = [
+        Picture(
             by_sequence(shown, "APE_trans [m]", "Position error by sequence"),
             "One dot per seed; the bar is their mean. Test sequences are in bold.",
+            "figures/ape.png",
         ),
-        "ape_rot": Picture(
+        Picture(
             by_sequence(shown, "APE_rot [deg]", "Attitude error by sequence"),
             "The same for the attitude.",
+            "figures/ape_rot.png",
         ),
-        "nees": Picture(
+        Picture(
             by_sequence(shown, "NEES_pos", "Consistency: NEES of position", band),
             "The grey band is within a factor of two of 3. A filter to the right of it is "
             "overconfident, one to the left underconfident.",
+            "figures/nees.png",
         ),
-    }
+    ]
     if shown["coverage [%]"].notna().any():
         title = "Share of velocity errors within the bounds"
-        pictures["coverage"] = Picture(
-            by_sequence(shown, "coverage [%]", title, (100.0 * gamma, 100.0), log=False),
-            "Bounds are calibrated on one sequence to a coverage of γ or more: the grey band.",
-        )
+        figure = by_sequence(shown, "coverage [%]", title, (100.0 * gamma, 100.0), log=False)
+        words = "Bounds are calibrated on one sequence to a coverage of γ or more: the grey band."
+        pictures.append(Picture(figure, words, "figures/coverage.png"))
     return pictures
 
 
-def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
+def _walks(outcome: Outcome, found: Experiment) -> list[Section]:
     """Paths of every sequence and errors over time, for the first seed, by condition."""
     pages = []
     for condition in found.conditions:
         series = _series(outcome, condition.name, found)
-        pictures = []
-        for name, by_filter in series.items():
-            picture = Picture(
+        if not series:
+            continue
+        what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
+        errors = Picture(
+            errors_figure(series, f"{condition.name}: {what}"),
+            f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "
+            "overconfident.",
+            f"figures/errors_{_slug(condition.name)}.png",
+        )
+        pictures = [
+            Picture(
                 paths(by_filter, f"{name}, {condition.name}"),
                 f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start. "
                 "Estimates ten times as far off as the best leave the panels.",
+                f"figures/{name}_{_slug(condition.name)}.png",
             )
-            save_png(picture.figure, out / "figures" / f"{name}_{_slug(condition.name)}.png")
-            pictures.append(picture)
-        if series:
-            what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
-            title = f"{condition.name}: {what}"
-            picture = Picture(
-                errors_figure(series, title),
-                f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "
-                "overconfident.",
-            )
-            save_png(picture.figure, out / "figures" / f"errors_{_slug(condition.name)}.png")
-            pages.append(Section(PATHS + condition.name, "", None, (picture, *pictures)))
+            for name, by_filter in series.items()
+        ]
+        pages.append(Section(PATHS + condition.name, "", None, (errors, *pictures)))
     return pages
 
 

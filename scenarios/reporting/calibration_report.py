@@ -19,7 +19,6 @@ from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.observer_errors import error_section
 from surefoot.scenarios.reporting.observer_figures import mixing_curve
 from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.sim.common.files import write_whole
 from surefoot.sim.common.progress import bar as drawn_bar
@@ -59,8 +58,7 @@ def write_calibration_report(
             write_whole(out / f"{name}.csv", to_csv(table))
     pictures = ()
     if bounds.mixing is not None:
-        pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION),)
-        save_png(pictures[0].figure, out / "mixing.png")
+        pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION, "mixing.png"),)
     # In the frame of that log's IMU.
     epsilon = first.bounds.epsilon
     sections = [

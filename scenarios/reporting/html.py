@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from surefoot.scenarios.reporting.plotting import png
+from surefoot.scenarios.reporting.plotting import png, save_png
 from surefoot.scenarios.reporting.tables import Table, to_html, to_markdown
 from surefoot.sim.common.files import bundled, write_whole
 
@@ -17,10 +17,13 @@ _STYLE = bundled("surefoot.scenarios.reporting", "report.css")
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure (or the bytes of a PNG), and its caption."""
+    """A figure (or the bytes of a PNG), its caption, and the path, relative to the report, of a PNG
+    to save besides; "" for none.
+    """
 
     figure: Figure | bytes
     caption: str
+    file: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,15 @@ def nested(sections: Sequence[Section]) -> list[Section]:
 def write_report(
     path: str | Path, title: str, sections: Sequence[Section], force: bool = False
 ) -> None:
-    """Write the sections as a self-contained HTML page; all text is escaped.
+    """Write the sections as a self-contained HTML page, and their pictures that have a file; all
+    text is escaped.
 
-    Raises SurefootError where `path` exists and `force` is not given, or cannot be written.
+    Raises SurefootError where a file exists and `force` is not given, or cannot be written.
     """
-    text = html_report(title, sections)
-    write_whole(path, text, force)
+    write_whole(path, html_report(title, sections), force)
+    for picture in (picture for section in sections for picture in section.pictures):
+        if picture.file:
+            save_png(picture.figure, Path(path).parent / picture.file, force)
 
 
 def html_report(title: str, sections: Sequence[Section]) -> str:

@@ -163,9 +163,8 @@ def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> RunVaria
         return None
     protect(file)
     said = bounded_json(file, "trace")
-    if not isinstance(said, dict) or not _found(said.get("effects"), declared):
-        return None
-    if "unchanged" not in said:
+    known = isinstance(said, dict) and "unchanged" in said
+    if not known or not _found(said.get("effects"), declared):
         return None
     try:
         one = said["unchanged"]
