@@ -15,8 +15,7 @@ from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.first_use import compile_filters
 from surefoot.scenarios.reporting.html import Picture, Section, nested
-from surefoot.scenarios.reporting.observer_errors import error_section
-from surefoot.scenarios.reporting.observer_figures import mixing_curve
+from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown

@@ -84,11 +84,12 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     outcome = run(found, folder, settings.workers, not settings.no_recordings, settings.data)
     rows = tidy(outcome)
     with whole_folder(out, force=True) as made:
-        write_tables(rows, found, made)
+        tables = _tables(rows, found)
+        write_tables(tables, made)
         for name, recording in outcome.recordings.items():
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
-        pages = report_sections(rows, outcome, found)
+        pages = report_sections(tables, outcome, found)
         write_whole(made / "report.md", markdown_report(found.title, pages))
         write_report(made / "report.html", found.title, pages)
     if settings.page:
@@ -96,7 +97,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
         write_page(settings.page, found.title, kept, origin_of(__name__, command))
-    print("\n" + to_markdown(averages(shown_first(rows, found))))
+    print("\n" + to_markdown(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
     for cell, result in outcome.cells.items():
@@ -106,42 +107,49 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     return rows
 
 
-def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
-    """Write results.csv and .parquet with every row, and the tables that the report shows."""
-    with whole_file(out / "results.parquet") as temporary:
-        rows.to_parquet(temporary, index=False)
+def _tables(rows: pd.DataFrame, found: Experiment) -> dict[str, pd.DataFrame]:
+    """All rows as "results", and the tables that the report shows."""
     main = shown_first(rows, found)
     tables = {"results": rows, "averages": averages(main), "sweep": sweep(rows, found)}
     tables["learning"] = by_learning(rows, found)
     for condition in found.conditions:
         part = main[main["condition"] == condition.name]
         tables[f"sequences_{_slug(condition.name)}"] = per_sequence(part)
+    return tables
+
+
+def write_tables(tables: Mapping[str, pd.DataFrame], out: Path) -> None:
+    """Write results.csv and .parquet with every row, and the tables that the report shows."""
+    with whole_file(out / "results.parquet") as temporary:
+        tables["results"].to_parquet(temporary, index=False)
     for name, table in tables.items():
         write_whole(out / f"{name}.csv", to_csv(table))
         if name != "results" and len(table):
             write_whole(out / f"{name}.md", to_markdown(table) + "\n")
 
 
-def report_sections(rows: pd.DataFrame, outcome: Outcome, found: Experiment) -> list[Section]:
+def report_sections(
+    tables: Mapping[str, pd.DataFrame], outcome: Outcome, found: Experiment
+) -> list[Section]:
     """Sections of the report: averages, findings, errors by sequence, consistency, sweep, paths,
     rows.
     """
+    rows, shown, learnt, swept = (
+        tables[name] for name in ("results", "averages", "learning", "sweep")
+    )
     main = shown_first(rows, found)
-    shown = averages(main)
     shown = shown.drop(columns=[c for c in ("condition", "robot") if shown[c].nunique() == 1])
     pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
     pages += [
         Section(f"Findings: {name}", "\n\n".join(filter(None, (text, falls(outcome, name)))))
         for name, text in findings(main, found)
     ]
-    learnt = by_learning(rows, found)
     if len(learnt):
         pages.append(Section("Inputs of observers, and calibration methods", LEARNT, learnt))
     if found.published:
         pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
     pages.append(Section("Errors and consistency by sequence", pictures=tuple(pictures)))
-    swept = sweep(rows, found)
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
         picture = Picture(
             gamma_sweep(swept, "Influence of γ, on average over the test sequences"),
@@ -151,9 +159,9 @@ def report_sections(rows: pd.DataFrame, outcome: Outcome, found: Experiment) -> 
         pages.append(Section("The level γ", "", swept, (picture,)))
     pages += _walks(outcome, found)
     for condition in found.conditions:
-        part = main[main["condition"] == condition.name]
         text = "Test sequences in bold. Mean ± standard deviation over seeds."
-        pages.append(Section(f"Every sequence: {condition.name}", text, per_sequence(part)))
+        table = tables[f"sequences_{_slug(condition.name)}"]
+        pages.append(Section(f"Every sequence: {condition.name}", text, table))
     pages.append(Section("How to read the tables", "", _glossary(main, outcome)))
     return pages
 

@@ -84,14 +84,8 @@ def label_decades(axis: Axis) -> None:
     """
     low, high = axis.get_view_interval()
     decades = float(np.log10(high / low))
-    if decades <= 1.0:
-        steps = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-    elif decades <= 1.5:
-        steps = (1.0, 2.0, 5.0)
-    elif decades <= 3.0:
-        steps = (1.0, 3.0)
-    else:
-        steps = (1.0,)
+    fine = {1.0: (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), 1.5: (1.0, 2.0, 5.0), 3.0: (1.0, 3.0)}
+    steps = next((labels for most, labels in fine.items() if decades <= most), (1.0,))
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

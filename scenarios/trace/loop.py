@@ -29,9 +29,9 @@ from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.pages import check_page
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace.gait_choice import GaitChoice, choose_gait
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import ErrorParts, error_parts, learnt_from_measured
+from surefoot.scenarios.trace.realism import GaitChoice, choose_gait
 from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,

@@ -21,8 +21,8 @@ from surefoot.scenarios.reporting.html import Picture, Section, nested, write_re
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace.gait_choice import GaitChoice
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, recalibrated
+from surefoot.scenarios.trace.realism import GaitChoice
 from surefoot.scenarios.trace.report import channel_row
 from surefoot.scenarios.trace.words import caution
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording

@@ -17,7 +17,7 @@ from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
-from surefoot.scenarios.reporting import figures, observer_figures
+from surefoot.scenarios.reporting import figures, observer_errors
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
 from surefoot.scenarios.trace import figures as trace_figures
@@ -50,10 +50,10 @@ def drawn(walk, errors) -> dict[str, Figure]:
         "height": figures.height_figure(walk.log, errors),
         "velocity": figures.velocity_figure(walk.log, walk.prediction, walk.bounds.epsilon),
         "error": figures.position_error(errors),
-        "distributions": observer_figures.error_distributions(
+        "distributions": observer_errors.error_distributions(
             train, test, walk.bounds.epsilon, walk.bounds.gamma
         ),
-        "mixing": observer_figures.mixing_curve(mixing(train)),
+        "mixing": observer_errors.mixing_curve(mixing(train)),
         "residuals": trace_figures.residuals({"leg_velocity": level}),
         "gains": trace_figures.candidate_gains({"a": (0.5, 0.4, 0.6), "b": (0.1, 0.0, 0.2)}, ["a"]),
     }
@@ -207,7 +207,7 @@ def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
 def test_the_mixing_figure_shows_the_curve_and_where_k_was_read_from_it():
     x = np.cumsum(np.random.default_rng(2).normal(size=(3000, 3)), axis=0) % 7.0
     curve = mixing(x)
-    ax = observer_figures.mixing_curve(curve).axes[0]
+    ax = observer_errors.mixing_curve(curve).axes[0]
     lines = {str(line.get_label()): np.asarray(line.get_xydata()) for line in ax.get_lines()}
     drawn = [line for line in lines.values() if len(line) == len(curve.lags)]
     for k in range(3):

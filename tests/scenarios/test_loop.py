@@ -13,10 +13,10 @@ from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace import gait_choice, training_walks
-from surefoot.scenarios.trace.gait_choice import choose_gait
+from surefoot.scenarios.trace import realism, training_walks
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, split_errors
+from surefoot.scenarios.trace.realism import choose_gait
 from surefoot.scenarios.trace.training_walks import (
     TrainingPlan,
     TrainingWalks,
@@ -174,7 +174,7 @@ def test_the_gait_that_is_more_like_the_logs_is_taken(robot, log, monkeypatch):
         rows = SimpleNamespace(counts={"like": like, "unlike": unlike}, rows=())
         return SimpleNamespace(words=simulating.words, card=rows)
 
-    monkeypatch.setattr(gait_choice, "compare_walks", compared)
+    monkeypatch.setattr(realism, "compare_walks", compared)
     choice = choose_gait(log, robot, (), 0)
     assert choice.gait == load_as_walked().gait
     assert "9 quantities like the log's and 17 unlike" in choice.words
