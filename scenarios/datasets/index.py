@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -101,14 +101,17 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("surefoot", "mujoco", "numpy", "numba")}
 
 
-def row_of(walked: Walked) -> IndexRow:
-    """The row of a walk, without its file's hash."""
+def row_of(walked: Walked, path: Path | None = None) -> IndexRow:
+    """The row of a walk, whose log is at `path` if it is written."""
     log = walked.log
-    return row_with(walked.job, walked.plan, log if isinstance(log, Fallen) else walk_facts([log]))
+    found = log if isinstance(log, Fallen) else walk_facts([log])
+    return row_with(walked.job, walked.plan, found, path)
 
 
-def row_with(job: Job, made: Plan, found: dict[str, float] | Fallen) -> IndexRow:
-    """The row of a walk from its facts (`walk_facts`), or from its fall."""
+def row_with(
+    job: Job, made: Plan, found: dict[str, float] | Fallen, path: Path | None = None
+) -> IndexRow:
+    """The row of a walk from its facts (`walk_facts`), or from its fall, with its log's hash."""
     fall = found if isinstance(found, Fallen) else None
     numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
     return IndexRow(
@@ -121,7 +124,7 @@ def row_with(job: Job, made: Plan, found: dict[str, float] | Fallen) -> IndexRow
         falls=int(fall is not None),
         fell_at=fall.time if fall else np.nan,
         **(numbers if isinstance(found, Fallen) else found),
-        sha256="",
+        sha256=file_digest(path) if path else "",
         recipe=recipe(job),
         fall=fall.how if fall else "",
     )
@@ -208,11 +211,6 @@ def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
         frame.to_parquet(temporary, index=False)
     write_whole(path.with_name("README.md"), card(frame), force=True)
     return path
-
-
-def with_hash(row: IndexRow, path: Path) -> IndexRow:
-    """The row with the hash of its log."""
-    return replace(row, sha256=file_digest(path))
 
 
 def card(rows: pd.DataFrame) -> str:

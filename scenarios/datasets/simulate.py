@@ -20,7 +20,6 @@ from surefoot.scenarios.datasets.index import (
     row_of,
     row_with,
     walk_facts,
-    with_hash,
     write_index,
 )
 from surefoot.scenarios.reporting.progress import percent_bar
@@ -149,19 +148,18 @@ def walk_and_save(
     except Fallen as error:
         return row_with(job, made, error)
     facts = walk_facts(Log.chunks(LogReader(path), MINUTE))
-    return with_hash(row_with(job, made, facts), path)
+    return row_with(job, made, facts, path)
 
 
 def save_walk(walked: Walked, folder: Path, force: bool) -> IndexRow:
     """Write the log of a walk, named as in its row, up to a fall if any; returns the row."""
-    row = row_of(walked)
     if isinstance(walked.log, Fallen):
         if log := fallen_log(walked.plan, walked.log):
             log.write(fall_path(folder, walked.job), force=True)
-        return row
-    path = folder / row.file
+        return row_of(walked)
+    path = folder / f"{log_name(walked.job)}.parquet"
     walked.log.write(path, force)
-    return with_hash(row, path)
+    return row_of(walked, path)
 
 
 def _without_imu(robot: str) -> str:
@@ -232,7 +230,7 @@ def _done(journal: Journal, job: Job) -> bool:
         refuse_overwrite(path, False)
     long = reader.rows / meta.rate > LONG_WALK
     facts = walk_facts(Log.chunks(reader, MINUTE) if long else [Log.read(path)])
-    journal.add(with_hash(row_with(job, made, facts), path))
+    journal.add(row_with(job, made, facts, path))
     return True
 
 

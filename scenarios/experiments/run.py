@@ -300,17 +300,10 @@ def _record(
         walks: log of each cell.
         learnt: files of observers and bounds of each group of cells.
     """
-    tasks = {}
+    tasks, filters, gamma = {}, experiment.filters, experiment.gammas[0]
     for cell, walk in walks.items():
         if not walk.facts["falls"]:
             files = learnt[cell.group][experiment.learning]
-            tasks[cell.title(experiment)] = (
-                make_recording,
-                folder,
-                walk,
-                cell.job,
-                files,
-                experiment.filters,
-                experiment.gammas[0],
-            )
+            task = (make_recording, folder, walk, cell.job, files, filters, gamma)
+            tasks[cell.title(experiment)] = task
     return stage(pool, "recordings", tasks)

@@ -208,10 +208,9 @@ def _learnt(
         calibration = rates_as_of(calibration, log)
         how = replace(plan.training, inputs=inputs_of(log), seed=seed)
         learnt = learn(training, calibration, out, how, force=True)
-        _write(out / "errors.json", error_parts(learnt.observers[0], calibration).rms)
+        _write(out / "errors.json", error_parts(learnt.observers[0], calibration))
         done.touch()
-    simulated = ErrorParts(json.loads((out / "errors.json").read_text(encoding="utf-8")))
-    return learnt_in(out), simulated
+    return learnt_in(out), json.loads((out / "errors.json").read_text(encoding="utf-8"))
 
 
 def _from_measured(

@@ -21,7 +21,13 @@ from surefoot.scenarios.reporting.html import Picture, Section, nested, write_re
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, recalibrated
+from surefoot.scenarios.trace.observer_errors import (
+    ERROR_PARTS,
+    ErrorParts,
+    excess,
+    parts_table,
+    recalibrated,
+)
 from surefoot.scenarios.trace.realism import GaitChoice
 from surefoot.scenarios.trace.report import channel_row
 from surefoot.scenarios.trace.words import caution
@@ -123,8 +129,8 @@ def _of_observers(
     rows: list[dict[str, Any]] = []
     for world in worlds:
         row: dict[str, Any] = {"walks": world.name}
-        row["simulated [m/s]"] = _three(world.simulated.rms["moving"])
-        row["measured [m/s]"] = _three(world.measured.rms["moving"])
+        row["simulated [m/s]"] = _three(world.simulated["moving"])
+        row["measured [m/s]"] = _three(world.measured["moving"])
         rows.append(row | _bounds_row(world))
     if isinstance(trained_on_measured, str):
         words += f"\n\nNo observer was trained on the measured walk: {trained_on_measured}."
@@ -143,14 +149,14 @@ def _of_observers(
         "while the robot moves are the sum of these parts: "
     )
     parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items())
-    shares = last.simulated.excess(last.measured)
+    shares = excess(last.simulated, last.measured)
     parts += (
         ".\n\nShare of each part in the excess of the measured squared errors over the simulated "
         f"ones: {', '.join(f'{name} {100 * x:.0f} %' for name, x in shares.items())}."
     )
     return [
         Section("Observers, simulated and measured", words, pd.DataFrame(rows)),
-        Section("Parts of the errors", parts, last.simulated.table(last.measured)),
+        Section("Parts of the errors", parts, parts_table(last.simulated, last.measured)),
     ]
 
 
@@ -213,7 +219,7 @@ def _summary(world: LoopWorld) -> dict[str, Any]:
     }
     return {
         "effects": [e.as_dict() for e in world.effects],
-        "observer_errors": {"simulated": world.simulated.rms, "measured": world.measured.rms},
+        "observer_errors": {"simulated": world.simulated, "measured": world.measured},
         "coverage": {name: held.joint for name, held in world.comparison.held.items()},
         "filters": filters,
     }
