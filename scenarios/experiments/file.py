@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from zlib import crc32
 
 import msgspec
@@ -178,6 +178,12 @@ class Experiment(Grid):
         inputs = dict.fromkeys((self.learning.inputs, *self.further.inputs))
         methods = dict.fromkeys((self.learning.method, *self.further.methods))
         return tuple(replace(self.learning, inputs=i, method=m) for i in inputs for m in methods)
+
+    @property
+    def first(self) -> dict[str, Any]:
+        """Gamma, inputs and method that the main tables show."""
+        one = self.learning
+        return {"gamma": self.gammas[0], "inputs": one.inputs, "method": one.method}
 
     def filters_of(self, learning: Learning) -> tuple[str, ...]:
         """The filters to run with a learning: all with the first, else those that it affects.

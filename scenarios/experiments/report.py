@@ -26,12 +26,10 @@ from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
     TABLE_MEANINGS,
-    averages,
-    by_learning,
-    per_sequence,
     published,
+    report_tables,
     shown_first,
-    sweep,
+    slug,
     tidy,
 )
 from surefoot.scenarios.reporting.html import (
@@ -84,7 +82,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     outcome = run(found, folder, settings.workers, not settings.no_recordings, settings.data)
     rows = tidy(outcome)
     with whole_folder(out, force=True) as made:
-        tables = _tables(rows, found)
+        tables = report_tables(rows, found)
         write_tables(tables, made)
         for name, recording in outcome.recordings.items():
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
@@ -105,17 +103,6 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
             print(f"fell: {cell.scenario.name}, {cell.condition.name}, seed {cell.seed}")
     print(f"\nreport: {out / 'report.html'}")
     return rows
-
-
-def _tables(rows: pd.DataFrame, found: Experiment) -> dict[str, pd.DataFrame]:
-    """All rows as "results", and the tables that the report shows."""
-    main = shown_first(rows, found)
-    tables = {"results": rows, "averages": averages(main), "sweep": sweep(rows, found)}
-    tables["learning"] = by_learning(rows, found)
-    for condition in found.conditions:
-        part = main[main["condition"] == condition.name]
-        tables[f"sequences_{_slug(condition.name)}"] = per_sequence(part)
-    return tables
 
 
 def write_tables(tables: Mapping[str, pd.DataFrame], out: Path) -> None:
@@ -160,7 +147,7 @@ def report_sections(
     pages += _walks(outcome, found)
     for condition in found.conditions:
         text = "Test sequences in bold. Mean ± standard deviation over seeds."
-        table = tables[f"sequences_{_slug(condition.name)}"]
+        table = tables[f"sequences_{slug(condition.name)}"]
         pages.append(Section(f"Every sequence: {condition.name}", text, table))
     pages.append(Section("How to read the tables", "", _glossary(main, outcome)))
     return pages
@@ -248,14 +235,14 @@ def _walks(outcome: Outcome, found: Experiment) -> list[Section]:
             errors_figure(series, f"{condition.name}: {what}"),
             f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "
             "overconfident.",
-            f"figures/errors_{_slug(condition.name)}.png",
+            f"figures/errors_{slug(condition.name)}.png",
         )
         pictures = [
             Picture(
                 paths(by_filter, f"{name}, {condition.name}"),
                 f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start. "
                 "Estimates ten times as far off as the best leave the panels.",
-                f"figures/{name}_{_slug(condition.name)}.png",
+                f"figures/{name}_{slug(condition.name)}.png",
             )
             for name, by_filter in series.items()
         ]
@@ -267,16 +254,15 @@ def _series(
     outcome: Outcome, condition: str, found: Experiment
 ) -> Mapping[str, Mapping[str, pd.DataFrame]]:
     series: dict[str, dict[str, pd.DataFrame]] = {}
-    first = found.gammas[0], found.learning.inputs, found.learning.method
     for cell, result in outcome.cells.items():
         if cell.condition.name != condition or cell.seed != found.seeds[0]:
             continue
         robots = found.robots_of(cell.scenario)
         name = cell.scenario.name + (f", {cell.robot}" if len(robots) > 1 else "")
         for one in result.estimates:
-            own = zip((one.gamma, one.inputs, one.method), first, strict=True)
             path = outcome.errors / one.errors
-            if all(a in (None, b) for a, b in own) and traits(one.filter).drawn and path.exists():
+            first = all(getattr(one, key) in (None, value) for key, value in found.first.items())
+            if first and traits(one.filter).drawn and path.exists():
                 series.setdefault(name, {})[one.filter] = pd.read_parquet(path)
     return series
 
@@ -285,7 +271,3 @@ def _glossary(main: pd.DataFrame, outcome: Outcome) -> list[dict[str, str]]:
     means = {name: estimator_named(name).description for name in main["filter"].unique()}
     means |= TABLE_MEANINGS | {f"{name}, left out": why for name, why in outcome.left_out.items()}
     return [{"": name, "means": text} for name, text in means.items()]
-
-
-def _slug(name: str) -> str:
-    return name.replace(" ", "_").replace("/", "_")

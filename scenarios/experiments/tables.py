@@ -73,11 +73,25 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def report_tables(rows: pd.DataFrame, found: Experiment) -> dict[str, pd.DataFrame]:
+    """All rows as "results", and the tables that the report shows."""
+    main = shown_first(rows, found)
+    tables = {"results": rows, "averages": averages(main), "sweep": sweep(rows, found)}
+    tables["learning"] = by_learning(rows, found)
+    for condition in found.conditions:
+        part = main[main["condition"] == condition.name]
+        tables[f"sequences_{slug(condition.name)}"] = per_sequence(part)
+    return tables
+
+
+def slug(name: str) -> str:
+    """A condition's name as part of a file's."""
+    return name.replace(" ", "_").replace("/", "_")
+
+
 def shown_first(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Rows of the first gamma, inputs and method, and those of filters without these."""
-    first = {"gamma": experiment.gammas[0]}
-    first |= {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
-    return _of(rows[rows["filter"].notna()], first)
+    return _of(rows[rows["filter"].notna()], experiment.first)
 
 
 def _of(rows: pd.DataFrame, values: Mapping[str, object]) -> pd.DataFrame:
@@ -118,7 +132,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Averages over test sequences by gamma, for the seeds that were run at every gamma."""
     gammas = sorted({*experiment.gammas, *experiment.sweep.gammas})
     seeds = experiment.sweep.seeds or experiment.seeds
-    first = {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
+    first = {key: value for key, value in experiment.first.items() if key != "gamma"}
     mine = rows[rows["gamma"].notna() & (rows["role"] == "test") & rows["seed"].isin(seeds)]
     mine = _of(mine, first)
     found = []

@@ -55,7 +55,6 @@ RECIPE = "recipe.json"
 WORLDS = ("before", "effects", "after")
 HALF_WIDTH = 1.96
 """Half width of a normal distribution's 95 % interval, in standard deviations."""
-_MODULE = "surefoot.scenarios.trace.loop"
 
 
 def loop(
@@ -92,7 +91,7 @@ def loop(
     recipe = {
         "log": contents_digest(log),
         "robot": [robot.name, robot.digest],
-        "code": [sources_digest(_MODULE), candidates_digest()],
+        "code": [sources_digest(__name__), candidates_digest()],
         "seed": seed,
         "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],

@@ -34,7 +34,6 @@ WALKS_EACH = 3
 """Simulated walks in a comparison, each with a seed of its own."""
 REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 """Factors on the measured velocities, tried in turn until no simulated robot falls."""
-_MODULE = "surefoot.scenarios.trace.realism"
 TITLE = "Realism: a measured walk compared with simulated walks"
 REALISM_FILES = ("realism.json", "realism.csv", "drift.csv", "table.md", "report.html")
 DRIFT_WORDS = (
@@ -109,7 +108,7 @@ def realism(
         text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
         write_whole(folder / "realism.json", text + "\n")
     if settings.page:
-        write_page(settings.page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
+        write_page(settings.page, TITLE, parts, origin_of(__name__, "surefoot realism"))
     return tuple(found)
 
 

@@ -15,15 +15,7 @@ from surefoot.scenarios.estimate.estimators import shown_at_first, traits
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_all
 from surefoot.scenarios.reporting.palette import estimator_label
 from surefoot.scenarios.viewer.blueprint import EXPLANATION, layout
-from surefoot.scenarios.viewer.scene import (
-    trunk_size,
-    write_estimates,
-    write_footprints,
-    write_ground,
-    write_robot,
-    write_shadow,
-    write_truth_path,
-)
+from surefoot.scenarios.viewer.scene import write_scene
 from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, whole_file
@@ -104,18 +96,11 @@ def recording(walk: RecordedWalk, title: str, tab: str = EXPLANATION) -> bytes:
     stream.send_recording_name(str(log.meta.scenario or title))
     about = rr.TextDocument(_about(walk, errors), media_type="text/markdown")
     stream.log("/about", about, static=True)
-    stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    if ground := walk.ground or ground_of_log(log):
-        write_ground(stream, log, ground)
-        write_shadow(stream, log, robot, ground)
-    write_robot(stream, log, robot)
-    write_truth_path(stream, log)
-    write_estimates(stream, errors, robot, trunk_size(robot))
+    write_scene(stream, log, robot, errors, walk.ground or ground_of_log(log))
     epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI)
     write_velocity(stream, log, walk.prediction, epsilon)
     write_errors(stream, errors)
     if log.has("contact"):
-        write_footprints(stream, log, robot)
         write_feet(stream, log)
     for name, record in records.items():
         write_update(stream, name, record, None if bounds is None else bounds.gamma)

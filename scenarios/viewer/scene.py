@@ -67,7 +67,35 @@ def rows_at(log: Log, rate: float) -> np.ndarray:
     return np.arange(0, len(log.t), max(1, round(log.rate / rate)))
 
 
-def write_ground(stream: rr.RecordingStream, log: Log, ground: Ground) -> None:
+def write_scene(
+    stream: rr.RecordingStream,
+    log: Log,
+    robot: Robot,
+    errors: Mapping[str, ErrorSeries],
+    ground: Ground | None,
+) -> None:
+    """Write all of /world.
+
+    Args:
+        stream: the recording.
+        log: the walk.
+        robot: that walked.
+        errors: estimator name -> its aligned path.
+        ground: as walked on, if it is known.
+    """
+    stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    if ground:
+        _write_ground(stream, log, ground)
+        _write_shadow(stream, log, robot, ground)
+    _write_robot(stream, log, robot)
+    rows = rows_at(log, 20.0)
+    _write_path(stream, "world/truth", (log.t[rows], log.ref_p[rows]), TRUTH, width=2.0)
+    write_estimates(stream, errors, robot, trunk_size(robot))
+    if log.has("contact"):
+        _write_footprints(stream, log, robot)
+
+
+def _write_ground(stream: rr.RecordingStream, log: Log, ground: Ground) -> None:
     """Write the ground at /world/ground/friction_<mu>/..., and a label on each patch.
 
     Args:
@@ -115,7 +143,7 @@ def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
     return rr.LineStrips3D(lines, colors=[_GRID_LINE], radii=[_pixels(0.4)])
 
 
-def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
+def _write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
     """Write the trunk's shadow on the ground vertically below it."""
     rows = rows_at(log, POSE_RATE)
     p, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
@@ -130,7 +158,7 @@ def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Gro
     stream.log("world/shadow/shape", shape, static=True)
 
 
-def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
+def _write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
     """Write the robot at its reference pose: one transform column per link, its shapes once."""
     model = robot.spec().compile()
     base = model.body(robot.base_name).id
@@ -156,7 +184,7 @@ def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
         _send_shapes(stream, path, model, link.body)
 
 
-def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
+def _write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
     """Write a dot at each foothold, magenta where the foot slipped; needs contacts and a
     reference.
     """
@@ -175,12 +203,6 @@ def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None
         colors = [rgba(OUTSIDE) if s else _FOOTPRINT for s in slipped]
         radii = 0.35 * max(float(robot.foot_radius.max()), 0.02)
         stream.log("world/footprints", rr.Points3D(points, colors=colors, radii=radii), static=True)
-
-
-def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
-    """Write the reference's path as one line."""
-    rows = rows_at(log, 20.0)
-    _write_path(stream, "world/truth", (log.t[rows], log.ref_p[rows]), TRUTH, width=2.0)
 
 
 def write_estimates(
