@@ -301,10 +301,10 @@ class _File(Grid):
     condition: tuple[_ConditionTable, ...] = ()
 
     def __post_init__(self):
-        for key in ("scenarios", "seeds", "gammas", "filters"):
-            _each_once(key, getattr(self, key))
-        if self.robots is not None:
-            _each_once("robots", self.robots)
+        for key in ("scenarios", "seeds", "gammas", "filters", "robots"):
+            values = getattr(self, key)
+            if values is not None:
+                _each_once(key, values)
         if self.sweep.seeds and not self.sweep.gammas:
             raise SurefootError("[sweep] gammas is missing")
         for name in self.filters:

@@ -79,7 +79,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         refuse_overwrite(path, force=True)
     folder = settings.cache or out / "cache"
     clear_debris(folder.glob("*/.*.tmp"))
-    outcome = run(found, folder, settings.workers, not settings.no_recordings, settings.data)
+    outcome = run(found, folder, settings)
     rows = tidy(outcome)
     with whole_folder(out, force=True) as made:
         tables = report_tables(rows, found)

@@ -26,6 +26,7 @@ from surefoot.scenarios.experiments.products import (
     make_walk,
 )
 from surefoot.scenarios.reporting.rows import finished_case, read_case
+from surefoot.scenarios.settings import GridSettings
 from surefoot.scenarios.stages import processes, stage
 
 Learnings = dict[Learning, LearntFiles]
@@ -99,32 +100,21 @@ class Outcome:
         return {name: "; ".join(why) for name, why in reasons.items()}
 
 
-def run(
-    experiment: Experiment,
-    folder: Path,
-    workers: int = 1,
-    recordings: bool = False,
-    data: Path | None = None,
-) -> Outcome:
+def run(experiment: Experiment, folder: Path, settings: GridSettings) -> Outcome:
     """Compute, or find in `folder`, everything that the experiment needs, seed by seed.
 
-    Args:
-        experiment: the grid.
-        folder: of the products.
-        workers: parallel processes; each stage shows its own bar.
-        recordings: also make one of each sequence under each condition, for the first seed.
-        data: folder of finished rows: cells found there are not run, others are added to it. None:
-            rows are not stored.
+    Cells whose rows are in the settings' `data` are not run. Each stage shows its own bar.
     """
+    data = settings.data
     found: dict[Cell, CellResult] = {}
     recorded: dict[str, Product] = {}
     cells = cells_of(experiment)
-    with processes(workers) as pool:
+    with processes(settings.workers) as pool:
         for seed in experiment.seeds:
             mine = [cell for cell in cells if cell.seed == seed]
             rows = {c: read_case(data, *_case(experiment, c), ESTIMATION) for c in mine if data}
             kept = {cell: _from_row(row) for cell, row in rows.items() if row is not None}
-            record = recordings and seed == experiment.seeds[0]
+            record = not settings.no_recordings and seed == experiment.seeds[0]
             wanted = [cell for cell in mine if record or cell not in kept]
             groups = {cell.group for cell in wanted}
             # Walks from which the observers and bounds of the wanted cells are learnt.
@@ -165,8 +155,8 @@ def _learn(
         if cell.learnt_from and not walk.facts["falls"]:
             named = by_role[cell.scenario.role or ""].setdefault(cell.group, [])
             named.append((cell.scenario.name, walk))
-    held_out, seeds = by_role["calibrate"], {cell.seed for cell in walks}
-    label = ", ".join(f"seed {seed}" for seed in seeds)
+    held_out = by_role["calibrate"]
+    label = ", ".join(f"seed {seed}" for seed in {cell.seed for cell in walks})
     # Learnings that differ only in their method share observers.
     observers = stage(
         pool,
@@ -178,26 +168,20 @@ def _learn(
             for loss in one.losses
         },
     )
-    bounds = stage(
-        pool,
-        f"{label}: bounds",
-        {
-            (group, one, gamma, loss): (
-                _bounds,
-                one == experiment.learning,
-                folder,
-                observers[group, one.inputs, loss],
-                held_out[group][0],
-                gamma,
-                one.method,
-            )
-            for group in by_role["train"]
-            if group in held_out
-            for one in experiment.learnings
-            for gamma in experiment.gammas_of(one, group[2])
-            for loss in one.losses
-        },
-    )
+    levels = [
+        (group, one, gamma, loss)
+        for group in by_role["train"]
+        if group in held_out
+        for one in experiment.learnings
+        for gamma in experiment.gammas_of(one, group[2])
+        for loss in one.losses
+    ]
+    tasks = {}
+    for group, one, gamma, loss in levels:
+        required, observer = one == experiment.learning, observers[group, one.inputs, loss]
+        task = (_bounds, required, folder, observer, held_out[group][0], gamma, one.method)
+        tasks[group, one, gamma, loss] = task
+    bounds = stage(pool, f"{label}: bounds", tasks)
     found: dict[Group, Learnings] = {
         cell.group: {one: LearntFiles({}, {}) for one in experiment.learnings} for cell in walks
     }

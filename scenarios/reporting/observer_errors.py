@@ -76,12 +76,11 @@ def error_words(
     train: Sequence[AxisErrors], test: Sequence[AxisErrors], where: str = "test"
 ) -> str:
     """Describe the statistics, in a sentence or two per axis."""
-    sentences = []
-    for (_, word), a, b in zip(NAMED_AXES, train, test, strict=True):
-        sentences.append(
-            f"{word.capitalize()}: in training {_shape(a)}; on {where} {_shape(b)}, and the errors "
-            f"spread {b.std / a.std:.1f} times as far."
-        )
+    sentences = [
+        f"{word.capitalize()}: in training {_shape(a)}; on {where} {_shape(b)}, and the errors "
+        f"spread {b.std / a.std:.1f} times as far."
+        for (_, word), a, b in zip(NAMED_AXES, train, test, strict=True)
+    ]
     sentences.append(
         f"Shapes are tested at p < {LEVEL:g} on errors far enough apart to be independent, "
         f"{train[0].thinned} in training and {test[0].thinned} on {where}; with few of them a "

@@ -1,6 +1,7 @@
 """Result of a trace in sentences, for the screen and the report."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from math import isfinite
 from typing import Any
 
@@ -144,15 +145,14 @@ def _filter_lines(filters: Filters) -> list[str]:
     """A line for each filter: errors before and after."""
     lines = []
     for name, metrics in filters.items():
-        b, a = metrics["before"], metrics["after"]
-        kind = "legs alone, dead reckoning" if name == DEAD_RECKONING else f"{name} filter"
-        text = f"  {kind}: APE {_change(b, a, 'ape_trans', 3)} m"
+        change = partial(_change, metrics["before"], metrics["after"])
+        ape, rpe = f"APE {change('ape_trans', 3)} m", f"RPE {change('rpe_trans', 4)} m"
+        kind = "legs alone, dead reckoning"
         if name != DEAD_RECKONING:
-            text += f", {_change(b, a, 'ape_rot', 2)} deg"
-        text += f"; RPE {_change(b, a, 'rpe_trans', 4)} m"
-        if name != DEAD_RECKONING:
-            text += f", {_change(b, a, 'rpe_rot', 3)} deg/m"
-        lines.append(f"{text}; drift {_change(b, a, 'drift', 4)} m/m")
+            kind = f"{name} filter"
+            ape += f", {change('ape_rot', 2)} deg"
+            rpe += f", {change('rpe_rot', 3)} deg/m"
+        lines.append(f"  {kind}: {ape}; {rpe}; drift {change('drift', 4)} m/m")
     return lines
 
 
