@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import bundled, is_file, is_there
 from surefoot.sim.common.log_file import check_first_bytes
+from surefoot.sim.common.plugins import plugins
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.scenario_catalog import scenario_file
@@ -60,6 +61,12 @@ def _known_filter(name: str) -> None:
         estimator_named(name)
 
 
+def _known_effect(name: str) -> None:
+    known = (*EFFECT_NAMES, *plugins("surefoot.effects"))
+    if name not in known:
+        raise SurefootError(unknown("effect", name, known))
+
+
 _NEEDED = {
     "logs": "give at least one log",
     "effects": "name at least one effect",
@@ -74,6 +81,7 @@ _LOOKED_UP = {
     "walker": robot_file,
     "scenarios": scenario_file,
     "map": map_file,
+    "effects": _known_effect,
 }
 """Option that is a name, or for some a file -> function that raises SurefootError if it is unknown.
 """

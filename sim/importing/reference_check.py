@@ -195,6 +195,8 @@ def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
 def jumps(poses: Poses) -> np.ndarray:
     """Mask (K - 1,) of the steps between samples over which position or attitude jumps."""
     step = np.diff(poses.t)
+    if len(step) < 2:  # none has a neighbour
+        return np.zeros(len(step), dtype=bool)
     R = Rotation.from_quat(poses.q, scalar_first=True)
     turning = (R[:-1].inv() * R[1:]).magnitude() / step
     found = np.zeros(len(step), dtype=bool)

@@ -292,3 +292,10 @@ def test_import_reports_what_is_wrong_with_stamps(tmp_path, capsys):
     assert any(
         "a slower sensor" in one for one in Log.read(tmp_path / "recounted.parquet").meta.warnings
     )
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2, 3])
+def test_so_few_poses_that_none_has_neighbours_do_not_jump(rows):
+    found = jumps(poses(FRAME * np.arange(rows)) if rows else poses(np.zeros(1)).rows(slice(0, 0)))
+    assert len(found) == max(rows - 1, 0)
+    assert not found.any()
