@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.scenarios.trace.figures import residuals
+from surefoot.scenarios.trace.report import residuals
 from surefoot.scenarios.trace.run import trace
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground

@@ -20,7 +20,7 @@ from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, p
 from surefoot.scenarios.reporting import figures, observer_errors
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
-from surefoot.scenarios.trace import figures as trace_figures
+from surefoot.scenarios.trace.report import candidate_gains, residuals
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -54,8 +54,8 @@ def drawn(walk, errors) -> dict[str, Figure]:
             train, test, walk.bounds.epsilon, walk.bounds.gamma
         ),
         "mixing": observer_errors.mixing_curve(mixing(train)),
-        "residuals": trace_figures.residuals({"leg_velocity": level}),
-        "gains": trace_figures.candidate_gains({"a": (0.5, 0.4, 0.6), "b": (0.1, 0.0, 0.2)}, ["a"]),
+        "residuals": residuals({"leg_velocity": level}),
+        "gains": candidate_gains({"a": (0.5, 0.4, 0.6), "b": (0.1, 0.0, 0.2)}, ["a"]),
     }
 
 
@@ -124,7 +124,7 @@ def test_legends_stand_outside_the_curves(drawn):
 
 def test_a_noise_floor_does_not_strike_out_the_number_of_a_bar():
     level = ChannelLevel(0.3, 0.1, 0.105, "m/s^2")
-    (ax,) = trace_figures.residuals({"imu_accel": level}).axes
+    (ax,) = residuals({"imu_accel": level}).axes
     (floor,) = ax.get_lines()
     assert ax.get_ylabel() == "RMS [m/s²]"
     assert len(ax.texts) == 2
@@ -182,9 +182,9 @@ def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
     level = ChannelLevel(0.3, 0.1, None, "rad")
-    assert png(trace_figures.residuals(dict.fromkeys(list(channels())[:6], level)))
-    assert png(trace_figures.residuals({}))
-    assert png(trace_figures.candidate_gains({}))
+    assert png(residuals(dict.fromkeys(list(channels())[:6], level)))
+    assert png(residuals({}))
+    assert png(candidate_gains({}))
     assert png(figures.trajectories(walk.log, {}))
     assert png(figures.position_error({}))
 
