@@ -27,7 +27,7 @@ HELD = "coverage [%]"
 SHOWN_COLUMNS = [name for name in MEANINGS if name in TABLE_METRICS or name == HELD]
 SHOWN_COLUMNS.insert(1, SHARE)
 """Order of the columns for averages and sequences."""
-SWEPT = [c for c in SHOWN_COLUMNS if c not in ("RPE_rot [deg/m]", "NEES_att", "step [us]")]
+SWEEP_COLUMNS = [c for c in SHOWN_COLUMNS if c not in ("RPE_rot [deg/m]", "NEES_att", "step [us]")]
 """Columns of the table by gamma."""
 TABLE_MEANINGS = {
     **MEANINGS,
@@ -141,7 +141,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
             at = part[part["gamma"] == gamma]
             if len(at):
                 row: dict[str, object] = {"condition": condition, "filter": name, "gamma": gamma}
-                row |= {c: _held(at) if c == HELD else at[c].mean() for c in SWEPT}
+                row |= {c: _held(at) if c == HELD else at[c].mean() for c in SWEEP_COLUMNS}
                 found.append(row)
     return pd.DataFrame(found)
 

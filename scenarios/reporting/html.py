@@ -9,7 +9,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from surefoot.scenarios.reporting.plotting import png, save_png
-from surefoot.scenarios.reporting.tables import Table, to_html, to_markdown
+from surefoot.scenarios.reporting.tables import (
+    Table,
+    in_markdown,
+    to_html,
+    to_markdown,
+    without_tags,
+)
 from surefoot.sim.common.files import bundled, write_whole
 
 _STYLE = bundled("surefoot.scenarios.reporting", "report.css")
@@ -78,14 +84,16 @@ def html_report(title: str, sections: Sequence[Section]) -> str:
 
 def markdown_report(title: str, sections: Sequence[Section]) -> str:
     """The same in Markdown: headings, words and tables, without the pictures."""
-    parts = [f"# {title}", *(part for section in sections for part in markdown_parts(section))]
+    parts = [f"# {in_markdown(title)}"]
+    for section in sections:
+        parts += [in_markdown(heading(section)), without_tags(section.prose.strip())]
+        parts.append("" if section.table is None else to_markdown(section.table))
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def markdown_parts(section: Section) -> tuple[str, str, str]:
-    """Heading, words and table of a section in Markdown; an empty text where there is none."""
-    table = "" if section.table is None else to_markdown(section.table)
-    return f"{'#' * section.level} {section.heading}", section.prose.strip(), table
+def heading(section: Section) -> str:
+    """A section's heading in Markdown."""
+    return f"{'#' * section.level} {section.heading}"
 
 
 def _section(number: int, section: Section) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from surefoot.scenarios.reporting.html import (
     Section,
-    markdown_parts,
+    heading,
     markdown_report,
     write_report,
 )
@@ -90,7 +90,9 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
     check_page(path)
     parts = [f"# {title}", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
     for number, section in enumerate(sections, 1):
-        parts += markdown_parts(section)
+        parts += [heading(section), section.prose.strip()]
+        if section.table is not None:
+            parts.append(to_markdown(section.table))
         for place, picture in enumerate(section.pictures, 1):
             name = f"{path.stem}_{number}_{place}.png"
             with kept_file(path.with_name(name)) as temporary:
