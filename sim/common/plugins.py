@@ -155,7 +155,8 @@ def _reason(error: BaseException, points: Sequence[EntryPoint]) -> str:
     if points and not of_packages:
         with suppress(TypeError, OSError):  # no Python source
             kind = points[0].load()
-            where += f", with that of {Path(getfile(kind)).name}, line {getsourcelines(kind)[1]}"
+            of_class = f"{Path(getfile(kind)).name}, line {getsourcelines(kind)[1]}"
+            where += f", with {points[0].attr} of {of_class}"
     return f"({type(error).__name__}: {error}; {where})"
 
 
