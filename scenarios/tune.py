@@ -26,6 +26,7 @@ from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.scenarios.estimate.contract import Learnt, Parameters
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
 from surefoot.scenarios.estimate.run import declared_model, estimated
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import Tuned, read_tuned, tuned, tuned_file
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
@@ -170,8 +171,9 @@ def search_filter(
     start = {name: value for name, value in every.items() if name not in declared_ones}
 
     def judged(values: Parameters) -> list[Metrics]:
+        chosen = FilterSettings(filters={name: {**every, **values}})
         return [
-            evaluate(reference(log), estimated(estimator, log, robot, learnt, {**every, **values}))
+            evaluate(reference(log), estimated(estimator, log, robot, learnt, chosen))
             for log, robot in walks
         ]
 

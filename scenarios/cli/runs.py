@@ -37,11 +37,7 @@ SHARED_OUTPUTS = ("page", "data", "cache")
 """Options for outputs that runs may share. Every other path is an input."""
 FOLDER_OPTIONS = ("data", "cache")
 """Options that must not name a file."""
-BOUNDED = {
-    "workers": "workers",
-    "seeds": "walks",
-    "budget": "items",
-}
+BOUNDED = {"workers": "workers", "budget": "items"}
 """Options that are counts -> name of their limit."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "tune"}
 """Commands that continue after an interruption when run again."""
@@ -66,8 +62,9 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
             raise SurefootError(f"--{option}: must not be beyond 2^53")
     for path in (*inputs, *own, *shared):
-        if not _utf8(os.path.abspath(path)):
-            raise SurefootError(f"{os.path.abspath(path)}: the path is not UTF-8; rename it")
+        whole = os.path.abspath(path)  # Python holds other bytes than UTF-8 as half characters
+        if whole.encode(errors="ignore").decode() != whole:
+            raise SurefootError(f"{whole}: the path is not UTF-8; rename it")
     refuse_unnamed(read)
     cache_folder()
     for option, limit in BOUNDED.items():
@@ -88,11 +85,6 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             stack.enter_context(_alone(path))
         say_if_interrupted(lambda: how_to_go_on(name, run.written, own))
         yield
-
-
-def _utf8(path: str) -> bool:
-    """Whether libraries can open a path; Python holds other bytes as half characters."""
-    return path.encode(errors="ignore").decode() == path
 
 
 def _paths(value: Any) -> list[Path]:
