@@ -114,13 +114,6 @@ def first_steps(trace: Recording, steps: int) -> Recording:
     return Recording(*states, *(part[:steps] for part in trace[2:]))
 
 
-def start(world: World) -> mujoco.MjData:
-    """The world at rest, the robot standing at the origin."""
-    data = mujoco.MjData(world.model)
-    data.qpos[:] = world.start
-    return data
-
-
 class Walker(NamedTuple):
     """A robot under the trot controller, in a world.
 
@@ -142,7 +135,9 @@ class Walker(NamedTuple):
 
 
 def at_rest(world: World, robot: Robot, gait: Gait, data: mujoco.MjData) -> Walker:
-    """A robot that stands in the state `data`."""
+    """A robot that stands at the origin of its world, in the memory `data`, which is reset."""
+    mujoco.mj_resetData(world.model, data)
+    data.qpos[:] = world.start
     return Walker(world, robot, gait, data, standing(), np.full(4, gait.mass * GRAVITY / 4))
 
 
@@ -165,7 +160,8 @@ def simulate_motion(
         progress: called with the share done.
     """
     trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
-    trot(at_rest(world, robot, gait, start(world)), course, trace, progress=progress)
+    walker = at_rest(world, robot, gait, mujoco.MjData(world.model))
+    trot(walker, course, trace, progress=progress)
     return motion_of(world, trace)
 
 
@@ -184,7 +180,7 @@ def simulate_in_pieces(
         pieces: of the course.
         seconds: until its end.
     """
-    walker, first = at_rest(world, robot, gait, start(world)), 0
+    walker, first = at_rest(world, robot, gait, mujoco.MjData(world.model)), 0
     for course in pieces:
         trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
         try:
@@ -321,16 +317,10 @@ def at_time_of_rates(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     reference and its accelerometer, and between angles and their rates, that no robot has.
     """
     back = -0.5 * TIMESTEP
-    turned = Rotation.from_quat(qpos[:, 3:7], scalar_first=True) * Rotation.from_rotvec(
-        back * qvel[:, 3:6]
-    )
-    return np.column_stack(
-        [
-            qpos[:, :3] + back * qvel[:, :3],
-            turned.as_quat(scalar_first=True),
-            qpos[:, 7:] + back * qvel[:, 6:],
-        ]
-    )
+    turn = Rotation.from_rotvec(back * qvel[:, 3:6])
+    turned = Rotation.from_quat(qpos[:, 3:7], scalar_first=True) * turn
+    p, joints = qpos[:, :3] + back * qvel[:, :3], qpos[:, 7:] + back * qvel[:, 6:]
+    return np.column_stack([p, turned.as_quat(scalar_first=True), joints])
 
 
 def motion_of(world: World, trace: Recording, first: int = 0) -> Motion:

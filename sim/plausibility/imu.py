@@ -208,12 +208,14 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, cause)
     else:
         apart = accel.mean(axis=0) - felt.mean(axis=0)
-        aside = view.R_GI[view.ok].apply(accel - felt).mean(axis=0)[:2]
+        up = view.R_GI[view.ok].apply(accel - felt).mean(axis=0) - GRAVITY_G
+        aside = up[:2]
         lean = float(np.degrees(np.arctan2(np.linalg.norm(aside), GRAVITY)))
         if lean > NOT_LEVEL and np.linalg.norm(aside) > 1.05 * np.linalg.norm(apart):
             seen = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
             cause = "the reference's world is not level"
-            yield Finding((*REF_P, "ref_q"), seen, cause, "[reference] q_GW")
+            level = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
+            yield Finding((*REF_P, "ref_q"), seen, cause, _turned_line("q_GW", level))
             return
         for i in np.flatnonzero(np.abs(apart) > ZERO_G):
             seen = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
@@ -343,9 +345,8 @@ def _imu_turned(view: LogView) -> Finding | None:
         turn = Rotation.from_matrix(axes)
         words = f"by {_numbers(turn.as_rotvec(degrees=True))} deg about x, y, z"
         if not _in_body(view, axes):
-            q = turn.as_quat(canonical=True, scalar_first=True)
             seen = f"{words}, from the tracked body's axes, as turning and motion say"
-            line = f"[reference] q_IM = [{', '.join(f'{x:.4f}' for x in q + 0.0)}]"
+            line = _turned_line("q_IM", turn)
             return Finding(columns, seen, "the tracked body is turned against the IMU", line)
     seen = f"{words}, from the reference's axes, as turning and motion say"
     if np.array_equal(axes, np.round(axes)):
@@ -433,6 +434,12 @@ def _lines(kind: str, match: AxesMatch) -> str:
         column = f"their column of {kind}_{AXIS_NAMES[i]}"
         lines.append(f"{kind}_{AXIS_NAMES[match.order[i]]} = {{ column = <{column}>{sign} }}")
     return "; ".join(lines)
+
+
+def _turned_line(key: str, rotation: Rotation) -> str:
+    """Map line for a rotation of a reference."""
+    q = rotation.as_quat(canonical=True, scalar_first=True)
+    return f"[reference] {key} = [{', '.join(f'{x:.6f}' for x in q + 0.0)}]"
 
 
 def _numbers(values: np.ndarray) -> str:

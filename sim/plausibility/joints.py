@@ -106,7 +106,7 @@ def rates(view: LogView) -> Iterator[Finding]:
             its = names[other[i]]
             seen += f", of q_{its} {alike[i, other[i]]:.2f}"
             cause = f"it is the rate of {its}: swapped"
-            line = f"dq_{its} = <their column of dq_{names[i]}>"
+            line = f"dq_{its} = {{ column = <their column of dq_{names[i]}> }}"
         yield Finding((f"dq_{names[i]}",), seen, cause, line)
     good = own > np.where(slow, _SURELY, 0.8)
     if not good.any():
@@ -166,7 +166,7 @@ def _scaled_rates(columns: tuple[str, ...], typical: float, seen: str) -> Findin
 
 @rule_named("joints' unit", "q")
 def units(view: LogView) -> Iterator[Finding]:
-    """Check that angles of legs are in radians.
+    """Check that angles of legs are in radians, and rates that are their change.
 
     Compares: the size of a leg's angles.
     Speaks from: median above 2 pi rad.
@@ -184,8 +184,14 @@ def units(view: LogView) -> Iterator[Finding]:
         worst = float(np.abs(q).max())
         columns = tuple(f"q_{j}" for j in turned)
         seen = f"up to {worst:.4g} rad"
-        cause = "in deg, not rad, or not unwrapped"
-        yield Finding(columns, seen, cause, unit_line(columns, "deg"))
+        cause, line = "in deg, not rad, or not unwrapped", unit_line(columns, "deg")
+        if log.has("dq") and view.comparable:
+            size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
+            if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * RATE_OFF:
+                rates_too = tuple(f"dq_{j}" for j in turned)
+                line += f"; {unit_line(rates_too, 'deg/s')}"
+                columns += rates_too
+        yield Finding(columns, seen, cause, line)
 
 
 @rule_named("joint range", "q")

@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.robot.model_gate import check_compiled, check_model_file
+from surefoot.sim.robot.model_gate import check_compiled, check_model_file, urdf_joints
 from surefoot.sim.robot.surroundings import leave_out_surroundings, name_parts
 
 # Otherwise MuJoCo writes MUJOCO_LOG.TXT to the working directory; unstable walks are reported
@@ -32,8 +32,10 @@ _IMU_LINK = re.compile(r"(base_|trunk_|body_|pelvis_)?imu(_link|_frame|_sensor)?
 """Names, in lower case, of a URDF's link that carries the IMU."""
 
 
-def model_spec(file: Path) -> mujoco.MjSpec:
-    """A new MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
+def read_model(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """A new MjSpec of an MJCF or URDF file, and how it differs from the file, in words.
+
+    Raises SurefootError in one clear line.
 
     MuJoCo welds the root link of a URDF to the world and omits its mass; here it floats, unless it
     is called `world`, which the file need not declare. Links that are fixed to others remain
@@ -42,24 +44,10 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
     corrected, since other readers of URDF accept them. A foot that is a mesh, at the end of a leg
     of at most three joints, is taken for a point at the origin of its link. Bodies and joints of an
-    MJCF without a name are numbered, and what else is in its scene is left out.
-    `changes_on_reading` lists these changes. Parts of the robot do not collide with each other. A
-    link that is fixed to the base and named as an IMU, such as `imu_link`, becomes the site of the
-    IMU.
+    MJCF without a name are numbered, and what else is in its scene is left out. Parts of the robot
+    do not collide with each other. A link that is fixed to the base and named as an IMU, such as
+    `imu_link`, becomes the site of the IMU.
     """
-    return _spec(file)[0]
-
-
-def changes_on_reading(file: Path) -> tuple[str, ...]:
-    """Differences between the model as read and its file, in words.
-
-    Raises SurefootError in one clear line.
-    """
-    return _spec(file)[1]
-
-
-def _spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The MjSpec of a file, and `changes_on_reading`."""
     check_model_file(file)
     try:
         if file.suffix == ".urdf":
@@ -75,7 +63,7 @@ def _spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
 
 def compiled_model(file: Path) -> mujoco.MjModel:
     """The compiled model of an MJCF or URDF file. Raises SurefootError in one clear line."""
-    spec = model_spec(file)
+    spec, _ = read_model(file)
     try:
         model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
@@ -123,8 +111,6 @@ def _has_effect(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
 
 
 def _unreadable(file: Path, error: Exception) -> SurefootError:
-    if isinstance(error, SurefootError):
-        return error
     reason = "; ".join(str(error).strip().splitlines()[:2]) or type(error).__name__
     return SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}")
 
@@ -241,12 +227,7 @@ def _add_point_feet(robot: ElementTree.Element) -> list[str]:
     Only at the end of legs with at most three joints: a foot on an ankle may be flat. Returns their
     names.
     """
-    above: dict[str, tuple[str, bool]] = {}
-    for joint in robot.findall("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is not None and child is not None:
-            turns = joint.get("type") != "fixed"
-            above[child.get("link", "")] = parent.get("link", ""), turns
+    above = urdf_joints(robot)
     parents = {parent for parent, _ in above.values()}
     found = []
     for link in robot.findall("link"):
