@@ -95,19 +95,9 @@ def _card(robot: Robot) -> RobotCard:
         }
         for k, leg in enumerate(robot.limbs.legs)
     ]
-    values = {
-        "name": robot.name,
-        "file": robot.file,
-        "mass": robot.mass,
-        "leg_length": robot.leg_length,
-        "imu": robot.imu,
-        "p_BI": robot.p_BI,
-        "R_BI": robot.R_BI,
-        "walks": not fault,
-        "fault": fault,
-        "joints": joints,
-        "feet": feet,
-    }
+    shown = ("name", "file", "mass", "leg_length", "imu", "p_BI", "R_BI")
+    values = {name: getattr(robot, name) for name in shown}
+    values |= {"walks": not fault, "fault": fault, "joints": joints, "feet": feet}
     return RobotCard("\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)]), values)
 
 

@@ -137,7 +137,7 @@ def naming_plugins() -> Iterator[None]:
         named = [point for point in _IN_USE.values() if _package(point.module) in raised_in]
         what = "failed"
         if not named and not isinstance(error, SystemExit | OSError | MemoryError | ImportError):
-            named, what = list(_IN_USE.values()), "returned something invalid"
+            named, what = list(_IN_USE.values()), "may have returned something invalid"
         if not named:
             raise
         names = ", ".join(map(_what, named))
@@ -146,22 +146,24 @@ def naming_plugins() -> Iterator[None]:
 
 def _reason(error: BaseException, points: Sequence[EntryPoint]) -> str:
     """What was raised and where: in the innermost frame in a package of these plug-ins; without
-    one, what the first of them returned is at fault, so at its class.
+    one, where surefoot could not use what the first of them returned, and where its class is.
     """
     places, packages = _places(error), {_package(point.module) for point in points}
     of_packages = [place for place in places if place[0] in packages]
     _, file, line = (of_packages or places)[-1]
+    where = f"{file}, line {line}"
     if points and not of_packages:
         with suppress(TypeError, OSError):  # no Python source
             kind = points[0].load()
-            file, line = Path(getfile(kind)).name, getsourcelines(kind)[1]
-    return f"({type(error).__name__}: {error}; {file}, line {line})"
+            of_class = f"{Path(getfile(kind)).name}, line {getsourcelines(kind)[1]}"
+            where += f", with {points[0].attr} of {of_class}"
+    return f"({type(error).__name__}: {error}; {where})"
 
 
 def _places(error: BaseException) -> list[tuple[str, str, int]]:
     """Package, file and line of each frame of a traceback, the innermost last."""
     return [
-        (_package(frame.f_globals["__name__"]), Path(frame.f_code.co_filename).name, line)
+        (_package(str(frame.f_globals.get("__name__"))), Path(frame.f_code.co_filename).name, line)
         for frame, line in traceback.walk_tb(error.__traceback__)
     ]
 

@@ -17,10 +17,8 @@ _TO_A_BAR = re.compile(r"\r|(\x1b\[A)+\Z")
 
 def printable(text: str, kept: str = "") -> str:
     """A text whose control characters are escaped, but for those in `kept`."""
-    if text.isprintable():
-        return text
-    plain = (c.isprintable() or c in kept or category(c) == "Zs" for c in text)
-    return "".join(c if as_is else ascii(c)[1:-1] for c, as_is in zip(text, plain, strict=True))
+    plain = {c for c in set(text) if c.isprintable() or c in kept or category(c) == "Zs"}
+    return "".join(c if c in plain else ascii(c)[1:-1] for c in text)
 
 
 def one_line(text: object) -> str:

@@ -117,8 +117,8 @@ FAULTS = {
     "divides by zero": ("return 1 / 0", "faults.py, line 4"),
     "raises in a library": ("import json; json.loads('{')", "faults.py, line 4"),
     "opens no file": ("open('/nowhere')", "FileNotFoundError"),
-    "returns nothing": ("return None", "returned something invalid (AttributeError"),
-    "returns text": ("return 'text'", "returned something invalid (AttributeError"),
+    "returns nothing": ("return None", "may have returned something invalid (AttributeError"),
+    "returns text": ("return 'text'", "may have returned something invalid (AttributeError"),
 }
 
 
