@@ -14,6 +14,9 @@ from surefoot.models.observer.samples import body_velocity, observer_samples
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
+_LARGEST = 1e6
+"""Largest velocity and covariance that an observer may predict [m/s, m^2/s^2]."""
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -45,13 +48,14 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     x = torch.from_numpy(observer.scaled(seen.x))
     with torch.no_grad():
         outputs = observer.network(x[:, None, :])
-    v_I, covariance = _physical(observer, outputs[:, 0].numpy())
+    with np.errstate(over="ignore", invalid="ignore"):  # of extreme weights, refused below
+        v_I, covariance = _physical(observer, outputs[:, 0].numpy())
     parts = v_I if covariance is None else np.hstack([v_I, covariance.reshape(len(v_I), 9)])
-    sound = np.isfinite(parts).all()
+    sound = (np.abs(parts) < _LARGEST).all()  # not of nan
     if not sound or (covariance is not None and np.linalg.eigvalsh(covariance).min() <= 0.0):
         raise ObserverError(
-            f"{log.name}: the observer predicts velocities that are not finite, or whose "
-            "covariance is not positive: its weights are damaged, or extreme; train it again"
+            f"{log.name}: the observer predicts velocities that no robot has, or a "
+            "covariance that is not positive: its weights are damaged, or extreme; train it again"
         )
     if not same_mounting(observer, robot):
         if not log.has("imu"):

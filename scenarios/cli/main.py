@@ -5,6 +5,9 @@ options.
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr
+from io import StringIO
+from itertools import takewhile
 from typing import Annotated, Any, Union
 
 import tyro
@@ -52,32 +55,41 @@ NO_TORCH = "observers need PyTorch, which is not installed: pip install 'surefoo
 
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
-    """Parse the command and its name; exits, like tyro, after --help or an error. Without
-    arguments, help is printed.
+    """Parse the command and its name; exits, like tyro, after --help or, with one line, an error.
+    Without arguments, help is printed.
 
     If the command's name comes first, only its parser is built: that is faster, and suggestions for
     a mistyped option are from this command.
     """
     first, *rest = arguments = list(arguments) or ["--help"]
-    config = (FlagCreatePairsOff, OmitArgPrefixes)
     if first == "--version":
         print(f"surefoot {surefoot.__version__}")
         sys.exit()
     if first in COMMANDS:
-        return first, tyro.cli(COMMANDS[first], prog=f"surefoot {first}", args=rest, config=config)
+        return first, _command(COMMANDS[first], f"surefoot {first}", rest)
     if not first.startswith("-"):
         hint = did_you_mean(first, COMMANDS) or ";"
         print(f"surefoot: no command '{first}'{hint} see `surefoot --help`", file=sys.stderr)
         sys.exit(2)
     choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())
-    command = tyro.cli(
-        Union[choices],  # noqa: UP007  a union made at run time  # pyright: ignore
-        prog="surefoot",
-        description=ABOUT,
-        args=arguments,
-        config=config,
-    )
+    command = _command(Union[choices], "surefoot", arguments, ABOUT)  # noqa: UP007
     return next(n for n, kind in COMMANDS.items() if type(command) is kind), command
+
+
+def _command(kind: Any, prog: str, arguments: Sequence[str], about: str | None = None) -> Any:
+    """Read a command's options; what tyro says of an error in a box becomes one line."""
+    config, errors = (FlagCreatePairsOff, OmitArgPrefixes), StringIO()
+    try:
+        with redirect_stderr(errors):
+            return tyro.cli(kind, prog=prog, description=about, args=arguments, config=config)
+    except SystemExit as end:
+        if end.code == 2:
+            lines = [line.strip(" │╭╮╰╯|") for line in errors.getvalue().splitlines()]
+            said = [line for line in lines if line.strip("─-")][1:]  # below the title
+            about_help = ("Argument helptext", "Available subcommands", "For full helptext")
+            message = " ".join(takewhile(lambda line: not line.startswith(about_help), said))
+            print(f"surefoot: {message.rstrip('.')}; see `{prog} --help`", file=sys.stderr)
+        raise
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -13,13 +13,14 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from surefoot.sim.common.errors import SurefootError
 
 VARIABLE = "SUREFOOT_LIMITS"
-_SMALL = 256e6
-"""Bytes in memory that are allowed for a packed file of any size."""
+SMALL = 256e6
+"""Bytes in memory that are allowed for packed data of any size."""
+_PIECE = 1 << 20
 _POINTER, _LONGEST_POINTER = b"version https://git-lfs.github.com/spec/", 1024
 """Beginning and largest size of a file that stands for one in Git LFS (its specification)."""
 _DOTTED = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){65}")
@@ -155,25 +156,47 @@ def parse_json(text: str | bytes, prefix: str = "") -> Any:
         raise SurefootError(f"{prefix}not JSON, truncated? ({reason})") from None
 
 
-def check_unpacked(path: Path, size: float, what: str, at_once: bool = True) -> None:
-    """Raise SurefootError if a packed file would take too much memory, relative to its size and, if
-    it is read at once, in total.
+def check_unpacked(packed: float, size: float, what: str, at_once: bool = True) -> None:
+    """Raise SurefootError if packed data would take too much memory, relative to their size and, if
+    they are read at once, in total.
 
     Args:
-        path: of the file.
+        packed: bytes of the file.
         size: bytes in memory.
         what: start of the message, with the file: "log.npz: bytes of arrays".
         at_once: whether the file is read at once.
     """
     if at_once:
         check_limit("memory", size, what)
-    if size > most_unpacked(path):
-        check_limit("unpacked", size / max(path.stat().st_size, 1), f"{what}, times its size")
+    if size > SMALL + limits().unpacked * packed:
+        check_limit("unpacked", size / max(packed, 1), f"{what}, times its size")
 
 
-def most_unpacked(path: Path) -> float:
-    """Largest number of bytes in memory for a packed file of this size."""
-    return _SMALL + limits().unpacked * path.stat().st_size
+class Unpacker(Protocol):
+    """A decompressor of bz2, lz4 or zstd."""
+
+    eof: bool
+    needs_input: bool
+
+    def decompress(self, data: bytes, max_length: int, /) -> bytes:
+        """At most so many of the bytes that the data, and what it was given before, unpack to."""
+        ...
+
+
+def unpacked(unpacker: Unpacker, packed: bytes, what: str) -> bytes:
+    """Unpack bytes of unknown origin, checking what there is so far with `check_unpacked`.
+
+    Raises SurefootError that begins with `what`, or the unpacker's error.
+    """
+    pieces, size = list[bytes](), 0
+    for begin in range(0, len(packed), _PIECE):
+        given = packed[begin : begin + _PIECE]
+        read = begin + len(given)
+        while given or not (unpacker.needs_input or unpacker.eof):
+            pieces.append(unpacker.decompress(given, _PIECE))
+            given, size = b"", size + len(pieces[-1])
+            check_unpacked(read, size, what)
+    return b"".join(pieces)
 
 
 def check_toml_keys(text: str) -> None:

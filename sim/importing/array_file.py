@@ -17,7 +17,7 @@ import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_file
-from surefoot.sim.common.limits import check_unpacked, limits, most_unpacked
+from surefoot.sim.common.limits import check_unpacked
 from surefoot.sim.importing.table import RecordedTable
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
@@ -47,7 +47,7 @@ def read_mat(path: Path) -> RecordedTable:
     if h5py.is_hdf5(path):
         return read_hdf5(path)
     with _one_line(path):
-        _bounded(path, _inflated(path))
+        _bound_inflated(path)
         found = scipy.io.loadmat(path, squeeze_me=True)
         return _table(path, {n: v for n, v in found.items() if not n.startswith("__")})
 
@@ -178,25 +178,25 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
     return cells
 
 
-def _inflated(path: Path) -> int:
-    """Uncompressed size in bytes of a MATLAB version 5 file, or more than is allowed."""
+def _bound_inflated(path: Path) -> None:
+    """Raise SurefootError if a MATLAB version 5 file takes too much memory."""
+    _bounded(path, path.stat().st_size)
     content = path.read_bytes()
     order = "<" if content[126:128] == b"IM" else ">"
-    most = min(limits().memory, most_unpacked(path))
     at, total = _MAT_HEADER, len(content)
-    while at + 8 <= len(content) and total <= most:
+    while at + 8 <= len(content):
         kind, size = struct.unpack_from(f"{order}II", content, at)
         if kind == _MAT_COMPRESSED:
             unpacking, rest = zlib.decompressobj(), content[at + 8 : at + 8 + size]
-            while rest and total <= most:
+            while rest:
                 total += len(unpacking.decompress(rest, _CHUNK))
                 rest = unpacking.unconsumed_tail
+                _bounded(path, total)
         at += 8 + size
-    return total
 
 
 def _bounded(path: Path, size: float) -> None:
-    check_unpacked(path, size, f"{path}: bytes of arrays")
+    check_unpacked(path.stat().st_size, size, f"{path}: bytes of arrays")
 
 
 @contextmanager

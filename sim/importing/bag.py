@@ -5,20 +5,36 @@ the index of `FL_hip` in the message's `name`; a number is an index from 0),
 `/imu/data:header.stamp`, or `/imu/data:received` for the time of reception by the recorder.
 """
 
+import bz2
+import os
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import apsw
+import lz4.frame
 import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag1 import reader as ros1
+from rosbags.rosbag2 import reader as ros2
+from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
-from surefoot.sim.common.limits import admitted, bounded_text, check_limit
+from surefoot.sim.common.limits import (
+    SMALL,
+    Unpacker,
+    admitted,
+    bounded_text,
+    check_limit,
+    check_unpacked,
+    unpacked,
+)
 from surefoot.sim.importing.clock import Stamped
 
 RECEIVED = "received"
@@ -50,14 +66,39 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
         return _read(bag, path, wanted)
 
 
+def _bounded(unpacker: Callable[[], Unpacker]) -> Callable[..., bytes]:
+    return lambda packed, *_: unpacked(unpacker(), packed, "bytes of a chunk or message")
+
+
+class _PackedFile(ros2.zstd.ZstdFile):
+    def read(self, size: int | None = -1) -> bytes:
+        found = super().read(size)
+        check_unpacked(os.fstat(self.fileno()).st_size, self.tell(), "bytes of a file", False)
+        return found
+
+
+def _bound_database(database: apsw.Connection) -> None:
+    database.limit(apsw.SQLITE_LIMIT_LENGTH, int(SMALL))
+    database.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)  # which may have rows without end
+
+
+# rosbags unpacks whatever is in a file, and whatever size that becomes.
+_lz4, _zstd = _bounded(lz4.frame.LZ4FrameDecompressor), _bounded(ros2.zstd.ZstdDecompressor)
+ros1.decompressors.update(bz2=_bounded(bz2.BZ2Decompressor), lz4=_lz4)
+mcap.DECOMPRESSORS.update(lz4=_lz4, zstd=_zstd)
+ros2.zstd = SimpleNamespace(decompress=_zstd, open=_PackedFile)
+apsw.connection_hooks.append(_bound_database)
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[AnyReader]:
     if not is_there(path):
         raise SurefootError(f"{path}: no such file")
     files = _storage(path) if path.is_dir() else [path]
-    for one in files:
+    beside = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else files
+    for one in beside:  # any of which the metadata may name
         admitted(one, "recording")
-    described = not files or _is_described(path)
+    described = _is_described(path) or not files
     if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
         names = ", ".join(one.name for one in files)
         raise SurefootError(f"{path}: has several bags, name one of them: {names}")
@@ -66,8 +107,9 @@ def _opened(path: Path) -> Iterator[AnyReader]:
             [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as bag:
             yield bag
-    except SurefootError:
-        raise
+    except SurefootError as error:
+        named = str(path) in str(error)
+        raise SurefootError(str(error) if named else f"{path}: {error}") from None
     except (AnyReaderError, OSError) as error:
         reason = " ".join(str(error).split())
         raise SurefootError(f"{path}: {reason}{_remedy(files)}") from None
@@ -88,6 +130,8 @@ def is_bag(path: Path) -> bool:
 def _is_described(path: Path) -> bool:
     """Whether a folder has metadata that name its files; those of a killed recorder are empty."""
     about = path / "metadata.yaml"
+    if about.is_file():  # YAML takes rosbags five times as long as TOML
+        check_limit("text", 5.0 * about.stat().st_size, f"{about}: five times its bytes")
     return about.is_file() and "relative_file_paths" in bounded_text(about)
 
 

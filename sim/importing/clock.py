@@ -221,7 +221,15 @@ def _goes_back(t: np.ndarray, kept: np.ndarray) -> bool:
 def _contradiction(
     t: np.ndarray, out: np.ndarray, kept: np.ndarray, unit: str, rows: np.ndarray
 ) -> str:
-    """Describe stamps of which too many do not rise; arguments as in `kept_rows`."""
+    """Describe stamps of which too many do not rise.
+
+    Args:
+        t: (N,) [s].
+        out: rows that are left out.
+        kept: rows that are not.
+        unit: name of a row.
+        rows: (N,) their numbers in the file.
+    """
     if np.isin(t[out], t[kept]).mean() > 0.5:
         return (
             f"{unit} {rows[out[0]]}: repeats the stamp {seconds(t[out[0]])} s with other values, as"

@@ -284,7 +284,7 @@ def _parquet(path: Path) -> RecordedTable:
     try:
         about = pq.read_metadata(path)
         size = 8.0 * about.num_rows * about.num_columns
-        check_unpacked(path, size, f"{path}: bytes of columns")
+        check_unpacked(path.stat().st_size, size, f"{path}: bytes of columns")
         frame = pq.read_table(path).to_pandas(ignore_metadata=True)
     except SurefootError:
         raise

@@ -111,7 +111,7 @@ class LogReader:
             check_limit("rows", self.rows, "rows")
             check_limit("columns", len(self.columns), "columns")
             size = 8.0 * self.rows * len(self.columns)
-            check_unpacked(self.path, size, "bytes of columns", at_once=False)
+            check_unpacked(self.path.stat().st_size, size, "bytes of columns", at_once=False)
             check_table(file.schema_arrow)
             self.meta = read_metadata(file.schema_arrow.metadata)
             if 0 < self.rows < FEWEST_ROWS:
@@ -155,15 +155,20 @@ class LogReader:
 
 def _tables(file: pq.ParquetFile, size: int) -> Iterator[pa.Table]:
     """All rows of a file in tables of `size`, except the last, which may be shorter or empty."""
-    held = pa.Table.from_batches([], file.schema_arrow)
+    held, count = [pa.Table.from_batches([], file.schema_arrow)], 0
     # One row group at a time, since `iter_batches` keeps what it has read.
     for group in range(file.num_row_groups):
-        held = pa.concat_tables([held, file.read_row_group(group, use_threads=False)])
-        while len(held) >= size:
-            yield held[:size]
-            held = held[size:]
-    if len(held) or not file.metadata.num_rows:
-        yield held
+        held.append(file.read_row_group(group, use_threads=False))
+        count += len(held[-1])
+        if count < size:
+            continue
+        rows = pa.concat_tables(held)
+        while len(rows) >= size:
+            yield rows[:size]
+            rows = rows[size:]
+        held, count = [rows], len(rows)
+    if count or not file.metadata.num_rows:
+        yield pa.concat_tables(held)
 
 
 def _plain(value: Any) -> Any:

@@ -7,12 +7,12 @@ include names.
 import math
 import os
 import site
-import struct
 import sysconfig
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import NoReturn
-from xml.parsers import expat
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -33,20 +33,25 @@ ATTRIBUTES = 1000
 """Maximum number of attributes of an element; MuJoCo's parser takes quadratic time in them."""
 INCLUDES = 100
 """Maximum number of files in a model, counting nested includes each time."""
-MOST_FILES, MOST_FOLDERS = 10_000, 20
-"""Maximum number of shapes and pictures that a model names, and of folders for them."""
+MOST_FILES = 10_000
+"""Maximum number of shapes and pictures that a model names, times that of folders for them."""
 LARGEST = 1e10
 """Largest number with which MuJoCo computes, its mjMAXVAL."""
 _PARTS = {"body", "geom", "site", "joint", "freejoint", "light", "flexcomp", "composite"}
 _PARTS |= {"link", "visual", "collision"}
+_COPIED = {"replicate", "composite", "flexcomp"}
+"""Elements that repeat their contents, or are a body each time."""
+_COUNTED = {"count", "cellcount", "nrow", "ncol", "width", "height", "nchannel"}
+_COUNTED |= {"dim", "num", "nsample", "actdim"}
+"""Attributes whose product is how many copies, points or readings an element asks for."""
 _ASSETS = {".stl", ".obj", ".msh", ".ply", ".dae", ".png", ".jpg", ".jpeg", ".ktx", ".bin"}
 """Suffixes of shapes and pictures."""
 _BYTES_OF_POINT = 50
 """Least size of a point in a file of a flexible body, with its share of triangles [bytes]."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
-_SIZES = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
-_COUNTS = {"nkey"}
-"""Sizes that count items of more than a byte; so do those that begin with nuser."""
+_UNITS = {"k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
+_SIZES = {"memory": "arena", "nstack": "cells"}
+"""Limits of the attributes of <size>; the others count items."""
 _NAMES = {"name", "class", "childclass", "file", "model", "joint", "body", "link", "site"}
 _NUMBERS = {"mass", "density", "pos", "size", "friction", "diaginertia", "fullinertia", "armature"}
 
@@ -61,10 +66,11 @@ def check_model_file(file: Path) -> None:
     try:
         scan = _Scan(file)
         scan.read(file, 1.0, 0)
+        scan.check_rows()
         scan.check_named()
     except SurefootError:
         raise
-    except (expat.ExpatError, ValueError, LookupError) as error:  # the others are of encodings
+    except (SyntaxError, ValueError, LookupError) as error:  # the others are of encodings
         raise SurefootError(f"robot {file}: cannot read it, not XML: {error}") from None
 
 
@@ -86,83 +92,127 @@ def check_compiled(file: Path, model: mujoco.MjModel) -> None:
             raise SurefootError(f"robot {file}: {name} is negative")
 
 
+class _Builder(ElementTree.TreeBuilder):
+    """Builds the tree of a file, with bounds on what takes long before the tree is there."""
+
+    def __init__(self, scan: "_Scan"):
+        super().__init__()
+        self._scan = scan
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
+        self._scan.elements += 1
+        check_limit("items", self._scan.elements, f"robot {self._scan.file}: elements")
+        if len(attrs) > ATTRIBUTES:
+            self._scan.refuse(f"{tag} has more than {ATTRIBUTES} attributes")
+        return super().start(tag.rpartition("}")[2], attrs)  # MuJoCo ignores namespaces
+
+    def doctype(self, *_: object) -> None:
+        self._scan.refuse("has a DOCTYPE, so entities")
+
+
 class _Scan:
-    """A scan of a model and all that it includes."""
+    """A scan of a model and all that it includes and attaches."""
 
     def __init__(self, file: Path):
-        self.file = file
+        self.file, self.urdf = file, file.suffix == ".urdf"
         self.folder = file.resolve().parent
         self.elements, self.files = 0, 0
-        self.parts, self.flexible = 0.0, 0.0
-        self.folders = {""}
-        self.named = dict[tuple[Path, str, str], None]()
+        self.parts, self.flexible, self.cells = 0.0, 0.0, 0.0
+        self.keyframes, self.rows = 0, 0.0
+        self.places, self.folders = {self.folder}, {""}
+        self.named = Counter[tuple[str, str]]()
 
     def read(self, file: Path, times: float, depth: int) -> None:
-        """Scan one of its files.
+        """Scan a model, then those that it attaches.
 
         Args:
-            file: the model's own, or one that it includes or attaches.
+            file: the model's own, or one that it attaches.
             times: how often the contents are repeated.
             depth: number of elements that enclose them.
+        """
+        root, attached = self.parsed(file, file.parent), list[tuple[str, float, int]]()
+        is_urdf = root.tag.lower() == "robot"  # MuJoCo knows a root in capitals, too
+        if file == self.file and is_urdf != self.urdf:
+            self.refuse("a URDF's name ends in .urdf, and it begins with <robot>")
+        if is_urdf:
+            self.check_chains(root)
+        self.walk(root, times, depth + 1, attached)
+        for model in root.iter("model") if not self.urdf else ():
+            name = model.get("name")
+            uses = [(n, d) for to, n, d in attached if not name or to == name] or [(1.0, 0)]
+            copies, deepest = sum(n for n, _ in uses), max(d for _, d in uses)
+            self.read(Path(model.get("file", "")), copies, deepest)
+
+    def parsed(self, file: Path, home: Path) -> ElementTree.Element:
+        """The tree of a file of the model in the folder `home`.
+
+        Elements that include a file hold what is in it; those of attached models name a path.
         """
         self.files += 1
         if self.files > INCLUDES:
             self.refuse(f"includes more than {INCLUDES} files, or itself")
-        admitted(file, "text", "robot")
-        protect(file)
-        counts, included = [times], list[tuple[str, float, int]]()
-        tags, ends, parents = list[str](), dict[str, str](), dict[str, str]()
-
-        def start(tag: str, values: dict[str, str]) -> None:
-            self.elements += 1
-            check_limit("items", self.elements, f"robot {self.file}: elements")
-            if len(values) > ATTRIBUTES:
-                self.refuse(f"{tag} has more than {ATTRIBUTES} attributes")
-            if depth + len(counts) > DEEPEST:
-                self.refuse(f"elements are nested deeper than {DEEPEST}, or a file includes itself")
-            counts.append(self.count(tag, values, counts[-1]))
-            self.check_values(tag, values)
-            tags.append(tag)
-            urdf, own = tags[0] == "robot", file == self.file
-            if (own and urdf != (file.suffix == ".urdf")) or (tag == "robot" and len(tags) > 1):
-                self.refuse("a URDF's name ends in .urdf, and it begins with <robot>")
-            if urdf and tag == "joint":
-                ends.clear()
-            if urdf and tag in ("parent", "child"):
-                ends[tag] = values.get("link", "")
-                if len(ends) == 2:
-                    parents[ends["child"]] = ends["parent"]
-            if urdf and own:
-                return  # its reader opens none of the files that it names
-            if tag == "compiler":
-                self.folders.update(values[key] for key in _FOLDERS if key in values)
-            for name in (values[key] for key in values if key.startswith("file") and values[key]):
-                if tag in ("include", "model"):
-                    if not self.may_read(file.parent / name, beside=False):
-                        self.refuse(f"{tag} file '{name}' lies outside of the model's folder")
-                    nested = depth + len(counts) if tag == "include" else 0
-                    included.append((name, counts[-1], nested))
-                else:
-                    self.named[file.parent, tag, name] = None
-
-        parser = expat.ParserCreate()
-        parser.StartElementHandler = start
-        parser.EndElementHandler = lambda tag: counts.pop()
-        parser.StartDoctypeDeclHandler = lambda *_: self.refuse("has a DOCTYPE, so entities")
+        protect(admitted(file, "text", "robot"))
+        self.places.add(file.parent.absolute())
         with file.open("rb") as stream:
-            parser.ParseFile(stream)
-        self.check_chains(parents)
-        for name, count, nested in included:
-            self.read((file.parent / name).resolve(), count, nested)
+            root = ElementTree.parse(stream, ElementTree.XMLParser(target=_Builder(self))).getroot()
+        for element in list(root.iter()) if not self.urdf else ():
+            if element.tag == "include":
+                element.append(self.parsed(self.file_of(element, home, file.parent), home))
+            elif element.tag == "model":
+                element.set("file", str(self.file_of(element, home, file.parent)))
+        return root
 
-    def check_chains(self, parents: dict[str, str]) -> None:
-        """Raise for the links of a URDF, each with its parent, that are nested too deeply."""
-        for link in parents:
-            above: str | None = link
+    def file_of(self, element: ElementTree.Element, *folders: Path) -> Path:
+        """The file that an element includes or attaches: in the first of the folders that has it,
+        as MuJoCo searches them.
+        """
+        name = _plain_name(element.get("file", ""))
+        paths = [folder / name for folder in folders]
+        if not all(self.may_read(path, beside=False) for path in paths):
+            self.refuse(f"{element.tag} file '{name}' lies outside of the model's folder")
+        return next(filter(is_there, paths), paths[0])
+
+    def walk(
+        self,
+        element: ElementTree.Element,
+        times: float,
+        depth: int,
+        attached: list[tuple[str, float, int]],
+    ) -> None:
+        """Scan an element, `times` and `depth` as in `read`, and all in it; models that it attaches
+        are added with their number and depth.
+        """
+        if depth > DEEPEST:
+            self.refuse(f"elements are nested deeper than {DEEPEST}, or a file includes itself")
+        tag, values = element.tag, dict(element.attrib)
+        self.check_values(tag, values)
+        inside = self.count(tag, values, times)
+        if tag == "compiler":
+            self.folders.update(_plain_name(values[key]) for key in _FOLDERS if key in values)
+        if tag == "attach":
+            attached.append((values.get("model", ""), inside, depth))
+        if tag not in ("include", "model") and not self.urdf:  # whose meshes are not read
+            self.named.update((tag, _plain_name(values[k])) for k in values if k.startswith("file"))
+        for child in element:
+            self.walk(child, inside, depth + 1, attached)
+
+    def check_chains(self, robot: ElementTree.Element) -> None:
+        """Raise for a URDF whose links are nested too deeply."""
+        parents = dict[str, str]()
+        for joint in robot.iter("joint"):
+            parent, child = joint.find("parent"), joint.find("child")
+            if parent is not None and child is not None:
+                parents[child.get("link", "")] = parent.get("link", "")
+        for above in parents:
             for _ in range(DEEPEST):
-                above = parents.get(above) if above is not None else None
-            if above is not None:
+                above = parents.get(above, "")
+            if above:
                 self.refuse(f"links of the URDF are nested deeper than {DEEPEST}, or in a circle")
+
+    def check_rows(self) -> None:
+        """Raise if keyframes, or numbers of the user's, take too much memory for all elements."""
+        numbers = max(self.rows, self.keyframes) * (self.elements + self.parts)
+        check_limit("cells", numbers, f"robot {self.file}: numbers of nkey or nuser")
 
     def check_named(self) -> None:
         """Check the shapes and pictures that the model names.
@@ -170,35 +220,38 @@ class _Scan:
         MuJoCo takes a name from the model's folder or that of a `<compiler>`, whichever comes last
         in any of the files; here it must be within bounds from each of them.
         """
-        if len(self.named) > MOST_FILES or len(self.folders) > MOST_FOLDERS:
-            self.refuse(f"names more than {MOST_FILES} files or {MOST_FOLDERS} folders")
-        pixels = dict[Path, int]()
-        for included, tag, name in self.named:
-            for path in {
-                base / folder / name for base in (self.folder, included) for folder in self.folders
-            }:
+        if len(self.named) * len(self.folders) * len(self.places) > MOST_FILES:
+            self.refuse(f"names more than {MOST_FILES} files, in all its folders")
+        size, pixels = 0, 0
+        for (tag, name), times in self.named.items():
+            for path in {one / folder / name for one in self.places for folder in self.folders}:
                 if not self.may_read(path, beside=True):
                     where = "model's folder and the folders beside it"
                     self.refuse(f"{tag} file '{name}' lies outside of the {where}")
-                if not is_there(path):
+                if not name or not is_there(path):
                     continue
-                admitted(path, "piece", "robot")
-                if tag == "flexcomp" and path.stat().st_size > _BYTES_OF_POINT * FLEXIBLE:
+                found = admitted(path, "terrain", "robot").stat().st_size
+                if tag == "flexcomp" and found > _BYTES_OF_POINT * FLEXIBLE:
                     self.refuse(f"{tag} file '{name}' has more than {FLEXIBLE} points")
-                pixels[path.resolve()] = _pixels(path)
-        check_limit("pixels", sum(pixels.values()), f"robot {self.file}: pixels of its pictures")
+                size += times * found
+                # A height takes ten times the memory of a colour.
+                pixels += times * _pixels(path) * (10 if tag == "hfield" else 1)
+        check_limit("piece", size, f"robot {self.file}: bytes of its shapes and pictures")
+        check_limit("pixels", pixels, f"robot {self.file}: pixels of its pictures")
 
     def may_read(self, path: Path, beside: bool) -> bool:
         """Whether a path lies in the model's folder or, if `beside` and it is a shape or picture,
         in a folder beside it, such as `../meshes`. Folders of users are not beside each other.
 
-        Symbolic links are resolved before `..`, as by the system, and after, as MuJoCo may do.
+        Symbolic links are resolved before `..`, as by the system, and after, as MuJoCo may do; a
+        file of the model itself must be the same in both.
         """
         above = self.folder.parent
         beside = beside and path.suffix.lower() in _ASSETS
         beside = beside and above not in (*Path.home().parents, Path.home())
-        for one in (path.resolve(), Path(os.path.normpath(path)).resolve()):
-            if one.is_relative_to(self.folder):
+        readings = {path.resolve(), Path(os.path.normpath(path)).resolve()}
+        for one in readings:
+            if one.is_relative_to(self.folder) and (beside or len(readings) == 1):
                 continue
             parts = one.relative_to(above).parts if one.is_relative_to(above) else ()
             hidden = any(part.startswith(".") for part in parts)
@@ -209,22 +262,37 @@ class _Scan:
     def count(self, tag: str, values: dict[str, str], times: float) -> float:
         """Number of copies of an element's contents, where it itself is there `times` times.
 
-        Raises if the model has too many bodies and shapes.
+        Raises if the model has too many bodies and shapes, or points and readings in all.
         """
-        copies = 1.0
-        if tag in ("replicate", "composite", "flexcomp"):
-            for count in values.get("count", "1").split()[:3]:
-                copies *= max(1.0, self.number(tag, "count", count))
+        if tag == "config" and values.get("key") == "size":  # of a plugin, such as a grid of touch
+            values = {"count": values.get("value", "")}
+        asked = math.prod(
+            max(1.0, self.number(tag, key, one))
+            for key in _COUNTED & values.keys()
+            for one in values[key].split()[:3]
+        )
+        if tag == "texture" and "height" not in values:
+            asked *= 6 * asked  # a square for each side of a cube
+        if tag == "mesh" and "params" in values:  # triangles along an edge of a built-in shape
+            asked = max(self.number(tag, "params", one) for one in values["params"].split()) ** 2
+        copies = asked if tag in _COPIED else 1.0
+        if tag in ("composite", "flexcomp", "flex"):
+            listed = values.get("point", values.get("vertex", ""))
+            copies = max(copies, len(listed.split()) / 3)
         if tag == "composite" and copies > DEEPEST:
             self.refuse(f"a composite is a chain of more than {DEEPEST} bodies")
-        if tag == "flexcomp":
-            copies = max(copies, len(values.get("point", "").split()) / 3)
-            self.flexible += times * copies
+        if tag in ("flexcomp", "flex"):
+            grid = tag == "flexcomp" and not {"count", "point", "file"} & values.keys()
+            self.flexible += times * max(copies, FLEXIBLE if grid else 0.0)
             if self.flexible > FLEXIBLE:
-                self.refuse(f"flexcomp has more than {FLEXIBLE} points")
+                self.refuse(f"{tag} has more than {FLEXIBLE} points")
         if tag in _PARTS:
             self.parts += times * copies
             check_limit("bodies", self.parts, f"robot {self.file}: bodies and shapes")
+        elif tag not in _COPIED:
+            self.cells += times * asked
+            check_limit("cells", self.cells, f"robot {self.file}: points or readings with {tag}")
+        self.keyframes += tag == "key"
         return times * copies
 
     def check_values(self, tag: str, values: dict[str, str]) -> None:
@@ -236,17 +304,12 @@ class _Scan:
             for number in values[key].split():
                 if not math.isfinite(self.number(tag, key, number)):
                     self.refuse(f"{tag} {key} is {number}")
-        if tag == "size":
-            for key, text in values.items():
-                unit = text[-1:].lower() if text[-1:].isalpha() else ""
-                amount = self.number(tag, key, text[: len(text) - len(unit)])
-                limit = "items" if key in _COUNTS or key.startswith("nuser") else "arena"
-                check_limit(limit, amount * _SIZES.get(unit, 1), f"robot {self.file}: size {key}")
-        for rows, columns in (("nrow", "ncol"), ("height", "width")):
-            if tag in ("hfield", "texture") and rows in values and columns in values:
-                points = self.number(tag, rows, values[rows])
-                points *= self.number(tag, columns, values[columns])
-                check_limit("cells", points, f"robot {self.file}: points of {tag}")
+        for key, text in values.items() if tag == "size" else ():
+            unit = _UNITS.get(text[-1:].lower(), 1)
+            amount = unit * self.number(tag, key, text if unit == 1 else text[:-1])
+            check_limit(_SIZES.get(key, "items"), amount, f"robot {self.file}: size {key}")
+            if key == "nkey" or key.startswith("nuser_"):
+                self.rows = max(self.rows, amount)
 
     def number(self, tag: str, key: str, text: str) -> float:
         """Parse a number of the file."""
@@ -260,14 +323,21 @@ class _Scan:
         raise SurefootError(f"robot {self.file}: {why}")
 
 
+def _plain_name(name: str) -> str:
+    """A file's name with the separators that MuJoCo takes for such on any system."""
+    return name.replace("\\", "/")
+
+
 def _pixels(path: Path) -> int:
-    """Pixels of a PNG picture by its header, which may unpack a thousandfold; of others 0."""
+    """Pixels of a PNG picture by its header, which may unpack a thousandfold, twice for those of
+    two bytes a colour; of other pictures 0.
+    """
     with path.open("rb") as stream:
-        head = stream.read(24)
+        head = stream.read(25)
     if len(head) < 24 or not head.startswith(b"\x89PNG"):
         return 0
-    width, height = struct.unpack(">II", head[16:])
-    return width * height
+    width, height = int.from_bytes(head[16:20]), int.from_bytes(head[20:24])
+    return width * height * (2 if head[24:] > b"\x08" else 1)
 
 
 @cache

@@ -28,11 +28,12 @@ class Outcome:
 
     @property
     def refused(self) -> bool:
-        """Whether it ended in one line of error, and changed nothing."""
-        lines = [line for line in self.err.splitlines() if line.strip()]
-        said = bool(lines) and lines[-1].startswith("surefoot: ")
-        bad_option = self.code == 2 and "Traceback" not in self.err
-        return ((self.code == 1 and said) or bad_option) and not self.changed and not self.traceback
+        """Whether it ended with exactly one line, after warnings of a log that was read before, and
+        changed nothing.
+        """
+        lines = [line for line in self.err.splitlines() if not line.startswith("warning: ")]
+        one = len(lines) == 1 and lines[0].startswith("surefoot: ")
+        return one and self.code in (1, 2) and not self.changed
 
     @property
     def traceback(self) -> bool:

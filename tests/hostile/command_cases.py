@@ -13,7 +13,7 @@ OPTIONS = [
     ("an output of 300 letters", f"estimate walk.parquet --filter imu -o {'x' * 300}.parquet", "long"),
     ("a folder of 300 letters", f"compare walk.parquet -o {'x' * 300}", "long"),
     ("a path of 5000 letters", f"compare walk.parquet -o {'x/' * 2500}y", "long"),
-    ("an output that is a folder", "estimate walk.parquet --filter imu -o .", "folder"),
+    ("an output that is a folder", "estimate walk.parquet --filter imu -o .", "out ."),
     ("a folder that is a file", "compare walk.parquet -o mine.txt", "mine.txt"),
     ("a page that is a file of the user", "realism walk.parquet -o new --page mine.txt", "mine.txt"),
     ("an output of the system", "estimate walk.parquet --filter imu -o /proc/x.parquet", "/proc"),

@@ -117,3 +117,81 @@ def test_a_picture_is_measured_before_it_is_unpacked(tmp_path, element):
     path = tmp_path / "robot.xml"
     path.write_text(f'<mujoco><asset><{element} name="x" file="big.png"/></asset></mujoco>')
     assert "pixels" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("element", "said"),
+    [
+        ('<sensor><user dim="2000000000"/></sensor>', "user"),
+        ('<sensor><contact geom1="g" num="1000000000"/></sensor>', "contact"),
+        ('<sensor><jointpos joint="j" nsample="90000000"/></sensor>', "jointpos"),
+        ('<actuator><general joint="j" actdim="2000000000"/></actuator>', "general"),
+        ('<asset><mesh name="m" builtin="plate" params="9000 2"/></asset>', "mesh"),
+        ('<asset><texture type="cube" builtin="flat" width="9000"/></asset>', "texture"),
+        ('<asset><texture builtin="flat" width="2500" height="2500"/></asset>' * 2, "texture"),
+        ('<asset><hfield nrow="2500" ncol="2500"/></asset>' * 2, "hfield"),
+        ('<sensor><plugin><config key="size" value="9000 9000"/></plugin></sensor>', "config"),
+        ('<size njmax="900000000"/>', "njmax"),
+        ('<size nuser_geom="99999"/>' + "<geom/>" * 100, "nuser"),
+        ('<size nkey="99999"/>' + "<geom/>" * 100, "nkey"),
+        ("<keyframe>" + "<key/>" * 9999 + "</keyframe>", "nkey"),
+        ('<deformable><flex vertex="' + "0 0 1 " * 1001 + '"/></deformable>', "points"),
+        ('<composite type="cable" vertex="' + "0 0 1 " * 200 + '"/>', "composite"),
+    ],
+)
+def test_what_an_element_asks_for_is_bounded(tmp_path, element, said):
+    path = tmp_path / "robot.xml"
+    path.write_text(f"<mujoco>{element}</mujoco>")
+    assert said in refusal(path)
+
+
+def test_a_model_counts_as_often_as_it_is_attached(tmp_path):
+    many = "".join(f'<attach model="m" body="part" prefix="{k}"/>' for k in range(40))
+    for k in range(2):
+        asset = f'<asset><model name="m" file="{k + 1}.xml"/></asset>'
+        text = f'{asset}<worldbody><body name="part">{many}</body></worldbody>'
+        (tmp_path / f"{k}.xml").write_text(f"<mujoco>{text}</mujoco>")
+    (tmp_path / "2.xml").write_text(PART.format("<geom/>" * 9))
+    assert "bodies" in refusal(tmp_path / "0.xml")
+    check_model_file(tmp_path / "1.xml")
+
+
+def test_the_scanned_file_is_the_one_that_is_included(tmp_path):
+    """MuJoCo takes it from the model's folder, if it is there, before the including file's."""
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "part.xml").write_text("<mujoco/>")
+    (tmp_path / "sub" / "first.xml").write_text('<mujoco><include file="part.xml"/></mujoco>')
+    path = tmp_path / "robot.xml"
+    path.write_text('<mujoco><include file="sub/first.xml"/></mujoco>')
+    check_model_file(path)
+    (tmp_path / "part.xml").write_text('<mujoco><include file="/etc/passwd"/></mujoco>')
+    assert "outside" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "include",
+    [
+        '<mujoco><include file="..\\outside\\part.xml"/></mujoco>',
+        '<mujoco xmlns="any"><include file="../outside/part.xml"/></mujoco>',
+        '<mujoco><include file="link/../part.xml"/></mujoco>',
+        '<mujoco><asset><model file="..\\outside\\part.xml"/></asset></mujoco>',
+        '<mujoco><compiler meshdir="..\\..\\.."/><asset><mesh file="m.stl"/></asset></mujoco>',
+    ],
+)
+def test_a_path_is_read_as_mujoco_reads_it(tmp_path, include):
+    folder = tmp_path / "robot"
+    (folder / "sub" / "deep").mkdir(parents=True)
+    (folder / "link").symlink_to("sub/deep")
+    (folder / "part.xml").write_text("<mujoco/>")
+    (folder / "robot.xml").write_text(include)
+    assert "outside" in refusal(folder / "robot.xml")
+
+
+def test_a_root_in_capitals_is_a_urdf(tmp_path):
+    links = "".join(
+        f'<joint name="j{k}"><parent link="l{k}"/><child link="l{k + 1}"/></joint>'
+        for k in range(199)
+    )
+    (tmp_path / "part").write_text(f"<ROBOT>{links}</ROBOT>")
+    (tmp_path / "robot.xml").write_text(ATTACHED.format("part"))
+    assert "deeper" in refusal(tmp_path / "robot.xml")
