@@ -196,7 +196,8 @@ def test_the_update_moves_the_packed_state_into_the_bounds():
     assert 0.4 < mean[3, 0] < 0.5
     assert P[3, 3] < 0.01
     again = mean.copy()
-    assert update_coverage(again, P.copy(), 0, v_I, epsilon, 0.99) > pi
+    options = 0.99, 1, UNLIMITED, 1, fresh_counts()
+    assert update_coverage(again, P.copy(), v_I, epsilon, *options) > pi
 
 
 def test_what_is_noted_of_a_velocity_is_what_its_update_uses():
