@@ -13,7 +13,11 @@ def filters_page() -> str:
     for name in ESTIMATORS:
         one = estimator_named(name)
         needed = [*one.needs.log, *(("feet",) if one.needs.feet else ()), *one.needs.learnt]
-        row = {"filter": f"`{name}`", "method": one.description, "needs": ", ".join(needed)}
+        row = {
+            "filter": f"`{name}`",
+            "method": one.description,
+            "needs": ", ".join(needed),
+        }
         filters.append(row)
         for each in one.parameters:
             users.setdefault(each, []).append(f"`{name}`")
@@ -32,12 +36,12 @@ def filters_page() -> str:
         "The names for `--filter`. *gml* observers are trained with `--loss gml`, *mse* observers "
         "with `--loss mse`; *persistent* is the part of the bounds that describes persistent "
         "errors. Yours are added as [own estimator](../guides/own_estimator.md) describes.",
-        to_markdown(filters),
+        to_markdown(filters, markup=True),
         "## Parameters",
         "Set them by `--set filters.leg.contact=0.015`, or in a [file of settings]"
         "(../guides/compare.md#where-do-the-covariances-come-from). For the bundled robots, "
         "`surefoot/scenarios/estimate/tuned.toml` replaces some of these defaults.",
-        to_markdown(parameters),
+        to_markdown(parameters, markup=True),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -66,7 +70,7 @@ def effects_page() -> str:
         "(../guides/simulate.md#robots-that-differ-from-their-model) adds them, "
         "[`trace`](../guides/trace_and_loop.md) looks for them. Sizes are within the bounds below. "
         "Yours are added as [own effect](../guides/own_effect.md) describes.",
-        to_markdown(rows),
+        to_markdown(rows, markup=True),
     ]
     return "\n\n".join(parts) + "\n"
 

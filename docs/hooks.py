@@ -144,7 +144,7 @@ In Python,
 `surefoot.sim.plausibility.check_log` gives the same: columns, evidence, likely cause and, where
 there is one, the line of the import map that mends it."""
     order = str(rules.__doc__).partition("\n\n")[2].strip()
-    parts = ["# What is plausible", intro, order, to_markdown(rules_table())]
+    parts = ["# What is plausible", intro, order, to_markdown(rules_table(), markup=True)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -38,7 +38,7 @@ def table_of(demo: Path) -> str:
     ]
     origin = origin_of("surefoot.scenarios.demo", "surefoot demo")
     made = f"`surefoot demo` on commit `{origin.commit}`, {origin.date}, {origin.machine}."
-    return f"\n{to_markdown(rows)}\n\n{made}\n"
+    return f"\n{to_markdown(rows, markup=True)}\n\n{made}\n"
 
 
 if __name__ == "__main__":

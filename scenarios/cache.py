@@ -77,8 +77,7 @@ def product(
 
 def product_key(kind: str, inputs: Mapping[str, Any], code: str) -> str:
     """Name under which a product is stored."""
-    text = json.dumps([kind, inputs, sources_digest(code)], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+    return json_digest([kind, inputs, sources_digest(code)])[:32]
 
 
 def contents_digest(log: Log) -> str:

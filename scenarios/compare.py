@@ -13,7 +13,7 @@ from scipy.stats import chi2
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import Metrics, path_length
-from surefoot.scenarios.datasets.index import slip_and_creep
+from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
@@ -26,7 +26,7 @@ from surefoot.scenarios.reporting.figures import (
     trajectories,
     velocity_figure,
 )
-from surefoot.scenarios.reporting.html import Picture, Section, save_picture, write_report
+from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
 from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
@@ -203,32 +203,23 @@ def write_comparison(
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
-        for name, picture in pictures.items():
-            save_picture(picture, out / "figures" / f"{comparison.log.name}_{name}.png")
         heading = f"The log '{comparison.log.name}'"
-        sections.append(
-            Section(heading, _walk_prose(comparison), pictures=tuple(pictures.values()))
-        )
-        if (walk := _recorded(comparison, ground)) is not None:
+        sections.append(Section(heading, _walk_prose(comparison), pictures=tuple(pictures)))
+        if comparison.drawn is not None:
+            drawn = [r for r in comparison.results if traits(r.filter).drawn]
+            walk = RecordedWalk(
+                comparison.log,
+                comparison.drawn,
+                {r.filter: r.trajectory for r in drawn},
+                comparison.prediction,
+                comparison.bounds,
+                ground,
+            )
             write_recording(out / f"{comparison.log.name}.rrd", walk)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
     write_report(out / "report.html", title, sections)
     return found
-
-
-def _recorded(comparison: Comparison, ground: Ground | None) -> RecordedWalk | None:
-    """What a recording shows of a comparison; None if there is nothing to draw it along."""
-    if comparison.drawn is None:
-        return None
-    return RecordedWalk(
-        comparison.log,
-        comparison.drawn,
-        {r.filter: r.trajectory for r in comparison.results if traits(r.filter).drawn},
-        comparison.prediction,
-        comparison.bounds,
-        ground,
-    )
 
 
 def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) -> list[Section]:
@@ -263,10 +254,11 @@ def _walk_prose(comparison: Comparison) -> str:
     if log.has("reference"):
         text += f", {path_length(log.t, log.ref_p):.1f} m"
     if log.has("truth"):
-        slipping, creep = slip_and_creep(log)
+        facts = walk_facts([log])
         text += (
-            f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * slipping:.1f} % of their "
-            f"samples; on dry ground they creep at {1e3 * creep:.2f} mm/s (median)"
+            f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * facts['slip_share']:.1f} % "
+            "of their samples; on dry ground they creep at "
+            f"{1e3 * facts['creep']:.2f} mm/s (median)"
         )
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon
@@ -280,35 +272,38 @@ def _walk_prose(comparison: Comparison) -> str:
     return text + "."
 
 
-def _pictures(comparison: Comparison, ground: Ground | None) -> dict[str, Picture]:
+def _pictures(comparison: Comparison, ground: Ground | None) -> list[Picture]:
     if not (comparison.log.has("reference") and comparison.results):
-        return {}
+        return []
     truth = reference(comparison.log)
     shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
     patches, fields = (ground.patches, ground.fields) if ground else ((), ())
-    pictures = {
-        "trajectories": Picture(
+    files = f"figures/{comparison.log.name}"
+    pictures = [
+        Picture(
             trajectories(comparison.log, errors, patches, fields),
             "The walk from above: truth and every estimate, aligned at the start.",
+            f"{files}_trajectories.png",
         ),
-        "height": Picture(
+        Picture(
             height_figure(comparison.log, errors),
             "Height over time: no sensor on board measures it, so every filter drifts.",
+            f"{files}_height.png",
         ),
-        "position_error": Picture(
+        Picture(
             position_error(errors),
             "Distance from the truth, and the three sigma each filter claims for itself.",
+            f"{files}_position_error.png",
         ),
-    }
+    ]
     prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
     if prediction is not None and bounds is not None and robot is not None:
-        pictures["velocity"] = Picture(
-            velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI)),
-            "Body velocity: the observer's prediction, its calibrated bounds, and the truth.",
-        )
+        velocity = velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI))
+        words = "Body velocity: the observer's prediction, its calibrated bounds, and the truth."
+        pictures.append(Picture(velocity, words, f"{files}_velocity.png"))
     return pictures
 
 

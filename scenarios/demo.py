@@ -14,9 +14,9 @@ from surefoot.scenarios.compare import compare_log, write_comparison
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.first_use import compile_filters
-from surefoot.scenarios.reporting.html import Picture, Section, nested, save_picture
-from surefoot.scenarios.reporting.observer_errors import error_section
-from surefoot.scenarios.reporting.observer_figures import mixing_curve
+from surefoot.scenarios.reporting.html import Picture, Section, nested
+from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
+from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.stages import processes, submitted
@@ -147,8 +147,8 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
     pictures = ()
     if bounds.mixing is not None:
         caption = "Correlation of errors over time: calibration samples are taken K steps apart."
-        pictures = (Picture(mixing_curve(bounds.mixing), caption),)
-        save_picture(pictures[0], out / "figures" / "observer_mixing.png")
+        file = "figures/observer_mixing.png"
+        pictures = (Picture(mixing_curve(bounds.mixing), caption, file),)
     learning = Section(
         "The observer and its bounds",
         f"Trained on one walk; calibrated on another at joint level {bounds.gamma:g} with "
@@ -161,7 +161,7 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
     tested = observer.errors, test_errors
     errors = error_section(*tested, bounds.epsilon, bounds.gamma, "the third walk")
     for k, picture in enumerate(errors.pictures):
-        save_picture(picture, out / "figures" / f"observer_errors_{k + 1}.png")
+        save_png(picture.figure, out / "figures" / f"observer_errors_{k + 1}.png")
     return [learning, errors]
 
 

@@ -36,8 +36,8 @@ WORLD, BODY = "world", "imu"
 FORMATS = (".tum", ".csv", ".mcap")
 _UNKNOWN = -1.0
 """First element of a ROS covariance of an unmeasured quantity (sensor_msgs/Imu)."""
-Messages = Iterator[tuple[str, str, float, Any]]
-"""Topic, type, time [s] and message."""
+Messages = Iterator[tuple[str, float, Any]]
+"""Topic, time [s] and message."""
 
 
 def export(file: str | Path, out: str | Path, force: bool = False) -> str:
@@ -80,7 +80,8 @@ def _write_mcap(out: Path, store: Typestore, messages: Messages, force: bool) ->
         bag = Path(folder) / "bag"
         connections: dict[str, Any] = {}
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            for topic, kind, t, message in messages:
+            for topic, t, message in messages:
+                kind = message.__msgtype__
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=store)
                 content = store.serialize_cdr(message, kind)
@@ -109,12 +110,11 @@ def _of_log(store: Typestore, log: Log) -> Messages:
         if gyro is not None and accel is not None:
             none = quaternion(0.0, 0.0, 0.0, 1.0)
             reading = imu(at, none, unknown, vector(*gyro[k]), zero, vector(*accel[k]), zero)
-            yield "/imu", "sensor_msgs/msg/Imu", t, reading
+            yield "/imu", t, reading
         if q is not None:
-            state = joints(at, list(log.joints), q[k], dq[k], tau[k])
-            yield "/joint_states", "sensor_msgs/msg/JointState", t, state
+            yield "/joint_states", t, joints(at, list(log.joints), q[k], dq[k], tau[k])
         for leg, stands in zip(log.legs, contact[k], strict=False):
-            yield f"/contact/{leg}", "std_msgs/msg/Bool", t, flag(bool(stands))
+            yield f"/contact/{leg}", t, flag(bool(stands))
     if log.has("reference"):
         yield from _poses(store, "/reference", log.t, log.ref_p, log.ref_q)
 
@@ -127,8 +127,7 @@ def _of_estimate(store: Typestore, found: Trajectory, name: str) -> Messages:
     header, vector = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Vector3"]
     for t, v_I in zip(found.t, found.v_I, strict=True):
         moving = twist(vector(*v_I), vector(0.0, 0.0, 0.0))
-        message = stamped(header(_time(store, t), BODY), moving)
-        yield f"/{name}/velocity", "geometry_msgs/msg/TwistStamped", t, message
+        yield f"/{name}/velocity", t, stamped(header(_time(store, t), BODY), moving)
 
 
 def _poses(store: Typestore, topic: str, t: np.ndarray, p: np.ndarray, q: np.ndarray) -> Messages:
@@ -147,10 +146,9 @@ def _poses(store: Typestore, topic: str, t: np.ndarray, p: np.ndarray, q: np.nda
     in_frame, transform = (types[name] for name in _FOXGLOVE)
     for at, place, turn in zip(t, p, q, strict=True):
         stamp, attitude = _time(store, at), quaternion(*turn[1:], turn[0])
-        posed = in_frame(stamp, WORLD, pose(point(*place), attitude))
-        yield topic, "foxglove_msgs/msg/PoseInFrame", at, posed
+        yield topic, at, in_frame(stamp, WORLD, pose(point(*place), attitude))
         moved = transform(stamp, WORLD, f"{topic[1:]}/{BODY}", vector(*place), attitude)
-        yield "/tf", "foxglove_msgs/msg/FrameTransform", at, moved
+        yield "/tf", at, moved
 
 
 def _time(store: Typestore, t: float) -> Any:

@@ -80,18 +80,15 @@ def plan_motions(
     for k, (motion, segments) in enumerate(tried.items()):
         log = walk(Scenario("plan", segments, Ground(0.8)), robot, seed=0)
         case = log_under_model(log, robot)
-        keys = [key for key in all_keys(case) if key[1] not in _groups(key, robot)]
+        # A target that is a group of others adds no information.
+        groups = {name: one.group_targets(robot.limbs) for name, one in known.items()}
+        keys = [key for key in all_keys(case) if key[1] not in groups[key[0]]]
         information, prior = _information(linearise([case], (), keys), keys)
         for i, key in enumerate(keys):
             if key[0] in effects:
                 found.setdefault(key, {})[motion] = _shown(information, prior, i, keys)
         progress((k + 1) / len(tried))
     return found
-
-
-def _groups(key: Key, robot: Robot) -> tuple[str, ...]:
-    """Targets of this effect that are groups of others, and so add no information."""
-    return tuple(known_effects()[key[0]].group_targets(robot.limbs))
 
 
 def _information(evidence: Evidence, keys: Sequence[Key]) -> tuple[np.ndarray, np.ndarray]:

@@ -24,13 +24,13 @@ def noise(log: Log, out: Path | None, force: bool = False) -> RestNoise:
     beside it. Raises SurefootError where the log never rests, or a file exists and `force` is not
     given.
     """
-    figure = None if out is None else out.with_suffix(".png")
-    for path in (out, figure):
-        if path is not None:
-            refuse_overwrite(path, force)
+    outputs = () if out is None else (out, out.with_suffix(".png"))
+    for path in outputs:
+        refuse_overwrite(path, force)
     found = rest_noise(log)
-    if out is not None and figure is not None:
-        with whole_file(out, force) as temporary:
+    if outputs:
+        settings, figure = outputs
+        with whole_file(settings, force) as temporary:
             temporary.write_text(settings_text(log.name, found), encoding="utf-8")
             save_png(allan_figure(found), figure, force)
     return found

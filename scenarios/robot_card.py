@@ -16,7 +16,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.legs import outline_G
 from surefoot.sim.robot.machine import Modelled, load_machine
-from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
+from surefoot.sim.robot.model_file import compiled_model, read_model
 from surefoot.sim.robot.robot import IMU_SITES, Robot
 from surefoot.sim.walking.trial import why_not
 
@@ -54,7 +54,7 @@ def _card_without_legs(machine: Modelled) -> RobotCard:
         text += f"\nno legs: {machine.legless}"
     elif machine.file.suffix != ".urdf":
         text += "\nbase: fixed, as no body has a free joint; that of a walking robot needs one"
-    text = "\n".join([text, *changes_on_reading(machine.file)])
+    text = "\n".join([text, *read_model(machine.file)[1]])
     values = {"name": machine.name, "file": machine.file, "joints": machine.joint_names}
     return RobotCard(text, values)
 
@@ -71,7 +71,7 @@ def _card(robot: Robot) -> RobotCard:
         f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
         f"does not walk in simulation: {fault}" if fault else "walks in simulation",
     ]
-    lines += changes_on_reading(robot.file)
+    lines += read_model(robot.file)[1]
     # With all that is fixed to it; in a URDF a motor's mass is often that of a link of its own.
     moved = [model.body_weldid[model.jnt_bodyid[model.joint(n).id]] for n in robot.joint_names]
     joints = [
@@ -86,35 +86,19 @@ def _card(robot: Robot) -> RobotCard:
         }
         for j, (joint, own) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
     ]
-    feet_B = _feet_at_home(robot)
     feet = [
         {
             "leg": leg,
             "foot on body": robot.foot_bodies[k],
             "radius [m]": robot.foot_radius[k],
-            "at home, in the base [m]": _numbers(feet_B[k]),
+            "at home, in the base [m]": _numbers(robot.home_feet_B[k]),
         }
         for k, leg in enumerate(robot.limbs.legs)
     ]
-    values = {
-        "name": robot.name,
-        "file": robot.file,
-        "mass": robot.mass,
-        "leg_length": robot.leg_length,
-        "imu": robot.imu,
-        "p_BI": robot.p_BI,
-        "R_BI": robot.R_BI,
-        "walks": not fault,
-        "fault": fault,
-        "joints": joints,
-        "feet": feet,
-    }
+    shown = ("name", "file", "mass", "leg_length", "imu", "p_BI", "R_BI")
+    values = {name: getattr(robot, name) for name in shown}
+    values |= {"walks": not fault, "fault": fault, "joints": joints, "feet": feet}
     return RobotCard("\n".join([*lines, "", to_markdown(joints), "", to_markdown(feet)]), values)
-
-
-def _feet_at_home(robot: Robot) -> np.ndarray:
-    """Feet (L, 3) in the home pose, in the base [m]."""
-    return robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
 
 
 def _no_imu(model: mujoco.MjModel) -> str:
@@ -131,17 +115,13 @@ def _no_imu(model: mujoco.MjModel) -> str:
 def portrait(robot: Robot) -> Figure:
     """Draw the robot in its home pose from the left and the front: shapes, legs, feet and IMU."""
     model = compiled_model(robot.file)
-    data = mujoco.MjData(model)
-    for own, angle in zip(robot.joint_names, robot.q_home, strict=True):
-        data.qpos[model.joint(own).qposadr[0]] = angle
-    mujoco.mj_kinematics(model, data)
+    data, feet_B = robot.at_home(model), robot.home_feet_B
     base = model.body(robot.base_name).id
     R, p = data.xmat[base].reshape(3, 3), data.xpos[base]
 
     def in_base(points: np.ndarray) -> np.ndarray:
         return (np.atleast_2d(points) - p) @ R
 
-    feet_B = _feet_at_home(robot)
     figure, sides = new_figure(1, 2, (9.0, 4.2))
     for axes, across, title in zip(sides[0], (0, 1), ("its left", "the front"), strict=True):
         for geom in np.flatnonzero(model.geom_bodyid > 0):

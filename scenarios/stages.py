@@ -4,14 +4,16 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from threading import Thread
 from typing import Any
 
 from surefoot.sim.common.files import remove_unfinished
+from surefoot.sim.common.plugins import naming_plugins
 from surefoot.sim.common.progress import bar as drawn_bar
+from surefoot.sim.common.terminal import printing_plainly
 
 
 @contextmanager
@@ -50,12 +52,18 @@ def submitted(pool: ProcessPoolExecutor, task: tuple) -> Future:
     so that only this process reports it and ends them.
     """
     if not hasattr(signal, "pthread_sigmask"):
-        return pool.submit(*task)
+        return pool.submit(_run, *task)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return pool.submit(*task)
+        return pool.submit(_run, *task)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _run(work: Callable[..., Any], *arguments: Any) -> Any:
+    """In a worker: run a task, whose errors reach the other process without their places."""
+    with printing_plainly(), naming_plugins():
+        return work(*arguments)
 
 
 def _end_with_parent() -> None:

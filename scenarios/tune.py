@@ -26,6 +26,7 @@ from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.scenarios.estimate.contract import Learnt, Parameters
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
 from surefoot.scenarios.estimate.run import declared_model, estimated
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import Tuned, read_tuned, tuned, tuned_file
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
@@ -129,13 +130,12 @@ def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
     with processes(settings.workers) as pool:
         results = stage(pool, "searches", searches)
     found = {key: result for key, result in results.items() if "left_out" not in result}
-    table = [_row(known, name, result) for (known, name), result in found.items()]
-    lines = [to_markdown(table), _LEGEND]
+    lines = [to_markdown([_row(*key, result) for key, result in found.items()]), _LEGEND]
     for (known, name), result in results.items():
-        if name in filters and "left_out" in result:
-            raise SurefootError(f"filter {name}, {known}: {result['left_out']}")
-        if "left_out" in result:
-            lines.append(f"left out for {known}: {name} ({result['left_out']})")
+        if why := result.get("left_out"):
+            if name in filters:
+                raise SurefootError(f"filter {name}, {known}: {why}")
+            lines.append(f"left out for {known}: {name} ({why})")
     entries = dict(read_tuned(tuned_file()))
     for (known, name), result in found.items():
         before = entries.get(known, entries["default"])
@@ -170,8 +170,9 @@ def search_filter(
     start = {name: value for name, value in every.items() if name not in declared_ones}
 
     def judged(values: Parameters) -> list[Metrics]:
+        chosen = FilterSettings(filters={name: {**every, **values}})
         return [
-            evaluate(reference(log), estimated(estimator, log, robot, learnt, {**every, **values}))
+            evaluate(reference(log), estimated(estimator, log, robot, learnt, chosen))
             for log, robot in walks
         ]
 

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_typed
@@ -79,10 +79,8 @@ class Scenario:
         path = scenario_file(name_or_path)
         protect(path)
         file = read_typed(path, _File, "scenario")
-        try:
+        with errors_in(f"scenario {path}"):
             ground = file.ground.ground(path.resolve().parent)
-        except SurefootError as error:
-            raise SurefootError(f"scenario {path}: {error}") from None
         return cls(
             name=path.stem if file.name is None else file.name,
             segments=tuple(chain.from_iterable(entry.segments() for entry in file.segment)),

@@ -150,7 +150,7 @@ class Trajectory:
             path = admitted(path, "recording")
             about = pq.read_metadata(path)
             size = 8.0 * about.num_rows * about.num_columns
-            check_unpacked(path, size, f"{path}: bytes of columns")
+            check_unpacked(path.stat().st_size, size, f"{path}: bytes of columns")
             table = pq.read_table(path, page_checksum_verification=True)
         except SurefootError as error:
             raise TrajectoryError(str(error)) from None

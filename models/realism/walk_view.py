@@ -106,8 +106,7 @@ class WalkView:
     @cached_property
     def outward(self) -> np.ndarray:
         """(L,): 1 for legs on the left of the base, -1 for those on the right."""
-        home_B = self.robot.feet_I(self.robot.q_home[None])[0] @ self.robot.R_BI.T + self.robot.p_BI
-        return np.sign(home_B[:, 1])
+        return np.sign(self.robot.home_feet_B[:, 1])
 
     def stride_of(self, t: np.ndarray) -> np.ndarray:
         """Number (K,) of the stride that contains each time t (K,) [s]."""

@@ -53,7 +53,7 @@ def contact_timing(
         (*feet.groups, "imu", "contact", "reference", "ref_v"),
         lambda: _all_motion_changes(log, feet, motion, turns, rows, bounce),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
-        *feet.geometry,
+        *vars(feet).values(),  # the same objects until they change
     )
     late = np.full((len(motion.first), 2 * len(turns)), np.nan)
     # A debounced contact begins late by the debounce time.

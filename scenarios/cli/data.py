@@ -116,13 +116,9 @@ class Import(CheckedSettings, OutputSettings):
         write_whole(self.out, text, self.force)
         # Lines "# ?" mark entries below a question; the first line of the text only explains this.
         asked = text.partition("\n")[2].count("# ? ")
-        if asked == 0:
-            what = "no questions in it; import with --map"
-        elif asked == 1:
-            what = "1 question in it; answer it, then import with --map"
-        else:
-            what = f"{asked} questions in it; answer them, then import with --map"
-        print(f"{self.out}: {what}")
+        count = "1 question" if asked == 1 else f"{asked or 'no'} questions"
+        first = "answer first, then " if asked else ""
+        print(f"{self.out}: {count} in it; {first}import with --map")
 
 
 @options.command

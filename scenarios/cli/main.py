@@ -15,9 +15,10 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 import surefoot
 from surefoot.scenarios.cli import data, estimate, study
-from surefoot.scenarios.cli.runs import guarded, one_line, plain_terminals
+from surefoot.scenarios.cli.runs import guarded
 from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.plugins import with_plugins
+from surefoot.sim.common.plugins import naming_plugins, with_plugins
+from surefoot.sim.common.terminal import one_line, plain_terminals, printing_plainly
 
 COMMANDS: dict[str, type] = {
     "demo": study.Demo,
@@ -65,11 +66,15 @@ def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
     if first == "--version":
         print(f"surefoot {surefoot.__version__}")
         sys.exit()
+    for option in arguments:
+        if option.startswith("-") and not option.isprintable():
+            raise SurefootError(f"{option}: an option with control characters")
     if first in COMMANDS:
         return first, _command(COMMANDS[first], f"surefoot {first}", rest)
     if not first.startswith("-"):
         hint = did_you_mean(first, COMMANDS) or ";"
-        print(f"surefoot: no command '{first}'{hint} see `surefoot --help`", file=sys.stderr)
+        line = one_line(f"surefoot: no command '{first}'{hint} see `surefoot --help`")
+        print(line, file=sys.stderr)
         sys.exit(2)
     choices = tuple(Annotated[c, subcommand(n, prefix_name=False)] for n, c in COMMANDS.items())
     command = _command(Union[choices], "surefoot", arguments, ABOUT)  # noqa: UP007
@@ -102,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         given = sys.argv[1:] if arguments is None else arguments
         name, command = _parsed(with_plugins(given))
-        with guarded(name, command):
+        with printing_plainly(), naming_plugins(), guarded(name, command):
             command.run()
         sys.stdout.flush()
     except SurefootError as error:

@@ -6,11 +6,11 @@ from typing import Any
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.sim.common.errors import SurefootError, unknown
-from surefoot.sim.common.files import bundled, is_file, is_there
+from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.log_file import check_first_bytes
 from surefoot.sim.common.plugins import plugins
 from surefoot.sim.importing.map_catalog import map_file
-from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.catalog import machine_file, robot_file
 from surefoot.sim.scenario_catalog import scenario_file
 
 EFFECT_NAMES = (
@@ -51,11 +51,6 @@ def file_there(path: str | Path) -> None:
         raise SurefootError(f"{path}: no such file")
 
 
-def _machine_file(name: str) -> None:
-    if not is_file(bundled("surefoot.sim.robot", "machines") / f"{name}.xml"):
-        robot_file(name)
-
-
 def _known_filter(name: str) -> None:
     if name not in ESTIMATORS:
         estimator_named(name)
@@ -77,7 +72,7 @@ _LOGS = {"log", "logs", "holdout", "on"}
 """Options that are logs."""
 _LOOKED_UP = {
     "filter": _known_filter,
-    "robot": _machine_file,
+    "robot": machine_file,
     "walker": robot_file,
     "scenarios": scenario_file,
     "map": map_file,

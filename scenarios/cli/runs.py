@@ -3,13 +3,11 @@ an interruption ends in one line.
 """
 
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from glob import escape
 from pathlib import Path
-from shutil import get_terminal_size
 from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
@@ -28,9 +26,6 @@ from surefoot.sim.common.files import (
 )
 from surefoot.sim.common.limits import check_limit
 
-NARROWEST = 20
-"""Columns of a terminal below which help would take minutes to wrap."""
-
 try:
     import fcntl
 except ImportError:  # where it is missing, two runs into one folder are not told apart
@@ -42,11 +37,7 @@ SHARED_OUTPUTS = ("page", "data", "cache")
 """Options for outputs that runs may share. Every other path is an input."""
 FOLDER_OPTIONS = ("data", "cache")
 """Options that must not name a file."""
-BOUNDED = {
-    "workers": "workers",
-    "seeds": "walks",
-    "budget": "items",
-}
+BOUNDED = {"workers": "workers", "budget": "items"}
 """Options that are counts -> name of their limit."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "tune"}
 """Commands that continue after an interruption when run again."""
@@ -71,8 +62,9 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
             raise SurefootError(f"--{option}: must not be beyond 2^53")
     for path in (*inputs, *own, *shared):
-        if not _utf8(os.path.abspath(path)):
-            raise SurefootError(f"{os.path.abspath(path)}: the path is not UTF-8; rename it")
+        whole = os.path.abspath(path)  # Python holds other bytes than UTF-8 as half characters
+        if whole.encode(errors="ignore").decode() != whole:
+            raise SurefootError(f"{whole}: the path is not UTF-8; rename it")
     refuse_unnamed(read)
     cache_folder()
     for option, limit in BOUNDED.items():
@@ -93,11 +85,6 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             stack.enter_context(_alone(path))
         say_if_interrupted(lambda: how_to_go_on(name, run.written, own))
         yield
-
-
-def _utf8(path: str) -> bool:
-    """Whether libraries can open a path; Python holds other bytes as half characters."""
-    return path.encode(errors="ignore").decode() == path
 
 
 def _paths(value: Any) -> list[Path]:
@@ -161,22 +148,3 @@ def how_to_go_on(name: str, written: Sequence[Path], own: Sequence[Path]) -> str
     if name in GOES_ON:
         return "interrupted; run the same command to continue"
     return "interrupted; nothing was written, the same command starts again"
-
-
-def plain_terminals() -> None:
-    """Print characters that a terminal does not support as question marks; print nothing to closed
-    streams.
-    """
-    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
-    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
-    if get_terminal_size().columns < NARROWEST:
-        os.environ["COLUMNS"] = str(NARROWEST)
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
-
-
-def one_line(text: object) -> str:
-    """Any message as one line without control characters."""
-    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in str(text))
-    return line if len(line) <= 2000 else f"{line[:1500]} ... {line[-100:]}"

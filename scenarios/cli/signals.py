@@ -12,6 +12,7 @@ from contextlib import suppress
 from types import FrameType
 
 from surefoot.sim.common.files import remove_unfinished
+from surefoot.sim.common.terminal import one_line
 
 ENDING = [getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
 
@@ -47,6 +48,7 @@ def _end(number: int, _frame: FrameType | None) -> None:
     with suppress(Exception):  # closed streams, and one that is being written to
         sys.stdout.flush()
     with suppress(Exception):
-        os.write(2, f"{chr(10) * os.isatty(2)}surefoot: {_line()}\n".encode(errors="replace"))
+        line = f"{chr(10) * os.isatty(2)}surefoot: {one_line(_line())}\n"
+        os.write(2, line.encode(errors="replace"))
     remove_unfinished()
     os._exit(128 + number)

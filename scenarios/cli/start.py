@@ -9,6 +9,7 @@ import sys
 from surefoot.scenarios.cli.signals import catch_signals, ignore_signals
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import with_plugins
+from surefoot.sim.common.terminal import one_line
 
 THREADS = "0*[1-9][0-9]{0,5}", "a whole number above zero"
 NUMBERS = {
@@ -47,7 +48,7 @@ def entry_point() -> None:
             # options.
             from surefoot.scenarios.cli.main import main
         except SurefootError as error:
-            sys.exit(f"surefoot: {error}")
+            sys.exit(f"surefoot: {one_line(error)}")
         main(arguments)
     finally:
         ignore_signals()

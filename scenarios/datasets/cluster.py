@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
 
-from surefoot.scenarios.datasets.index import IndexRow, fall_path, recipe, row_of, with_hash
+from surefoot.scenarios.datasets.index import IndexRow, fall_path, recipe, row_of
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.walk import Fallen, fallen_log
@@ -22,8 +22,8 @@ def walk_on_cluster(
     address: str,
     jobs: Sequence[Job],
     folder: Path,
-    force: bool = False,
-    progress: Callable[[float], None] | None = None,
+    force: bool,
+    progress: Callable[[float], None],
 ) -> Iterator[IndexRow]:
     """Run walks on the scheduler at `address`; yields rows as their files are written here.
 
@@ -47,8 +47,7 @@ def walk_on_cluster(
             with whole_file(path, force or bool(row.falls)) as temporary:
                 temporary.write_bytes(content)
         yield row
-        if progress:
-            progress(done / len(jobs))
+        progress(done / len(jobs))
 
 
 def run_on_cluster(
@@ -88,15 +87,14 @@ def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
             "version of surefoot, mujoco, numpy or numba: its walks would differ"
         )
     walked = walk_job(job)
-    row = row_of(walked)
     fell = walked.log if isinstance(walked.log, Fallen) else None
     log = fallen_log(walked.plan, fell) if fell else walked.log
     if log is None:
-        return asdict(row), b""
+        return asdict(row_of(walked)), b""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "walk.parquet"
         log.write(path)
-        return asdict(row if fell else with_hash(row, path)), path.read_bytes()
+        return asdict(row_of(walked, None if fell else path)), path.read_bytes()
 
 
 @contextmanager

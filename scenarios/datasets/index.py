@@ -7,9 +7,9 @@ gains a line as each walk ends; an interrupted run continues from it.
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -31,7 +31,7 @@ from surefoot.sim.common.files import (
 )
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.gait.patterns import pattern_named
-from surefoot.sim.log import Log, LogReader
+from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.walk import Fallen, Plan
 from surefoot.sim.walking.batch import Job, Walked, known_robot
@@ -101,14 +101,17 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("surefoot", "mujoco", "numpy", "numba")}
 
 
-def row_of(walked: Walked) -> IndexRow:
-    """The row of a walk, without its file's hash."""
+def row_of(walked: Walked, path: Path | None = None) -> IndexRow:
+    """The row of a walk, whose log is at `path` if it is written."""
     log = walked.log
-    return row_with(walked.job, walked.plan, log if isinstance(log, Fallen) else walk_facts(log))
+    found = log if isinstance(log, Fallen) else walk_facts([log])
+    return row_with(walked.job, walked.plan, found, path)
 
 
-def row_with(job: Job, made: Plan, found: dict[str, float] | Fallen) -> IndexRow:
-    """The row of a walk from its facts (`walk_facts`), or from its fall."""
+def row_with(
+    job: Job, made: Plan, found: dict[str, float] | Fallen, path: Path | None = None
+) -> IndexRow:
+    """The row of a walk from its facts (`walk_facts`), or from its fall, with its log's hash."""
     fall = found if isinstance(found, Fallen) else None
     numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
     return IndexRow(
@@ -121,7 +124,7 @@ def row_with(job: Job, made: Plan, found: dict[str, float] | Fallen) -> IndexRow
         falls=int(fall is not None),
         fell_at=fall.time if fall else np.nan,
         **(numbers if isinstance(found, Fallen) else found),
-        sha256="",
+        sha256=file_digest(path) if path else "",
         recipe=recipe(job),
         fall=fall.how if fall else "",
     )
@@ -141,37 +144,16 @@ def _drawn(made: Plan) -> dict[str, float]:
     }
 
 
-def walk_facts(log: Log) -> dict[str, float]:
-    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `IndexRow`."""
-    slip_share, creep = slip_and_creep(log)
-    return {
-        "duration": float(log.t[-1]),
-        "length": path_length(log.t, log.ref_p),
-        "slip_share": slip_share,
-        "creep": creep,
-    }
+def walk_facts(pieces: Iterable[Log]) -> dict[str, float]:
+    """Duration [s], length [m], share of slipping stance and creep [m/s], as in `IndexRow`, of a
+    log in pieces.
 
-
-def slip_and_creep(log: Log) -> tuple[float, float]:
-    """Share of the loaded feet's samples that slip, and median speed [m/s] of feet loaded on dry
-    ground; NaN where there are none.
-    """
-    slip = log.slip
-    loaded = slip > 0.0
-    dry = slip[loaded & (log.mu >= DRY)]
-    share = float((slip[loaded] > SLIPPING).mean()) if loaded.any() else np.nan
-    return share, float(np.median(dry)) if dry.size else np.nan
-
-
-def facts_of_file(reader: LogReader) -> dict[str, float]:
-    """`walk_facts` of a file that is read a minute at a time.
-
-    Each minute's path is sampled separately, and the creep is the weighted median of the minutes',
-    by their loaded samples.
+    The path of each piece is sampled separately, and the creep is the weighted median of the
+    pieces', by their loaded samples. NaN where no foot is loaded, or none on dry ground.
     """
     loaded = slipping = 0.0
     length, duration, creeps, weights = 0.0, 0.0, [], []
-    for log in Log.chunks(reader, MINUTE):
+    for log in pieces:
         slip = log.slip
         dry = slip[(slip > 0.0) & (log.mu >= DRY)]
         loaded, slipping = loaded + (slip > 0.0).sum(), slipping + (slip > SLIPPING).sum()
@@ -184,7 +166,7 @@ def facts_of_file(reader: LogReader) -> dict[str, float]:
     return {
         "duration": duration,
         "length": length,
-        "slip_share": slipping / loaded if loaded else np.nan,
+        "slip_share": float(slipping / loaded) if loaded else np.nan,
         "creep": creeps[order[np.searchsorted(upto, 0.5 * upto[-1])]] if creeps else np.nan,
     }
 
@@ -229,11 +211,6 @@ def write_index(folder: Path, rows: Sequence[IndexRow]) -> Path:
         frame.to_parquet(temporary, index=False)
     write_whole(path.with_name("README.md"), card(frame), force=True)
     return path
-
-
-def with_hash(row: IndexRow, path: Path) -> IndexRow:
-    """The row with the hash of its log."""
-    return replace(row, sha256=file_digest(path))
 
 
 def card(rows: pd.DataFrame) -> str:

@@ -4,23 +4,22 @@ resumed.
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from surefoot.scenarios.datasets.cluster import walk_on_cluster
 from surefoot.scenarios.datasets.index import (
     INDEX_FOLDER,
+    MINUTE,
     IndexRow,
     Journal,
-    facts_of_file,
     fall_path,
     log_name,
     recipe,
     row_of,
     row_with,
     walk_facts,
-    with_hash,
     write_index,
 )
 from surefoot.scenarios.reporting.progress import percent_bar
@@ -68,7 +67,7 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     if settings.undeclared and not chosen:
         raise SurefootError("undeclared: needs effects")
     seeds = seed_range(settings.seeds)
-    jobs = _jobs(settings.scenarios, settings.robot, seeds, chosen, not settings.undeclared)
+    jobs = _jobs(settings, seeds, chosen)
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
             print(_without_imu(name))
@@ -148,19 +147,19 @@ def walk_and_save(
                 raise fall
     except Fallen as error:
         return row_with(job, made, error)
-    return with_hash(row_with(job, made, facts_of_file(LogReader(path))), path)
+    facts = walk_facts(Log.chunks(LogReader(path), MINUTE))
+    return row_with(job, made, facts, path)
 
 
 def save_walk(walked: Walked, folder: Path, force: bool) -> IndexRow:
     """Write the log of a walk, named as in its row, up to a fall if any; returns the row."""
-    row = row_of(walked)
     if isinstance(walked.log, Fallen):
         if log := fallen_log(walked.plan, walked.log):
             log.write(fall_path(folder, walked.job), force=True)
-        return row
-    path = folder / row.file
+        return row_of(walked)
+    path = folder / f"{log_name(walked.job)}.parquet"
     walked.log.write(path, force)
-    return with_hash(row, path)
+    return row_of(walked, path)
 
 
 def _without_imu(robot: str) -> str:
@@ -170,32 +169,19 @@ def _without_imu(robot: str) -> str:
     return f"note: {robot}: its model has no IMU, so the base frame is used instead; {how}"
 
 
-def _jobs(
-    scenarios: Sequence[str | Path],
-    robot: str | None,
-    seeds: range,
-    effects: tuple[Effect, ...],
-    declared: bool,
-) -> list[Job]:
-    """The walks of a dataset: each scenario with each seed.
-
-    Args:
-        scenarios: files or bundled names.
-        robot: its name, or None for each scenario's own.
-        seeds: of the walks.
-        effects: injected into every walk.
-        declared: whether the logs list them.
-    """
-    if not scenarios:
+def _jobs(settings: SimulateSettings, seeds: range, effects: tuple[Effect, ...]) -> list[Job]:
+    """The walks of a dataset: each scenario with each seed, with these effects."""
+    if not settings.scenarios:
         raise SurefootError("give at least one scenario: a file, or a bundled name")
     jobs = []
-    check_limit("walks", len(seeds) * len(scenarios), "walks")
-    for path in scenarios:
+    check_limit("walks", len(seeds) * len(settings.scenarios), "walks")
+    for path in settings.scenarios:
         scenario = Scenario.load(path)
-        name = robot or scenario.robot
+        name = settings.robot or scenario.robot
         if not name:
             raise SurefootError(f"scenario {path}: names no robot: say which")
         known_robot(name)
+        declared = not settings.undeclared
         jobs += [Job(scenario, name, seed, effects, declared) for seed in seeds]
     for name, count in Counter(map(log_name, jobs)).items():
         if count > 1:
@@ -243,8 +229,8 @@ def _done(journal: Journal, job: Job) -> bool:
     if found != (job.scenario.name, made.robot.name, job.seed, declared):
         refuse_overwrite(path, False)
     long = reader.rows / meta.rate > LONG_WALK
-    facts = facts_of_file(reader) if long else walk_facts(Log.read(path))
-    journal.add(with_hash(row_with(job, made, facts), path))
+    facts = walk_facts(Log.chunks(reader, MINUTE) if long else [Log.read(path)])
+    journal.add(row_with(job, made, facts, path))
     return True
 
 

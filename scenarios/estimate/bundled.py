@@ -435,39 +435,32 @@ class LegStream(FilterStream):
         start, gate = (beginning.state, beginning.covariance), parameters.get("slip_gate")
         self.filter = LegFilter(*start, noise, radius, len(radius), gate)
 
-    def _given(self, feet_I):
-        """Foot centres (N, K, 3) [m], their covariances, and no rates.
+    def _feet(self, t, place, dq):
+        """Foot centres (N, K, 3) [m], their covariances and the feet's rates at successive rows.
 
-        Without known lever arms of the joints, an error of the angles is assumed to act through the
-        arm from the IMU to the foot.
-        """
-        arm = np.linalg.norm(feet_I, axis=-1)[..., None, None] * np.eye(3)
-        return feet_I, encoder_covariance(arm, *self._kinematics), None
-
-    def _by_joints(self, robot: Robot, t, q, dq):
-        """Foot centres, their covariances and the feet's rates at successive rows.
+        Without a robot the rates are None and, since the lever arms of the joints are unknown, an
+        error of the angles is assumed to act through the arm from the IMU to the foot.
 
         Args:
-            robot: of the legs.
             t: (N,) [s].
-            q: (N, J) [rad].
+            place: joint angles (N, J) [rad] or, without a robot, the foot centres.
             dq: (N, J) [rad/s], or None to derive it.
         """
-        dq = self._rates(t, q) if dq is None else dq
-        cov = encoder_covariance(robot.feet_jacobian_I(q), *self._kinematics)
-        return robot.feet_I(q), cov, robot.foot_rates_I(q, dq)
+        robot = self._robot
+        if robot is None:
+            arm = np.linalg.norm(place, axis=-1)[..., None, None] * np.eye(3)
+            return place, encoder_covariance(arm, *self._kinematics), None
+        dq = self._rates(t, place) if dq is None else dq
+        cov = encoder_covariance(robot.feet_jacobian_I(place), *self._kinematics)
+        return robot.feet_I(place), cov, robot.foot_rates_I(place, dq)
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update with the contacts."""
         sample = check_sample(sample, self.filter.t)
         radar = self._radar(sample)
-        if self._robot is None:
-            foot_I, contact = measured(sample, "foot_I", "contact")
-            feet_I, cov, rates = self._given(foot_I[None])
-        else:
-            q, contact = measured(sample, "q", "contact")
-            dq = None if sample.dq is None else sample.dq[None]
-            feet_I, cov, rates = self._by_joints(self._robot, np.array([sample.t]), q[None], dq)
+        place, contact = measured(sample, "foot_I" if self._robot is None else "q", "contact")
+        dq = None if sample.dq is None else sample.dq[None]
+        feet_I, cov, rates = self._feet(np.array([sample.t]), place[None], dq)
         if not np.isnan(self.filter.t):
             now = None if rates is None else rates[0]
             self.filter.predict(sample.gyro, sample.accel, sample.t - self.filter.t, now)
@@ -489,11 +482,9 @@ class LegStream(FilterStream):
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
         """Predict and update over the rows of a log; returns the estimates at `rows` of them."""
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
-        if self._robot is None:
-            feet_I, cov, rates = self._given(log.foot_I)
-        else:
-            dq = log.dq if log.has("dq") else None
-            feet_I, cov, rates = self._by_joints(self._robot, imu.t, log.q, dq)
+        place = log.foot_I if self._robot is None else log.q
+        dq = log.dq if log.has("dq") else None
+        feet_I, cov, rates = self._feet(imu.t, place, dq)
         velocities = NO_VELOCITIES
         if self._inflation is not None:
             at, v_I, v_cov = radar_of(log.frame)

@@ -28,7 +28,7 @@ from surefoot.scenarios.estimate.run import (
 )
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.scenarios.settings import EstimateSettings
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.log import Log, LogReader
 
@@ -67,10 +67,10 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
             refuse_overwrite(path, settings.force)
     learnt = learnt_from(settings.observer, settings.bounds)
     chosen = read_settings(settings.settings, settings.set)
-    first = first_minutes(reader)
+    whole = reader.rows / reader.meta.rate <= LONG
+    first = next(Log.chunks(reader, np.inf if whole else CHECKED))
     doubts = not_plausible([first], settings.robot, settings.strict).get(first.name, ())
-    estimator, whole = estimator_named(settings.filter), not is_long(reader)
-    whole = whole or bool(reader.meta.effects)
+    estimator, whole = estimator_named(settings.filter), whole or bool(reader.meta.effects)
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
     first, robot = declared_model(first, robot_of(first, settings.robot))
@@ -83,22 +83,19 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
             waiting.append(log)
             yield log
 
-    try:
-        with ExitStack() as files:
-            write: Callable[[Trajectory], None] | None = None
-            chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
-            for part in estimated_in_chunks(estimator, chunks, robot, learnt, None, chosen):
-                if settings.out is not None:
-                    write = write or files.enter_context(
-                        _opened(settings.out, settings.force, doubts, part if whole else None)
-                    )
-                    write(part)
-                log = waiting.popleft()
-                parts.append(summary_of_run(part, log))
-                judge.add(log, part)
-            metrics = None if parts[-1].diverged else judge.metrics()
-    except SurefootError as error:
-        raise SurefootError(f"filter {settings.filter}: {error}") from None
+    with errors_in(f"filter {settings.filter}"), ExitStack() as files:
+        write: Callable[[Trajectory], None] | None = None
+        chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
+        for part in estimated_in_chunks(estimator, chunks, robot, learnt, chosen):
+            if settings.out is not None:
+                write = write or files.enter_context(
+                    _opened(settings.out, settings.force, doubts, part if whole else None)
+                )
+                write(part)
+            log = waiting.popleft()
+            parts.append(summary_of_run(part, log))
+            judge.add(log, part)
+        metrics = None if parts[-1].diverged else judge.metrics()
     found = health_of(parts, estimator, robot, first, chosen)
     return metrics, found
 
@@ -124,16 +121,6 @@ def _opened(
             part.append_tum(lines)
 
         yield write
-
-
-def is_long(reader: LogReader) -> bool:
-    """Whether a log is too long to hold its estimate at once."""
-    return reader.rows / reader.meta.rate > LONG
-
-
-def first_minutes(reader: LogReader) -> Log:
-    """The log, or the first CHECKED seconds of a long one, for checks."""
-    return next(Log.chunks(reader, CHECKED if is_long(reader) else np.inf))
 
 
 class _Judge:

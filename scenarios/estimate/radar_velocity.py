@@ -10,13 +10,12 @@ import pandas as pd
 
 from surefoot.estimator.ego_velocity import ego_velocities
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
+from surefoot.sim.scenario_catalog import bundled_scenarios
 from surefoot.sim.walking.radar import RadarSensor, radar
 
-FOLDERS = ("demo", "spot", "vision60", "shift")
 DOPPLER = 0.06
 """Error of a return as the estimator assumes it [m/s]: quantisation, noise and direction errors."""
 
@@ -76,6 +75,4 @@ def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.n
 @cache
 def _scenarios() -> dict[str, Path]:
     """Every bundled scenario file by the name it contains."""
-    here = bundled("surefoot.scenarios", "courses")
-    files = [path for folder in FOLDERS for path in sorted((here / folder).glob("*.toml"))]
-    return {Scenario.load(path).name: path for path in files}
+    return {Scenario.load(path).name: path for path in bundled_scenarios().values()}

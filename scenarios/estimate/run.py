@@ -22,7 +22,6 @@ from surefoot.scenarios.estimate.contract import (
     Beginning,
     Estimator,
     Learnt,
-    Parameters,
     Stream,
     Update,
     samples,
@@ -30,7 +29,7 @@ from surefoot.scenarios.estimate.contract import (
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import tuned
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot.robot import NO_ROBOT, Robot
@@ -73,16 +72,14 @@ def run_filter(
     log.require("imu")
     log, robot = declared_model(log, robot)
     learnt = learnt or Learnt()
-    try:
+    with errors_in(f"filter {name}"):
         if name not in _compiled:  # on a fresh machine: not the filter's own time
             with suppress(SurefootError):
                 estimated(estimator, log.rows(slice(0, 64)), robot, learnt)
             _compiled.add(name)
         started = perf_counter()
-        (trajectory,) = estimated_in_chunks(estimator, [log], robot, learnt, None, settings)
+        (trajectory,) = estimated_in_chunks(estimator, [log], robot, learnt, settings)
         elapsed = perf_counter() - started
-    except SurefootError as error:
-        raise SurefootError(f"filter {name}: {error}") from None
     found = health_of([summary_of_run(trajectory, log)], estimator, robot, log, settings)
     compared = log.has("reference") and not trajectory.diverged
     judged = evaluate(reference(log), trajectory) if compared else None
@@ -177,7 +174,7 @@ def estimated(
     log: Log,
     robot: Robot | None,
     learnt: Learnt,
-    parameters: Parameters | None = None,
+    settings: FilterSettings | None = None,
 ) -> Trajectory:
     """Trajectory of one estimator over a log whose declared effects are compensated.
 
@@ -188,9 +185,9 @@ def estimated(
         log: to estimate.
         robot: of the log.
         learnt: observers and bounds.
-        parameters: its own by name; by default those tuned for the robot.
+        settings: as for `run_filter`.
     """
-    (found,) = estimated_in_chunks(estimator, [log], robot, learnt, parameters)
+    (found,) = estimated_in_chunks(estimator, [log], robot, learnt, settings)
     if found.diverged:
         raise SurefootError(f"filter: the estimate is not finite after t = {found.t[-1]:.3f} s")
     return found
@@ -201,7 +198,6 @@ def estimated_in_chunks(
     chunks: Iterable[Log],
     robot: Robot | None,
     learnt: Learnt,
-    parameters: Parameters | None = None,
     settings: FilterSettings | None = None,
 ) -> Iterator[Trajectory]:
     """`estimated` for a log that comes in pieces, each of which may be discarded after use.
@@ -214,12 +210,10 @@ def estimated_in_chunks(
         chunks: successive rows of a log.
         robot: of the log.
         learnt: observers and bounds.
-        parameters: its own by name; by default those of `parameters_of`.
         settings: as for `run_filter`.
     """
     with ESTIMATORS.running(estimator.name):
         mounting = tuned(robot).mounting
-        values = parameters_of(estimator, robot, settings) if parameters is None else parameters
         remaining = iter(chunks)
         log, following = next(remaining, None), next(remaining, None)
         stream: Stream | None = None
@@ -229,10 +223,11 @@ def estimated_in_chunks(
             more = following is not None
             log = _prepared(estimator, log, robot, more or stream is not None)
             if stream is None:
-                stream = begin(estimator, log, robot, learnt, values, settings)
+                stream = begin(estimator, log, robot, learnt, settings)
                 stride = output_stride(log.t)
             rows = np.arange(-seen % stride, len(log.t), stride)
-            part = _advanced(stream, log, rows, more)
+            run: Any = getattr(stream, "run", None)
+            part = stepped(stream, log, rows) if run is None else run(log, rows, more)
             yield with_mounting(part, mounting)
             if part.diverged:
                 return
@@ -245,7 +240,6 @@ def begin(
     log: Log,
     robot: Robot | None,
     learnt: Learnt,
-    parameters: Parameters | None = None,
     settings: FilterSettings | None = None,
 ) -> Stream:
     """Start a stream of an estimator at the first row of a log.
@@ -257,11 +251,10 @@ def begin(
         log: whose start determines the initial state.
         robot: of the log.
         learnt: observers and bounds.
-        parameters: its own by name; by default those of `parameters_of`.
         settings: as for `run_filter`.
     """
     estimator.needs.check(log, robot)
-    values = parameters_of(estimator, robot, settings) if parameters is None else parameters
+    values = parameters_of(estimator, robot, settings)
     state, covariance = (settings or FilterSettings()).beginning(log)
     joints = log.joints if log.has("q") else ()
     by_joints = robot is not None and log.has("q")  # they say how feet roll, too
@@ -278,14 +271,6 @@ def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bo
     if in_chunks and prepared is not log:
         raise SurefootError(f"{estimator.name} takes a whole log at once, not one in pieces")
     return prepared
-
-
-def _advanced(stream: Stream, log: Log, rows: np.ndarray, more: bool) -> Trajectory:
-    """Estimates of a stream at some of the next rows, in one call if it has `run`."""
-    run: Any = getattr(stream, "run", None)
-    if run is not None:
-        return run(log, rows, more)
-    return stepped(stream, log, rows)
 
 
 def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:

@@ -43,7 +43,7 @@ from surefoot.estimator.initial import (
 )
 from surefoot.scenarios.estimate.contract import Estimator, Parameters
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, errors_in, unknown
 from surefoot.sim.common.limits import check_toml_keys
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.common.toml import Positive, read_toml, typed
@@ -145,21 +145,21 @@ def read_settings(path: Path | None, lines: Sequence[str] = ()) -> FilterSetting
     Raises SurefootError, one line naming the file or option, for any fault.
     """
     table = read_toml(path, "settings") if path else {}
-    where = f"settings {path}" if path else "set"
-    try:
-        typed(table, FilterSettings)
-    except SurefootError as error:
-        raise SurefootError(f"{where}: {error}") from None
+    with errors_in(f"settings {path}"):
+        found = typed(table, FilterSettings)
     for line in lines:
-        try:
-            check_toml_keys(line)
-            _merge(table, tomllib.loads(line))
-            typed(table, FilterSettings)
-        except SurefootError as error:
-            raise SurefootError(f"set {line}: {error}") from None
-        except (ValueError, RecursionError):  # of TOML, of too many digits, of arrays too deep
-            raise SurefootError(f"set {line}: write it as noise.gyro=1e-3") from None
-    return typed(table, FilterSettings)
+        with errors_in(f"set {line}"):
+            _merge(table, _parsed(line))
+            found = typed(table, FilterSettings)
+    return found
+
+
+def _parsed(line: str) -> dict[str, Any]:
+    check_toml_keys(line)
+    try:
+        return tomllib.loads(line)
+    except (ValueError, RecursionError):  # of TOML, of too many digits, of arrays too deep
+        raise SurefootError("write it as noise.gyro=1e-3") from None
 
 
 def _given(settings: NoiseSettings | StartSettings | StateSettings) -> dict[str, Any]:

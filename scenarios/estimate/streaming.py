@@ -21,6 +21,7 @@ from surefoot.estimator.initial import STILL_WINDOW
 from surefoot.scenarios.estimate.contract import (
     IMU_SHAPES,
     LARGEST_READINGS,
+    CheckedSample,
     Learnt,
     Sample,
     Stream,
@@ -83,7 +84,7 @@ class StreamingEstimator:
         self._any = shapes, tuple(dict.fromkeys(chain.from_iterable(fields)))
         self._form = self._any  # shapes of fields, and which are needed, once there is a sample
         self._t = np.nan
-        self._waiting: list[Sample] = []
+        self._waiting: list[CheckedSample] = []
         self._stream: Stream | None = None
 
     def step(self, sample: Sample) -> NavState | None:
@@ -102,9 +103,9 @@ class StreamingEstimator:
         return self._stream.state
 
     def _begin(self, sample: Sample) -> NavState | None:
-        sample = check_sample(sample, np.nan, *self._any)
+        checked = check_sample(sample, np.nan, *self._any)
         if not self._waiting:
-            given = {name: np.shape(getattr(sample, name)) for name in _fields_of(sample)}
+            given = {name: np.shape(value) for name, value in _fields_of(checked).items()}
             self._form = self._any[0] | given, tuple(given)
         else:
             only = len(self._waiting) == 1
@@ -118,11 +119,11 @@ class StreamingEstimator:
                 if only:  # either of the two may be wrong
                     self._waiting = []
                 raise
-        early = not self._waiting or sample.t <= self._waiting[0].t + STILL_WINDOW
+        early = not self._waiting or checked.t <= self._waiting[0].t + STILL_WINDOW
         if early and len(self._waiting) >= MOST_WAITING:
             raise SampleError(f"more than {MOST_WAITING} samples in {STILL_WINDOW} s")
-        self._waiting.append(sample)
-        self._t = sample.t
+        self._waiting.append(checked)
+        self._t = checked.t
         if early:
             return None
         waiting, self._waiting = self._waiting, []

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Positive, read_typed, typed
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.carry import carried, scale_of
@@ -20,7 +20,7 @@ SHEET = 0.2
 """Friction coefficient below which a patch is a slippery sheet."""
 LEVEL_UP_TO = 0.1
 """Slope up to which ground is level."""
-BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
+BUNDLED = SUITES_FOLDER / "as_walked.toml"
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,7 @@ class AsWalked:
     size: tuple[Size, ...] = ()
 
     def __post_init__(self):
+        Robot.load(self.robot)
         for name in ("sensors", "on_slopes", "on_sheets"):
             try:
                 typed(getattr(self, name), Sensors if name == "sensors" else GaitOptions)
@@ -95,9 +96,4 @@ def load_as_walked(path: str | Path = BUNDLED) -> AsWalked:
 
     Raises SurefootError, one line with file and key, if bad.
     """
-    found = read_typed(path, AsWalked, "as walked")
-    try:
-        Robot.load(found.robot)
-    except SurefootError as error:
-        raise SurefootError(f"as walked {path}: {error}") from None
-    return found
+    return read_typed(path, AsWalked, "as walked")

@@ -1,9 +1,10 @@
 """Experiment files (TOML): a grid over scenarios, robots, conditions, gamma, filters and seeds."""
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from zlib import crc32
 
 import msgspec
@@ -112,35 +113,44 @@ class Sweep:
     seeds: tuple[Seed, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """What an experiment has as its file has it.
+
+    Attributes:
+        robots: None for each scenario's own.
+        seeds: of the robots.
+        gammas: joint levels of the bounds; the tables show the first.
+        filters: names.
+        published: table of the paper's figures to print for comparison.
+        further: see `Further`.
+        sweep: see `Sweep`.
+    """
+
+    robots: tuple[str, ...] | None = None
+    seeds: tuple[Seed, ...] = (0,)
+    gammas: tuple[Level, ...] = (0.8,)
+    filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
+    published: str | None = None
+    further: Further = field(default_factory=Further)
+    sweep: Sweep = field(default_factory=Sweep)
+
+
 @dataclass(frozen=True)
-class Experiment:
+class Experiment(Grid):
     """A grid of scenarios, robots, conditions and seeds, and the filters that run on it.
 
     Attributes:
         title: of the report.
         scenarios: observers are trained on the walks with role "train", bounds calibrated on that
             with "calibrate", averages taken over those with "test".
-        robots: None for each scenario's own.
-        seeds: of the robots.
-        gammas: joint levels of the bounds; the tables show the first.
-        filters: names.
-        published: table of the paper's figures to print for comparison.
         learning: of the main tables.
-        further: see `Further`.
-        sweep: see `Sweep`.
         conditions: of the robots.
     """
 
     title: str
     scenarios: tuple[Scenario, ...]
-    robots: tuple[str, ...] | None = None
-    seeds: tuple[int, ...] = (0,)
-    gammas: tuple[float, ...] = (0.8,)
-    filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
-    published: str | None = None
     learning: Learning = field(default_factory=Learning)
-    further: Further = field(default_factory=Further)
-    sweep: Sweep = field(default_factory=Sweep)
     conditions: tuple[Condition, ...] = (PLAIN,)
 
     @classmethod
@@ -169,6 +179,12 @@ class Experiment:
         methods = dict.fromkeys((self.learning.method, *self.further.methods))
         return tuple(replace(self.learning, inputs=i, method=m) for i in inputs for m in methods)
 
+    @property
+    def first(self) -> dict[str, Any]:
+        """Gamma, inputs and method that the main tables show."""
+        one = self.learning
+        return {"gamma": self.gammas[0], "inputs": one.inputs, "method": one.method}
+
     def filters_of(self, learning: Learning) -> tuple[str, ...]:
         """The filters to run with a learning: all with the first, else those that it affects.
 
@@ -193,25 +209,62 @@ class Experiment:
         """Names of the robots that walk it."""
         return self.robots or ((scenario.robot,) if scenario.robot else ())
 
-    def with_role(self, role: str, robot: str) -> tuple[Scenario, ...]:
-        """The scenarios of that role that this robot walks."""
-        return tuple(
-            s for s in self.scenarios if (s.role or "test") == role and robot in self.robots_of(s)
-        )
+
+Group = tuple[str, str, int]
+"""Robot, condition and seed; the cells of a group share observers and bounds."""
 
 
-def walk_seed(scenario: Scenario, seed: int) -> int:
-    """A seed for each sequence, so that noise and ground differ between walks of one robot."""
-    return crc32(f"{scenario.name}/{seed}".encode())
+@dataclass(frozen=True)
+class Cell:
+    """One walk of the grid: robot number `seed` under a condition on a scenario."""
+
+    scenario: Scenario
+    robot: str
+    condition: Condition
+    seed: int
+
+    @property
+    def group(self) -> Group:
+        """Group of cells with the same observers and bounds."""
+        return self.robot, self.condition.name, self.seed
+
+    @property
+    def job(self) -> Job:
+        """The walk to simulate."""
+        condition, scenario = self.condition, self.scenario
+        sensors = replace(scenario.sensors, **dict(condition.sensors))
+        scenario = replace(scenario, sensors=sensors)
+        if condition.walked:
+            scenario = condition.walked.scenario(scenario)
+        # A seed for each sequence, so that noise and ground differ between walks of one robot.
+        seed = crc32(f"{scenario.name}/{self.seed}".encode())
+        effects = condition.effects_of(self.seed, known_robot(self.robot))
+        return Job(scenario, self.robot, seed, effects, condition.declared)
+
+    @property
+    def learnt_from(self) -> bool:
+        """Whether observers are trained, or bounds calibrated, on this walk."""
+        return self.scenario.role in ("train", "calibrate")
+
+    def title(self, experiment: Experiment) -> str:
+        """The sequence's name, with robot and condition where the experiment has several."""
+        parts = [self.scenario.name]
+        if len(experiment.robots_of(self.scenario)) > 1:
+            parts.append(self.robot)
+        if len(experiment.conditions) > 1:
+            parts.append(self.condition.name.replace(" ", "_"))
+        return "_".join(parts)
 
 
-def walk_to_make(scenario: Scenario, robot: str, condition: Condition, seed: int) -> Job:
-    """The walk of a scenario by robot number `seed` under a condition."""
-    sensed = replace(scenario, sensors=replace(scenario.sensors, **dict(condition.sensors)))
-    if condition.walked:
-        sensed = condition.walked.scenario(sensed)
-    effects = condition.effects_of(seed, known_robot(robot))
-    return Job(sensed, robot, walk_seed(scenario, seed), effects, condition.declared)
+def cells_of(experiment: Experiment) -> list[Cell]:
+    """All cells, by condition and seed."""
+    return [
+        Cell(scenario, robot, condition, seed)
+        for condition in experiment.conditions
+        for seed in experiment.seeds
+        for scenario in experiment.scenarios
+        for robot in experiment.robots_of(scenario)
+    ]
 
 
 @dataclass(frozen=True)
@@ -232,38 +285,26 @@ class _ConditionTable:
 
     def condition(self, folder: Path) -> Condition:
         """Load the files that it names, relative to the experiment's folder."""
+        effects = load_effects(folder / self.effects) if self.effects else ()
         drawn = load_imperfections(folder / self.imperfections) if self.imperfections else ()
-        return Condition(
-            self.name,
-            self.words,
-            load_effects(folder / self.effects) if self.effects else (),
-            self.declared,
-            drawn,
-            tuple(self.sensors.items()),
-            load_as_walked(folder / self.walked) if self.walked else None,
-        )
+        walked = load_as_walked(folder / self.walked) if self.walked else None
+        sensors = tuple(self.sensors.items())
+        return Condition(self.name, self.words, effects, self.declared, drawn, sensors, walked)
 
 
 @dataclass(frozen=True)
-class _File:
+class _File(Grid):
     scenarios: tuple[str, ...]
     title: Name | None = None
-    robots: tuple[str, ...] | None = None
-    seeds: tuple[Seed, ...] = (0,)
-    gammas: tuple[Level, ...] = (0.8,)
-    filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
-    published: str | None = None
     roles: dict[str, Literal["train", "calibrate", "test"]] = field(default_factory=dict)
     observer: Learning = field(default_factory=Learning)
-    further: Further = field(default_factory=Further)
-    sweep: Sweep = field(default_factory=Sweep)
     condition: tuple[_ConditionTable, ...] = ()
 
     def __post_init__(self):
-        for key in ("scenarios", "seeds", "gammas", "filters"):
-            _each_once(key, getattr(self, key))
-        if self.robots is not None:
-            _each_once("robots", self.robots)
+        for key in ("scenarios", "seeds", "gammas", "filters", "robots"):
+            values = getattr(self, key)
+            if values is not None:
+                _each_once(key, values)
         if self.sweep.seeds and not self.sweep.gammas:
             raise SurefootError("[sweep] gammas is missing")
         for name in self.filters:
@@ -296,19 +337,10 @@ def _experiment(file: _File, path: Path) -> Experiment:
             raise SurefootError(f"scenario {scenario.name} names no robot: give robots")
         for robot in file.robots or (str(scenario.robot),):
             known_robot(robot)
-    found = Experiment(
-        title=file.title or path.stem,
-        scenarios=scenarios,
-        robots=file.robots,
-        seeds=file.seeds,
-        gammas=file.gammas,
-        filters=file.filters,
-        published=file.published,
-        learning=file.observer,
-        further=file.further,
-        sweep=replace(file.sweep, seeds=file.sweep.seeds or (0,)) if file.sweep.gammas else Sweep(),
-        conditions=tuple(c.condition(path.parent) for c in file.condition) or (PLAIN,),
-    )
+    conditions = tuple(c.condition(path.parent) for c in file.condition) or (PLAIN,)
+    sweep = replace(file.sweep, seeds=file.sweep.seeds or (0,)) if file.sweep.gammas else Sweep()
+    grid = {one.name: getattr(file, one.name) for one in fields(Grid)} | {"sweep": sweep}
+    found = Experiment(file.title or path.stem, scenarios, file.observer, conditions, **grid)
     _check(found)
     return found
 
@@ -322,7 +354,9 @@ def _check(found: Experiment) -> None:
             raise SurefootError(f"two conditions are named {name}")
     if not set(found.sweep.seeds) <= set(found.seeds):
         raise SurefootError("[sweep] seeds must be among seeds")
-    for robot in {r for s in found.scenarios for r in found.robots_of(s)}:
-        count = len(found.with_role("calibrate", robot))
+    held_out = Counter(
+        r for s in found.scenarios if s.role == "calibrate" for r in found.robots_of(s)
+    )
+    for robot, count in held_out.items():
         if count > 1:
             raise SurefootError(f"{count} scenarios of {robot} are to calibrate with: give one")

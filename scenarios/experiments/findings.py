@@ -44,21 +44,18 @@ def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
 
 
 def _divergence(rows: pd.DataFrame) -> str:
-    worst = rows.groupby("filter", sort=False)[SHARE].max()
-    kept = [f"{estimator_label(str(n))} ({v:.1f} %)" for n, v in worst.items() if v < DIVERGED]
-    lost = [
-        f"{estimator_label(str(n))} (on {_sequences(rows, str(n))})"
-        for n, v in worst.items()
-        if not v < DIVERGED
-    ]
+    kept, lost = [], []
+    for name, mine in rows.groupby("filter", sort=False):
+        label = estimator_label(str(name))
+        worst = mine.groupby("sequence", sort=False)[SHARE].max()
+        if worst.max() < DIVERGED:
+            kept.append(f"{label} ({worst.max():.1f} %)")
+        else:
+            on = ", ".join(f"{s} {v:.0f} %" for s, v in worst.items() if not v < DIVERGED)
+            lost.append(f"{label} (on {on})")
     good = ", ".join(kept) or "none"
     text = f"Position error below {DIVERGED:g} % of the path on every sequence: {good}."
     return text + (f" Above it: {'; '.join(lost)}." if lost else "")
-
-
-def _sequences(rows: pd.DataFrame, name: str) -> str:
-    mine = rows[rows["filter"] == name].groupby("sequence", sort=False)[SHARE].max()
-    return ", ".join(f"{s} {v:.0f} %" for s, v in mine.items() if not v < DIVERGED)
 
 
 def _consistency(test: pd.DataFrame) -> str:

@@ -4,7 +4,7 @@ A product is stored under a digest of its inputs and of the code that makes it (
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,11 @@ from surefoot.scenarios.estimate.estimators import estimator_code, estimator_nam
 from surefoot.scenarios.estimate.run import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
-from surefoot.scenarios.experiments.file import Learning
+from surefoot.scenarios.experiments.file import Cell, Experiment, Learning, cells_of
 from surefoot.scenarios.viewer.recording import recording, walk_to_record
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.sources import code_digest
+from surefoot.sim.common.files import json_digest
+from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -266,3 +267,23 @@ def make_recording(
         return {}
 
     return product(folder, "recording", inputs, "surefoot.scenarios.viewer.recording", ".rrd", make)
+
+
+def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:
+    """Digest of the inputs of a cell's row, known before anything is computed.
+
+    These are the walk, the walks for its observers and bounds, their training and calibration, and
+    the filters. The code that estimates is not among them, as rows are also cached by code.
+    """
+    mine = [other for other in cells_of(experiment) if other.group == cell.group]
+    learnings = experiment.learnings
+    parts = {
+        "walk": job_inputs(cell.job),
+        "learnt from": [(o.scenario.role, job_inputs(o.job)) for o in mine if o.learnt_from],
+        "learning": [[asdict(one), learning_choices(one)] for one in learnings],
+        "methods": [method_inputs(one.method) for one in learnings],
+        "gammas": [experiment.gammas_of(one, cell.seed) for one in learnings],
+        "filters": {n: filter_inputs(n, known_robot(cell.robot)) for n in experiment.filters},
+        "code": [sources_digest(module) for module in (WALKING_MODULE, TRAINING, CALIBRATION)],
+    }
+    return {"digest": json_digest(parts)}

@@ -26,19 +26,16 @@ from surefoot.scenarios.experiments.findings import findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
     TABLE_MEANINGS,
-    averages,
-    by_learning,
-    per_sequence,
     published,
+    report_tables,
     shown_first,
-    sweep,
+    slug,
     tidy,
 )
 from surefoot.scenarios.reporting.html import (
     Picture,
     Section,
     markdown_report,
-    save_picture,
     write_report,
 )
 from surefoot.scenarios.reporting.pages import origin_of, write_page
@@ -82,14 +79,15 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         refuse_overwrite(path, force=True)
     folder = settings.cache or out / "cache"
     clear_debris(folder.glob("*/.*.tmp"))
-    outcome = run(found, folder, settings.workers, not settings.no_recordings, settings.data)
+    outcome = run(found, folder, settings)
     rows = tidy(outcome)
     with whole_folder(out, force=True) as made:
-        write_tables(rows, found, made)
+        tables = report_tables(rows, found)
+        write_tables(tables, made)
         for name, recording in outcome.recordings.items():
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
-        pages = report_sections(rows, outcome, found, made)
+        pages = report_sections(tables, outcome, found)
         write_whole(made / "report.md", markdown_report(found.title, pages))
         write_report(made / "report.html", found.title, pages)
     if settings.page:
@@ -97,7 +95,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
         write_page(settings.page, found.title, kept, origin_of(__name__, command))
-    print("\n" + to_markdown(averages(shown_first(rows, found))))
+    print("\n" + to_markdown(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
     for cell, result in outcome.cells.items():
@@ -107,16 +105,10 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     return rows
 
 
-def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
+def write_tables(tables: Mapping[str, pd.DataFrame], out: Path) -> None:
     """Write results.csv and .parquet with every row, and the tables that the report shows."""
     with whole_file(out / "results.parquet") as temporary:
-        rows.to_parquet(temporary, index=False)
-    main = shown_first(rows, found)
-    tables = {"results": rows, "averages": averages(main), "sweep": sweep(rows, found)}
-    tables["learning"] = by_learning(rows, found)
-    for condition in found.conditions:
-        part = main[main["condition"] == condition.name]
-        tables[f"sequences_{_slug(condition.name)}"] = per_sequence(part)
+        tables["results"].to_parquet(temporary, index=False)
     for name, table in tables.items():
         write_whole(out / f"{name}.csv", to_csv(table))
         if name != "results" and len(table):
@@ -124,41 +116,39 @@ def write_tables(rows: pd.DataFrame, found: Experiment, out: Path) -> None:
 
 
 def report_sections(
-    rows: pd.DataFrame, outcome: Outcome, found: Experiment, out: Path
+    tables: Mapping[str, pd.DataFrame], outcome: Outcome, found: Experiment
 ) -> list[Section]:
     """Sections of the report: averages, findings, errors by sequence, consistency, sweep, paths,
     rows.
     """
+    rows, shown, learnt, swept = (
+        tables[name] for name in ("results", "averages", "learning", "sweep")
+    )
     main = shown_first(rows, found)
-    shown = averages(main)
     shown = shown.drop(columns=[c for c in ("condition", "robot") if shown[c].nunique() == 1])
     pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
     pages += [
         Section(f"Findings: {name}", "\n\n".join(filter(None, (text, falls(outcome, name)))))
         for name, text in findings(main, found)
     ]
-    learnt = by_learning(rows, found)
     if len(learnt):
         pages.append(Section("Inputs of observers, and calibration methods", LEARNT, learnt))
     if found.published:
         pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
-    for name, picture in pictures.items():
-        save_picture(picture, out / "figures" / f"{name}.png")
-    pages.append(Section("Errors and consistency by sequence", "", None, tuple(pictures.values())))
-    swept = sweep(rows, found)
+    pages.append(Section("Errors and consistency by sequence", pictures=tuple(pictures)))
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
         picture = Picture(
             gamma_sweep(swept, "Influence of γ, on average over the test sequences"),
             "Bounds are calibrated for each γ; filters without bounds do not depend on it.",
+            "figures/gamma.png",
         )
-        save_picture(picture, out / "figures" / "gamma.png")
         pages.append(Section("The level γ", "", swept, (picture,)))
-    pages += _walks(outcome, found, out)
+    pages += _walks(outcome, found)
     for condition in found.conditions:
-        part = main[main["condition"] == condition.name]
         text = "Test sequences in bold. Mean ± standard deviation over seeds."
-        pages.append(Section(f"Every sequence: {condition.name}", text, per_sequence(part)))
+        table = tables[f"sequences_{slug(condition.name)}"]
+        pages.append(Section(f"Every sequence: {condition.name}", text, table))
     pages.append(Section("How to read the tables", "", _glossary(main, outcome)))
     return pages
 
@@ -204,57 +194,59 @@ def _published(name: str) -> list[Section]:
     ]
 
 
-def _pictures(main: pd.DataFrame, gamma: float) -> dict[str, Picture]:
+def _pictures(main: pd.DataFrame, gamma: float) -> list[Picture]:
     shown = pd.DataFrame(main[[traits(name).drawn for name in main["filter"]]])
     band = (NOMINAL / FACTOR, NOMINAL * FACTOR)
-    pictures = {
-        "ape": Picture(
+    pictures = [
+        Picture(
             by_sequence(shown, "APE_trans [m]", "Position error by sequence"),
             "One dot per seed; the bar is their mean. Test sequences are in bold.",
+            "figures/ape.png",
         ),
-        "ape_rot": Picture(
+        Picture(
             by_sequence(shown, "APE_rot [deg]", "Attitude error by sequence"),
             "The same for the attitude.",
+            "figures/ape_rot.png",
         ),
-        "nees": Picture(
+        Picture(
             by_sequence(shown, "NEES_pos", "Consistency: NEES of position", band),
             "The grey band is within a factor of two of 3. A filter to the right of it is "
             "overconfident, one to the left underconfident.",
+            "figures/nees.png",
         ),
-    }
+    ]
     if shown["coverage [%]"].notna().any():
         title = "Share of velocity errors within the bounds"
-        pictures["coverage"] = Picture(
-            by_sequence(shown, "coverage [%]", title, (100.0 * gamma, 100.0), log=False),
-            "Bounds are calibrated on one sequence to a coverage of γ or more: the grey band.",
-        )
+        figure = by_sequence(shown, "coverage [%]", title, (100.0 * gamma, 100.0), log=False)
+        words = "Bounds are calibrated on one sequence to a coverage of γ or more: the grey band."
+        pictures.append(Picture(figure, words, "figures/coverage.png"))
     return pictures
 
 
-def _walks(outcome: Outcome, found: Experiment, out: Path) -> list[Section]:
+def _walks(outcome: Outcome, found: Experiment) -> list[Section]:
     """Paths of every sequence and errors over time, for the first seed, by condition."""
     pages = []
     for condition in found.conditions:
         series = _series(outcome, condition.name, found)
-        pictures = []
-        for name, by_filter in series.items():
-            picture = Picture(
+        if not series:
+            continue
+        what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
+        errors = Picture(
+            errors_figure(series, f"{condition.name}: {what}"),
+            f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "
+            "overconfident.",
+            f"figures/errors_{slug(condition.name)}.png",
+        )
+        pictures = [
+            Picture(
                 paths(by_filter, f"{name}, {condition.name}"),
                 f"{name}, seed {found.seeds[0]}: truth and estimates, aligned at the start. "
                 "Estimates ten times as far off as the best leave the panels.",
+                f"figures/{name}_{slug(condition.name)}.png",
             )
-            save_picture(picture, out / "figures" / f"{name}_{_slug(condition.name)}.png")
-            pictures.append(picture)
-        if series:
-            what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
-            title = f"{condition.name}: {what}"
-            picture = Picture(
-                errors_figure(series, title),
-                f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "
-                "overconfident.",
-            )
-            save_picture(picture, out / "figures" / f"errors_{_slug(condition.name)}.png")
-            pages.append(Section(PATHS + condition.name, "", None, (picture, *pictures)))
+            for name, by_filter in series.items()
+        ]
+        pages.append(Section(PATHS + condition.name, "", None, (errors, *pictures)))
     return pages
 
 
@@ -262,16 +254,15 @@ def _series(
     outcome: Outcome, condition: str, found: Experiment
 ) -> Mapping[str, Mapping[str, pd.DataFrame]]:
     series: dict[str, dict[str, pd.DataFrame]] = {}
-    first = found.gammas[0], found.learning.inputs, found.learning.method
     for cell, result in outcome.cells.items():
         if cell.condition.name != condition or cell.seed != found.seeds[0]:
             continue
         robots = found.robots_of(cell.scenario)
         name = cell.scenario.name + (f", {cell.robot}" if len(robots) > 1 else "")
         for one in result.estimates:
-            own = zip((one.gamma, one.inputs, one.method), first, strict=True)
             path = outcome.errors / one.errors
-            if all(a in (None, b) for a, b in own) and traits(one.filter).drawn and path.exists():
+            first = all(getattr(one, key) in (None, value) for key, value in found.first.items())
+            if first and traits(one.filter).drawn and path.exists():
                 series.setdefault(name, {})[one.filter] = pd.read_parquet(path)
     return series
 
@@ -280,7 +271,3 @@ def _glossary(main: pd.DataFrame, outcome: Outcome) -> list[dict[str, str]]:
     means = {name: estimator_named(name).description for name in main["filter"].unique()}
     means |= TABLE_MEANINGS | {f"{name}, left out": why for name, why in outcome.left_out.items()}
     return [{"": name, "means": text} for name, text in means.items()]
-
-
-def _slug(name: str) -> str:
-    return name.replace(" ", "_").replace("/", "_")

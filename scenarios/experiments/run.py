@@ -14,11 +14,11 @@ from typing import Any
 from surefoot.models.calibration.conformal import BoundsError
 from surefoot.scenarios.cache import Product
 from surefoot.scenarios.estimate.estimators import estimator_named
-from surefoot.scenarios.experiments.cells import Cell, Group, cell_inputs, cells_of
-from surefoot.scenarios.experiments.file import Experiment, Learning
+from surefoot.scenarios.experiments.file import Cell, Experiment, Group, Learning, cells_of
 from surefoot.scenarios.experiments.products import (
     ESTIMATION,
     LearntFiles,
+    cell_inputs,
     make_bounds,
     make_estimates,
     make_observer,
@@ -26,6 +26,7 @@ from surefoot.scenarios.experiments.products import (
     make_walk,
 )
 from surefoot.scenarios.reporting.rows import finished_case, read_case
+from surefoot.scenarios.settings import GridSettings
 from surefoot.scenarios.stages import processes, stage
 
 Learnings = dict[Learning, LearntFiles]
@@ -99,31 +100,21 @@ class Outcome:
         return {name: "; ".join(why) for name, why in reasons.items()}
 
 
-def run(
-    experiment: Experiment,
-    folder: Path,
-    workers: int = 1,
-    recordings: bool = False,
-    data: Path | None = None,
-) -> Outcome:
+def run(experiment: Experiment, folder: Path, settings: GridSettings) -> Outcome:
     """Compute, or find in `folder`, everything that the experiment needs, seed by seed.
 
-    Args:
-        experiment: the grid.
-        folder: of the products.
-        workers: parallel processes; each stage shows its own bar.
-        recordings: also make one of each sequence under each condition, for the first seed.
-        data: folder of finished rows: cells found there are not run, others are added to it. None:
-            rows are not stored.
+    Cells whose rows are in the settings' `data` are not run. Each stage shows its own bar.
     """
+    data = settings.data
     found: dict[Cell, CellResult] = {}
     recorded: dict[str, Product] = {}
     cells = cells_of(experiment)
-    with processes(workers) as pool:
+    with processes(settings.workers) as pool:
         for seed in experiment.seeds:
             mine = [cell for cell in cells if cell.seed == seed]
-            kept = _kept(experiment, mine, data) if data else {}
-            record = recordings and seed == experiment.seeds[0]
+            rows = {c: read_case(data, *_case(experiment, c), ESTIMATION) for c in mine if data}
+            kept = {cell: _from_row(row) for cell, row in rows.items() if row is not None}
+            record = not settings.no_recordings and seed == experiment.seeds[0]
             wanted = [cell for cell in mine if record or cell not in kept]
             groups = {cell.group for cell in wanted}
             # Walks from which the observers and bounds of the wanted cells are learnt.
@@ -139,23 +130,12 @@ def run(
             found |= kept | stage(pool, f"seed {seed}: estimates", made)
             if record:
                 recorded = _record(pool, experiment, folder, walks, learnt)
-    ordered = {cell: found[cell] for cell in cells}
-    return Outcome(ordered, folder / "estimate", recorded)
+    return Outcome({cell: found[cell] for cell in cells}, folder / "estimate", recorded)
 
 
-def _kept(experiment: Experiment, cells: list[Cell], data: Path) -> dict[Cell, CellResult]:
-    """Cells whose rows are in `data`, from the same code and inputs."""
-    found = {}
-    for cell in cells:
-        name, inputs = _case_name(experiment, cell), cell_inputs(experiment, cell)
-        row = read_case(data, name, inputs, ESTIMATION)
-        if row is not None:
-            found[cell] = _from_row(row)
-    return found
-
-
-def _case_name(experiment: Experiment, cell: Cell) -> str:
-    return f"{cell.title(experiment)}_{cell.seed}"
+def _case(experiment: Experiment, cell: Cell) -> tuple[str, dict[str, Any]]:
+    """Name of a cell's row, and what determines it."""
+    return f"{cell.title(experiment)}_{cell.seed}", cell_inputs(experiment, cell)
 
 
 def _from_row(row: dict[str, Any]) -> CellResult:
@@ -175,39 +155,33 @@ def _learn(
         if cell.learnt_from and not walk.facts["falls"]:
             named = by_role[cell.scenario.role or ""].setdefault(cell.group, [])
             named.append((cell.scenario.name, walk))
-    held_out, seeds = by_role["calibrate"], {cell.seed for cell in walks}
-    label = ", ".join(f"seed {seed}" for seed in seeds)
+    held_out = by_role["calibrate"]
+    label = ", ".join(f"seed {seed}" for seed in {cell.seed for cell in walks})
     # Learnings that differ only in their method share observers.
-    ways = {(one.inputs, loss): one for one in experiment.learnings for loss in one.losses}
     observers = stage(
         pool,
         f"{label}: observers",
         {
-            (group, inputs, loss): (make_observer, folder, logs, one, loss, group[2])
+            (group, one.inputs, loss): (make_observer, folder, logs, one, loss, group[2])
             for group, logs in by_role["train"].items()
-            for (inputs, loss), one in ways.items()
-        },
-    )
-    bounds = stage(
-        pool,
-        f"{label}: bounds",
-        {
-            (group, one, gamma, loss): (
-                _bounds,
-                one == experiment.learning,
-                folder,
-                observers[group, one.inputs, loss],
-                held_out[group][0],
-                gamma,
-                one.method,
-            )
-            for group in by_role["train"]
-            if group in held_out
             for one in experiment.learnings
-            for gamma in experiment.gammas_of(one, group[2])
             for loss in one.losses
         },
     )
+    levels = [
+        (group, one, gamma, loss)
+        for group in by_role["train"]
+        if group in held_out
+        for one in experiment.learnings
+        for gamma in experiment.gammas_of(one, group[2])
+        for loss in one.losses
+    ]
+    tasks = {}
+    for group, one, gamma, loss in levels:
+        required, observer = one == experiment.learning, observers[group, one.inputs, loss]
+        task = (_bounds, required, folder, observer, held_out[group][0], gamma, one.method)
+        tasks[group, one, gamma, loss] = task
+    bounds = stage(pool, f"{label}: bounds", tasks)
     found: dict[Group, Learnings] = {
         cell.group: {one: LearntFiles({}, {}) for one in experiment.learnings} for cell in walks
     }
@@ -255,8 +229,7 @@ def _result(
 
     if data is None:
         return _from_row(make())
-    name, inputs = _case_name(experiment, cell), cell_inputs(experiment, cell)
-    return _from_row(finished_case(data, name, inputs, ESTIMATION, make))
+    return _from_row(finished_case(data, *_case(experiment, cell), ESTIMATION, make))
 
 
 def _estimates(
@@ -283,14 +256,14 @@ def _estimates(
             experiment.filters_of(learning),
             experiment.gammas_of(learning, cell.seed),
         )
-        if learning != experiment.learning and not files.bounds:
+        further = learning != experiment.learning
+        if further and not files.bounds:
             why = dict.fromkeys(why, "the walk to calibrate with is too short for this method")
         for (name, gamma), one in products.items():
             inputs = learning.inputs if estimator_named(name).needs.learnt else None
             method = None if gamma is None else learning.method
             found.append(Estimated(name, gamma, inputs, method, one.facts, one.path.name))
-        first = learning == experiment.learning
-        way = "" if first else f", {learning.inputs}, {learning.method}"
+        way = f", {learning.inputs}, {learning.method}" if further else ""
         left_out |= {name + way: text for name, text in why.items()}
     return CellResult(walk.facts, tuple(found), left_out)
 
@@ -311,17 +284,10 @@ def _record(
         walks: log of each cell.
         learnt: files of observers and bounds of each group of cells.
     """
-    tasks = {}
+    tasks, filters, gamma = {}, experiment.filters, experiment.gammas[0]
     for cell, walk in walks.items():
         if not walk.facts["falls"]:
             files = learnt[cell.group][experiment.learning]
-            tasks[cell.title(experiment)] = (
-                make_recording,
-                folder,
-                walk,
-                cell.job,
-                files,
-                experiment.filters,
-                experiment.gammas[0],
-            )
+            task = (make_recording, folder, walk, cell.job, files, filters, gamma)
+            tasks[cell.title(experiment)] = task
     return stage(pool, "recordings", tasks)

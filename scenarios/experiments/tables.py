@@ -27,6 +27,8 @@ HELD = "coverage [%]"
 SHOWN_COLUMNS = [name for name in MEANINGS if name in TABLE_METRICS or name == HELD]
 SHOWN_COLUMNS.insert(1, SHARE)
 """Order of the columns for averages and sequences."""
+SWEEP_COLUMNS = [c for c in SHOWN_COLUMNS if c not in ("RPE_rot [deg/m]", "NEES_att", "step [us]")]
+"""Columns of the table by gamma."""
 TABLE_MEANINGS = {
     **MEANINGS,
     HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
@@ -71,11 +73,25 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def report_tables(rows: pd.DataFrame, found: Experiment) -> dict[str, pd.DataFrame]:
+    """All rows as "results", and the tables that the report shows."""
+    main = shown_first(rows, found)
+    tables = {"results": rows, "averages": averages(main), "sweep": sweep(rows, found)}
+    tables["learning"] = by_learning(rows, found)
+    for condition in found.conditions:
+        part = main[main["condition"] == condition.name]
+        tables[f"sequences_{slug(condition.name)}"] = per_sequence(part)
+    return tables
+
+
+def slug(name: str) -> str:
+    """A condition's name as part of a file's."""
+    return name.replace(" ", "_").replace("/", "_")
+
+
 def shown_first(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Rows of the first gamma, inputs and method, and those of filters without these."""
-    first = {"gamma": experiment.gammas[0]}
-    first |= {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
-    return _of(rows[rows["filter"].notna()], first)
+    return _of(rows[rows["filter"].notna()], experiment.first)
 
 
 def _of(rows: pd.DataFrame, values: Mapping[str, object]) -> pd.DataFrame:
@@ -86,16 +102,17 @@ def _of(rows: pd.DataFrame, values: Mapping[str, object]) -> pd.DataFrame:
 
 def averages(rows: pd.DataFrame) -> pd.DataFrame:
     """Means over test sequences, and their spread over seeds, by condition, robot and filter."""
-    test = rows[rows["role"] == "test"]
+    keys = ["condition", "robot", "filter"]
+    return _marked(_averaged(rows[rows["role"] == "test"], keys), [*keys, *SHOWN_COLUMNS])
+
+
+def _averaged(rows: pd.DataFrame, keys: list[str]) -> list[dict[str, object]]:
+    """Means over the walks of a seed, and their spread over seeds, by these columns."""
     found = []
-    for (condition, robot, name), part in test.groupby(
-        ["condition", "robot", "filter"], sort=False
-    ):
+    for values, part in rows.groupby(keys, sort=False, dropna=False):
         by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
-        row: dict[str, object] = {"condition": condition, "robot": robot, "filter": name}
-        found.append(row | _summary(part, by_seed))
-    order = ["condition", "robot", "filter", *SHOWN_COLUMNS]
-    return _marked(found, order) if found else pd.DataFrame(columns=order)
+        found.append(dict(zip(keys, values, strict=True)) | _summary(part, by_seed))
+    return found
 
 
 def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
@@ -115,7 +132,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Averages over test sequences by gamma, for the seeds that were run at every gamma."""
     gammas = sorted({*experiment.gammas, *experiment.sweep.gammas})
     seeds = experiment.sweep.seeds or experiment.seeds
-    first = {name: getattr(experiment.learning, name) for name in ("inputs", "method")}
+    first = {key: value for key, value in experiment.first.items() if key != "gamma"}
     mine = rows[rows["gamma"].notna() & (rows["role"] == "test") & rows["seed"].isin(seeds)]
     mine = _of(mine, first)
     found = []
@@ -124,10 +141,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
             at = part[part["gamma"] == gamma]
             if len(at):
                 row: dict[str, object] = {"condition": condition, "filter": name, "gamma": gamma}
-                row |= {c: at[c].mean() for c in ("APE_trans [m]", SHARE, "APE_rot [deg]")}
-                row |= {c: at[c].mean() for c in ("RPE_trans [m]", "pi<gamma [%]")}
-                row |= {HELD: _held(at), "NEES_pos": at["NEES_pos"].mean()}
-                row |= {"NEES_vel": at["NEES_vel"].mean()}
+                row |= {c: _held(at) if c == HELD else at[c].mean() for c in SWEEP_COLUMNS}
                 found.append(row)
     return pd.DataFrame(found)
 
@@ -140,13 +154,8 @@ def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     if len(experiment.learnings) == 1:
         return pd.DataFrame()
     learnt = rows[(rows["role"] == "test") & rows["inputs"].notna()]
-    learnt = _of(learnt, {"gamma": experiment.gammas[0]})
-    found = []
     keys = ["condition", "filter", "inputs", "method"]
-    for values, part in learnt.groupby(keys, sort=False, dropna=False):
-        row: dict[str, object] = dict(zip(keys, values, strict=True))
-        by_seed = pd.DataFrame(part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean())
-        found.append(row | _summary(part, by_seed))
+    found = _averaged(_of(learnt, {"gamma": experiment.gammas[0]}), keys)
     return pd.DataFrame(found, columns=[*keys, *SHOWN_COLUMNS])
 
 

@@ -96,9 +96,7 @@ def height_figure(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
     return figure
 
 
-def velocity_figure(
-    log: Log, prediction: "Prediction", epsilon: np.ndarray | None = None
-) -> Figure:
+def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> Figure:
     """True and predicted velocity of the IMU in its own axes, one panel per axis.
 
     Of a long walk, the middle ten seconds are shown; the shares in the panel titles are of the
@@ -113,7 +111,7 @@ def velocity_figure(
     t, ok = log.t[rows], log.ref_ok[rows]
     truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
     predicted = np.asarray(prediction.v_I)
-    half = None if epsilon is None else np.broadcast_to(epsilon, predicted.shape)
+    half = np.broadcast_to(epsilon, predicted.shape)
     first, last = t[0], t[-1]
     if last - first > 15.0:
         first, last = 0.5 * (first + last) - 5.0, 0.5 * (first + last) + 5.0
@@ -122,21 +120,17 @@ def velocity_figure(
     figure, axes = new_figure(3, 1, size=(7.5, 6.2), share_x=True, title=title)
     for k, (axis, word) in enumerate(NAMED_AXES):
         ax = axes[k, 0]
-        panel = f"{axis} of the IMU ({word})"
-        if half is not None:
-            lower, upper = predicted[:, k] - half[:, k], predicted[:, k] + half[:, k]
-            band = ax.fill_between(t[shown], lower[shown], upper[shown], color=BOUNDS, linewidth=0)
-            band.set(alpha=0.25, label="Observer ± ε (the bounds)")
+        lower, upper = predicted[:, k] - half[:, k], predicted[:, k] + half[:, k]
+        band = ax.fill_between(t[shown], lower[shown], upper[shown], color=BOUNDS, linewidth=0)
+        band.set(alpha=0.25, label="Observer ± ε (the bounds)")
         ax.plot(t[shown], predicted[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
         measured = np.where(ok, truth[:, k], np.nan)
         ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label="Truth")
-        if half is not None:
-            outside = ok & (np.abs(truth[:, k] - predicted[:, k]) > half[:, k])
-            missed = t[shown & outside], truth[shown & outside, k]
-            ax.plot(*missed, ".", color=OUTSIDE, markersize=4, label="Truth outside")
-            inside = 100.0 * (1.0 - outside[ok].mean())
-            panel += f": {inside:.1f} % of the walk inside ± {half[0, k]:.3g} m/s"
-        set_title(ax, panel, 9.5)
+        outside = ok & (np.abs(truth[:, k] - predicted[:, k]) > half[:, k])
+        missed = t[shown & outside], truth[shown & outside, k]
+        ax.plot(*missed, ".", color=OUTSIDE, markersize=4, label="Truth outside")
+        inside = f"{100.0 * (1.0 - outside[ok].mean()):.1f} % of the walk inside"
+        set_title(ax, f"{axis} of the IMU ({word}): {inside} ± {half[0, k]:.3g} m/s", 9.5)
         ax.set_ylabel("m/s")
         ax.set_xlim(first, last)
     axes[-1, 0].set_xlabel("time [s]")

@@ -19,9 +19,9 @@ from surefoot.scenarios.reporting.html import (
     Section,
     heading,
     markdown_report,
-    save_picture,
     write_report,
 )
+from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.reporting.tables import Table, to_csv, to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import kept_file, refuse_input, write_whole
@@ -96,7 +96,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
         for place, picture in enumerate(section.pictures, 1):
             name = f"{path.stem}_{number}_{place}.png"
             with kept_file(path.with_name(name)) as temporary:
-                save_picture(picture, temporary)
+                temporary.write_bytes(png(picture.figure))
             parts += [f"![{section.heading}]({name})", picture.caption]
     with kept_file(path) as temporary:
         temporary.write_text("\n\n".join(p for p in parts if p) + "\n", encoding="utf-8")

@@ -84,14 +84,8 @@ def label_decades(axis: Axis) -> None:
     """
     low, high = axis.get_view_interval()
     decades = float(np.log10(high / low))
-    if decades <= 1.0:
-        steps = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-    elif decades <= 1.5:
-        steps = (1.0, 2.0, 5.0)
-    elif decades <= 3.0:
-        steps = (1.0, 3.0)
-    else:
-        steps = (1.0,)
+    fine = {1.0: (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), 1.5: (1.0, 2.0, 5.0), 3.0: (1.0, 3.0)}
+    steps = next((labels for most, labels in fine.items() if decades <= most), (1.0,))
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -133,8 +127,10 @@ def legend_below(figure: Figure, ax: Axes, columns: int = 4) -> None:
         figure.legend(handles, labels, ncols=n, loc=place, fontsize=8.5, frameon=False)
 
 
-def png(figure: Figure) -> bytes:
-    """The figure as PNG bytes; equal figures give equal bytes."""
+def png(figure: Figure | bytes) -> bytes:
+    """The figure as PNG bytes, equal for equal figures; those of a PNG are returned as they are."""
+    if isinstance(figure, bytes):
+        return figure
     stream = BytesIO()
     with rc_context(_STYLE):
         # `savefig` would draw the figure twice, first for its layout alone.
@@ -142,7 +138,7 @@ def png(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-def save_png(figure: Figure, path: str | Path, force: bool = False) -> None:
+def save_png(figure: Figure | bytes, path: str | Path, force: bool = False) -> None:
     """Write the figure as a PNG. Raises SurefootError where the file exists (no `force`)."""
     with whole_file(path, force) as temporary:
         temporary.write_bytes(png(figure))

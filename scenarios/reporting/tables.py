@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from surefoot.sim.common.terminal import printable
+
 if TYPE_CHECKING:
     from surefoot.estimator.metrics import Metrics
 
@@ -58,11 +60,15 @@ def cell(value: object, digits: int = 3) -> str:
     return f"{number:.{digits if abs(number) < 1000 else 0}f}"
 
 
-def to_markdown(table: Table, digits: int = 3) -> str:
-    """A Markdown table with right-aligned numbers, padded so that the source is readable too."""
+def to_markdown(table: Table, digits: int = 3, markup: bool = False) -> str:
+    """A Markdown table with right-aligned numbers, padded so that the source is readable too.
+
+    markup: whether cells are Markdown; otherwise it shows them as they are.
+    """
     frame = as_frame(table)
-    header = [_pipe(str(name)) for name in frame.columns]
-    rows = [[_pipe(cell(v, digits)) for v in row] for row in frame.itertuples(index=False)]
+    text = _pipe if markup else in_markdown
+    header = [text(str(name)) for name in frame.columns]
+    rows = [[text(cell(v, digits)) for v in row] for row in frame.itertuples(index=False)]
     widths = [max(3, *(len(r[k]) for r in [header, *rows])) for k in range(len(header))]
     right = _numeric(frame)
     rule = [("-" * (w - 1) + ":") if r else "-" * w for w, r in zip(widths, right, strict=True)]
@@ -77,10 +83,14 @@ def to_markdown(table: Table, digits: int = 3) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """Comma-separated values at full precision, with a header and empty cells for missing
-    values.
+    """Comma-separated values at full precision, with a header and empty cells for missing values.
+
+    Texts that a spreadsheet would execute begin with an apostrophe.
     """
-    return as_frame(table).to_csv(index=False, lineterminator="\n")
+    frame = as_frame(table).rename(columns=_spreadsheet_text)
+    for name in frame.select_dtypes(exclude="number"):
+        frame[name] = pd.Series(map(_spreadsheet_text, frame[name]), dtype=object)
+    return frame.to_csv(index=False, lineterminator="\n")
 
 
 def to_html(table: Table) -> str:
@@ -124,5 +134,24 @@ def _strong(text: str) -> str:
     return escape(text)
 
 
+def in_markdown(text: str) -> str:
+    """A text of one line for Markdown, which shows it as it is, but for stars."""
+    return _pipe(without_tags(re.sub(r"[\\`]", r"\\\g<0>", text)))
+
+
 def _pipe(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+    return printable(text.replace("\n", " ")).replace("|", "\\|")
+
+
+def without_tags(text: str) -> str:
+    """A text of Markdown without tags of HTML, addresses and links; `pi<gamma` is none of these."""
+    tag = r"(?<!\w)<(?=[A-Za-z/!?])|<(?=[A-Za-z/!?][^<]*>)"
+    return re.sub(tag, "&lt;", text).replace("](", "]\\(")
+
+
+def _spreadsheet_text(value: object) -> object:
+    """A cell of CSV, in which a text that is no number is no formula of a spreadsheet either."""
+    if not isinstance(value, str) or _is_number(value):
+        return value
+    text = printable(value, "\n\t")
+    return f"'{text}" if text.startswith(tuple("=+-@\t")) else text

@@ -18,16 +18,20 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.machine import Machine
 
-REPORTED = (
-    "ape_trans",
-    "ape_rot",
-    "rpe_trans",
-    "rpe_rot",
-    "velocity",
-    "nees_position",
-    "nees_velocity",
-    "nees_attitude",
-)
+REPORTED = {
+    "ape_trans": "APE [m]",
+    "ape_rot": "APE [deg]",
+    "rpe_trans": "RPE [m]",
+    "rpe_rot": "RPE [deg/m]",
+    "drift": "drift [m/m]",
+    "velocity": "velocity [m/s]",
+    "nees_position": "NEES position",
+    "nees_velocity": "NEES velocity",
+    "nees_attitude": "NEES attitude",
+}
+"""Metrics of a filter and their headings."""
+_FIELDS = [name for name in REPORTED if name != "drift"]
+"""Those that are fields of `estimator.metrics.Metrics`."""
 DEAD_RECKONING = "dead_reckoning"
 """Listed among the filters: leg odometry, integrated with the reference's attitude."""
 
@@ -78,11 +82,10 @@ def before_and_after(
             after = filtered(name, compensated_part, corrected, learnt) if effects else before
         except SurefootError:  # the log or `learnt` lacks an input of this filter
             continue
-        lost = (
-            doubts(name, plain_part, robot, before),
-            doubts(name, compensated_part, corrected, after),
-        )
-        done.append(replace(_compared(name, plain_part, truth, before, after), lost=lost))
+        compared = _compared(name, plain_part, truth, before, after)
+        why = doubts(name, plain_part, robot, before)
+        why_after = doubts(name, compensated_part, corrected, after)
+        done.append(replace(compared, lost=(why, why_after)))
     # Leg filters first, since a better model of the legs affects them most.
     of_filter = {one.filter: traits(one.filter) for one in done}
     done.sort(key=lambda one: of_filter[one.filter].variant or not of_filter[one.filter].of_legs)
@@ -177,7 +180,7 @@ def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[s
     for name in dict.fromkeys(one.filter for one in stretches):
         own = [one for one in stretches if one.filter == name]
         for i, side in enumerate(("before", "after")):
-            found = {m: float(np.mean([getattr(s.metrics[i], m) for s in own])) for m in REPORTED}
-            found["drift"] = float(np.mean([s.drift[i] for s in own]))
-            means.setdefault(name, {})[side] = found
+            found = {m: np.mean([getattr(s.metrics[i], m) for s in own]) for m in _FIELDS}
+            found["drift"] = np.mean([s.drift[i] for s in own])
+            means.setdefault(name, {})[side] = {m: float(mean) for m, mean in found.items()}
     return means

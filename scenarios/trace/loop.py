@@ -29,9 +29,9 @@ from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.pages import check_page
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace.gait_choice import GaitChoice, choose_gait
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import ErrorParts, error_parts, learnt_from_measured
+from surefoot.scenarios.trace.realism import GaitChoice, choose_gait
 from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,
@@ -44,7 +44,7 @@ from surefoot.scenarios.trace.words import caution, summary
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest
-from surefoot.sim.effects import Effect, declared_effects, effect
+from surefoot.sim.effects import Effect, compensate_all, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log
@@ -55,7 +55,6 @@ RECIPE = "recipe.json"
 WORLDS = ("before", "effects", "after")
 HALF_WIDTH = 1.96
 """Half width of a normal distribution's 95 % interval, in standard deviations."""
-_MODULE = "surefoot.scenarios.trace.loop"
 
 
 def loop(
@@ -92,7 +91,7 @@ def loop(
     recipe = {
         "log": contents_digest(log),
         "robot": [robot.name, robot.digest],
-        "code": [sources_digest(_MODULE), candidates_digest()],
+        "code": [sources_digest(__name__), candidates_digest()],
         "seed": seed,
         "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],
@@ -119,7 +118,8 @@ def loop(
         walks = TrainingWalks(style, robot, effects, gait, spread)
         learnt, simulated = _learnt(walks, log, out / name, seed, plan)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
-        worlds.append(LoopWorld(name, effects, learnt, comparison, simulated))
+        measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)
+        worlds.append(LoopWorld(name, effects, learnt, comparison, simulated, measured))
     last = worlds[-1].comparison
     assert last.robot is not None
     trained_on_measured = _from_measured(last.log, last.robot, out / "measured.json", seed, plan)
@@ -180,8 +180,7 @@ def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log
 
     The log no longer declares any effects, so that none is compensated twice.
     """
-    declaring = replace(log, meta=replace(log.meta, effects=tuple(e.as_dict() for e in effects)))
-    compensated, model = declared_model(declaring, robot)
+    compensated, model = compensate_all(effects, log, robot)
     compensated = replace(compensated, meta=replace(compensated.meta, effects=()))
     return rates_as_of(compensated, log), model
 
@@ -208,10 +207,9 @@ def _learnt(
         calibration = rates_as_of(calibration, log)
         how = replace(plan.training, inputs=inputs_of(log), seed=seed)
         learnt = learn(training, calibration, out, how, force=True)
-        _write(out / "errors.json", error_parts(learnt.observers[0], calibration).rms)
+        _write(out / "errors.json", error_parts(learnt.observers[0], calibration))
         done.touch()
-    simulated = ErrorParts(json.loads((out / "errors.json").read_text(encoding="utf-8")))
-    return learnt_in(out), simulated
+    return learnt_in(out), json.loads((out / "errors.json").read_text(encoding="utf-8"))
 
 
 def _from_measured(

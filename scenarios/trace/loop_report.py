@@ -19,15 +19,16 @@ from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
 from surefoot.scenarios.reporting.html import Picture, Section, nested, write_report
 from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace.gait_choice import GaitChoice
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
     ErrorParts,
-    error_parts,
+    excess,
+    parts_table,
     recalibrated,
 )
+from surefoot.scenarios.trace.realism import GaitChoice
 from surefoot.scenarios.trace.report import channel_row
 from surefoot.scenarios.trace.words import caution
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
@@ -39,11 +40,8 @@ from surefoot.sim.robot import Robot
 LOOP_TITLE = "The loop: what the model lacked, put into it"
 _MODULE = "surefoot.scenarios.trace.loop"
 LOOP_METRICS = {
-    "ape_trans": "APE_trans [m]",
-    "ape_rot": "APE_rot [deg]",
-    "rpe_trans": "RPE_trans [m]",
-    "nees_position": "NEES_pos",
-    "nees_velocity": "NEES_vel",
+    name: METRICS[name]
+    for name in ("APE_trans [m]", "APE_rot [deg]", "RPE_trans [m]", "NEES_pos", "NEES_vel")
 }
 
 
@@ -57,6 +55,7 @@ class LoopWorld:
         learnt: observers and bounds from its walks.
         comparison: every filter on the measured log.
         simulated: parts of the observer's errors on a simulated walk not used for training.
+        measured: the same on the measured walk.
     """
 
     name: str
@@ -64,11 +63,7 @@ class LoopWorld:
     learnt: Learnt
     comparison: Comparison
     simulated: ErrorParts
-
-    @property
-    def measured(self) -> ErrorParts:
-        """Parts of the observer's errors on the measured walk."""
-        return error_parts(self.learnt.observers[0], self.comparison.log, self.comparison.robot)
+    measured: ErrorParts
 
 
 def write_loop(
@@ -95,12 +90,11 @@ def write_loop(
     write_whole(out / "table.md", to_markdown(table) + "\n", force=True)
     write_whole(out / "table.csv", to_csv(table), force=True)
     found = json.loads((out / "trace" / "trace.json").read_text(encoding="utf-8"))
-    measured = {world.name: world.measured for world in worlds}
     summary = {
         "trace": found,
         "gait": gait.words,
         "taught": trained_on_measured,
-        "sides": {s.name: _summary(s, measured[s.name]) for s in worlds},
+        "sides": {s.name: _summary(s) for s in worlds},
     }
     write_whole(out / "loop.json", json.dumps(summary, indent=2) + "\n", force=True)
     drawn = _trajectories(worlds)
@@ -109,7 +103,7 @@ def write_loop(
     write_recording(out / "loop.rrd", walk, force=True)
     sections = [
         Section("Before and after", _prose(found, worlds), table),
-        *_of_observers(worlds, measured, trained_on_measured),
+        *_of_observers(worlds, trained_on_measured),
         Section("How the simulated robot walks", gait.words, gait.rows or None),
         *_of_trace(found),
         *_pictures(log, worlds, drawn),
@@ -121,9 +115,7 @@ def write_loop(
 
 
 def _of_observers(
-    worlds: Sequence[LoopWorld],
-    measured: dict[str, ErrorParts],
-    trained_on_measured: list[float] | str,
+    worlds: Sequence[LoopWorld], trained_on_measured: list[float] | str
 ) -> list[Section]:
     """Sections on the observers' errors, in simulation and on the measured walk, and on the
     coverage of their bounds.
@@ -137,8 +129,8 @@ def _of_observers(
     rows: list[dict[str, Any]] = []
     for world in worlds:
         row: dict[str, Any] = {"walks": world.name}
-        row["simulated [m/s]"] = _three(world.simulated.rms["moving"])
-        row["measured [m/s]"] = _three(measured[world.name].rms["moving"])
+        row["simulated [m/s]"] = _three(world.simulated["moving"])
+        row["measured [m/s]"] = _three(world.measured["moving"])
         rows.append(row | _bounds_row(world))
     if isinstance(trained_on_measured, str):
         words += f"\n\nNo observer was trained on the measured walk: {trained_on_measured}."
@@ -156,14 +148,15 @@ def _of_observers(
         f"Errors of the mse observer in the world `{last.name}`, root mean square [m/s]. Those "
         "while the robot moves are the sum of these parts: "
     )
-    parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items()) + "."
-    shares = last.simulated.excess(measured[last.name])
-    parts += "\n\nShare of each part in the excess of the measured squared errors over the "
-    parts += "simulated ones: "
-    parts += ", ".join(f"{name} {100 * x:.0f} %" for name, x in shares.items()) + "."
+    parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items())
+    shares = excess(last.simulated, last.measured)
+    parts += (
+        ".\n\nShare of each part in the excess of the measured squared errors over the simulated "
+        f"ones: {', '.join(f'{name} {100 * x:.0f} %' for name, x in shares.items())}."
+    )
     return [
         Section("Observers, simulated and measured", words, pd.DataFrame(rows)),
-        Section("Parts of the errors", parts, last.simulated.table(measured[last.name])),
+        Section("Parts of the errors", parts, parts_table(last.simulated, last.measured)),
     ]
 
 
@@ -207,7 +200,7 @@ def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
     rows = []
     for name in filters:
         row: dict[str, Any] = {"filter": name}
-        for key, heading in LOOP_METRICS.items():
+        for heading, key in LOOP_METRICS.items():
             for world in worlds:
                 own = (r.metrics for r in world.comparison.results if r.filter == name)
                 row[f"{heading} {world.name}"] = getattr(next(own, None), key, None)
@@ -218,15 +211,15 @@ def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
     return rows
 
 
-def _summary(world: LoopWorld, measured: ErrorParts) -> dict[str, Any]:
+def _summary(world: LoopWorld) -> dict[str, Any]:
     filters = {
-        r.filter: {key: float(getattr(r.metrics, key)) for key in LOOP_METRICS}
+        r.filter: {key: float(getattr(r.metrics, key)) for key in LOOP_METRICS.values()}
         for r in world.comparison.results
         if r.metrics is not None
     }
     return {
         "effects": [e.as_dict() for e in world.effects],
-        "observer_errors": {"simulated": world.simulated.rms, "measured": measured.rms},
+        "observer_errors": {"simulated": world.simulated, "measured": world.measured},
         "coverage": {name: held.joint for name, held in world.comparison.held.items()},
         "filters": filters,
     }

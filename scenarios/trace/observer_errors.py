@@ -4,8 +4,6 @@ ones.
 The loop reports the parts on a measured walk and in simulation.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from surefoot.models.calibration.bounds import Bounds
@@ -40,41 +38,36 @@ ERROR_PARTS = {
 """Parts of the errors while the robot moves, each fitted to the remainder of those before it."""
 
 
-@dataclass(frozen=True)
-class ErrorParts:
-    """Root mean squares (3,) [m/s] of an observer's errors, forward, lateral and vertical.
+ErrorParts = dict[str, list[float]]
+"""Root mean squares (3,) [m/s] of an observer's errors, forward, lateral and vertical: of "all"
+errors, of those while the robot is "standing" and "moving", and of the ERROR_PARTS of the last.
+"""
 
-    rms: of "all" errors, of those while the robot is "standing" and "moving", and of the
-    ERROR_PARTS of the last.
+
+def parts_table(simulated: ErrorParts, measured: ErrorParts) -> list[dict[str, object]]:
+    """One row for each part."""
+    rows = []
+    for name in simulated:
+        row: dict[str, object] = {"part": name}
+        for a, axis in enumerate(("forward", "lateral", "vertical")):
+            row[f"{axis}, simulated"] = f"{simulated[name][a]:.3f}"
+            row[f"{axis}, measured"] = f"{measured[name][a]:.3f}"
+        rows.append(row)
+    return rows
+
+
+def excess(simulated: ErrorParts, measured: ErrorParts) -> dict[str, float]:
+    """Share of each of ERROR_PARTS in the excess of the measured squared errors over the simulated.
+
+    Over all axes, largest share first; a part that is not larger when measured has 0.
     """
-
-    rms: dict[str, list[float]]
-
-    def table(self, other: "ErrorParts") -> list[dict[str, object]]:
-        """One row for each part: these errors as the simulated ones, `other` as the measured
-        ones.
-        """
-        rows = []
-        for name, simulated in self.rms.items():
-            row: dict[str, object] = {"part": name}
-            for a, axis in enumerate(("forward", "lateral", "vertical")):
-                row[f"{axis}, simulated"] = f"{simulated[a]:.3f}"
-                row[f"{axis}, measured"] = f"{other.rms[name][a]:.3f}"
-            rows.append(row)
-        return rows
-
-    def excess(self, measured: "ErrorParts") -> dict[str, float]:
-        """Share of each of ERROR_PARTS in the excess of the measured squared errors over these.
-
-        Over all axes, largest share first; a part that is not larger when measured has 0.
-        """
-        beyond = {
-            name: max(0.0, float(np.sum(np.square(measured.rms[name]) - np.square(self.rms[name]))))
-            for name in ERROR_PARTS
-        }
-        total = sum(beyond.values())
-        shares = {name: x / total for name, x in beyond.items()} if total else beyond
-        return dict(sorted(shares.items(), key=lambda item: -item[1]))
+    beyond = {
+        name: max(0.0, float(np.sum(np.square(measured[name]) - np.square(simulated[name]))))
+        for name in ERROR_PARTS
+    }
+    total = sum(beyond.values())
+    shares = {name: x / total for name, x in beyond.items()} if total else beyond
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
 def error_parts(observer: Observer, log: Log, robot: Robot | None = None) -> ErrorParts:
@@ -89,7 +82,7 @@ def error_parts(observer: Observer, log: Log, robot: Robot | None = None) -> Err
     phase = stride_phase(log.t, log.contact[:, 0])[rows] if log.has("contact") else None
     found = {"all": errors, _STANDING: errors[~moves], "moving": errors[moves]}
     found |= split_errors(errors, regressors, phase, moves)
-    return ErrorParts({name: root_mean_square(part) for name, part in found.items()})
+    return {name: root_mean_square(part) for name, part in found.items()}
 
 
 def split_errors(

@@ -1,26 +1,33 @@
-"""Realism of simulated walks: a measured log compared with simulated walks in the same style."""
+"""Realism of simulated walks: a measured log compared with simulated walks in the same style.
+
+The drift of the leg filter only evaluates a simulated robot. Its effects and gait are chosen by
+`trace` and the realism card, never by this comparison.
+"""
 
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from surefoot.models.attribution.reference_sampling import reference_sampling, resample_reference
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
 from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
+from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.settings import RealismSettings
 from surefoot.scenarios.trace.realism_figures import pictures
 from surefoot.scenarios.trace.training_walks import beyond_simulated, simulated_robot
-from surefoot.scenarios.trace.walk_comparison import FILTER, WalkComparison, drift_table
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.carry import carried, growth, scale_of
+from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
@@ -32,7 +39,6 @@ WALKS_EACH = 3
 """Simulated walks in a comparison, each with a seed of its own."""
 REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 """Factors on the measured velocities, tried in turn until no simulated robot falls."""
-_MODULE = "surefoot.scenarios.trace.realism"
 TITLE = "Realism: a measured walk compared with simulated walks"
 REALISM_FILES = ("realism.json", "realism.csv", "drift.csv", "table.md", "report.html")
 DRIFT_WORDS = (
@@ -41,6 +47,9 @@ DRIFT_WORDS = (
     "one, both are alike. The 95 % interval of their ratio is over the seeds of the simulated "
     "walks; where it contains values on both sides of the limit, the result is open."
 )
+FILTER = "leg"
+WITHIN = 0.15
+"""Largest difference of the simulated from the measured drift, as a share of it; set beforehand."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,53 @@ class SimulatedRobot:
     effects: Sequence[Effect] = ()
     walked: AsWalked | None = None
     walker: Robot | None = None
+
+
+@dataclass(frozen=True)
+class WalkComparison:
+    """A measured walk, simulated walks in its style, and the realism card that compares them.
+
+    Attributes:
+        words: name of the simulated robot, such as "as drawn".
+        measured: the measured walk.
+        simulated: the simulated walks.
+        card: the comparison.
+        pace: speed of the simulated walks relative to the measured one.
+    """
+
+    words: str
+    measured: WalkView
+    simulated: tuple[WalkView, ...]
+    card: Card
+    pace: float
+
+
+@dataclass(frozen=True)
+class Drift:
+    """RPE of the leg filter over 1 m [m/m] with one model of the feet; NaN where it diverged."""
+
+    feet: str  # whose radius the model has, and the radius
+    measured: float
+    simulated: tuple[float, ...]  # of each walk
+
+    @property
+    def ratio(self) -> float:
+        """Mean of the simulated walks over the measured one."""
+        return float(np.mean(self.simulated)) / self.measured
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the ratio over the walks' seeds (Student's t); NaN for one walk."""
+        n = len(self.simulated)
+        if n < 2:
+            return np.nan, np.nan
+        half = student_t.ppf(0.975, n - 1) * np.std(self.simulated, ddof=1) / np.sqrt(n)
+        half = float(half) / self.measured
+        return self.ratio - half, self.ratio + half
+
+    @property
+    def alike(self) -> bool:
+        return abs(self.ratio - 1.0) <= WITHIN
 
 
 def realism(
@@ -107,7 +163,7 @@ def realism(
         text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
         write_whole(folder / "realism.json", text + "\n")
     if settings.page:
-        write_page(settings.page, TITLE, parts, origin_of(_MODULE, "surefoot realism"))
+        write_page(settings.page, TITLE, parts, origin_of(__name__, "surefoot realism"))
     return tuple(found)
 
 
@@ -229,7 +285,8 @@ def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
             words += "\n\nMissing: " + "; ".join(f"{n} ({why})" for n, why in card.missing.items())
             words += "."
         parts.append(Section(f"{one.words[:1].upper()}{one.words[1:]}", words, card_table(card)))
-    parts.append(Section("Pictures", pictures=tuple(pictures(found))))
+    drawn = pictures(found[0].measured, {one.words: one.simulated for one in found})
+    parts.append(Section("Pictures", pictures=tuple(drawn)))
     reasons = [
         {"quantity": r.quantity, "tolerance": r.tolerance, "unit": r.unit, "reason": r.reason}
         for r in found[0].card.rows
@@ -263,3 +320,113 @@ def _json(found: Sequence[WalkComparison]) -> dict:
         }
         for one in found
     }
+
+
+@dataclass(frozen=True)
+class GaitChoice:
+    """A choice between the two gaits.
+
+    Attributes:
+        walked: whether the measured gait was chosen.
+        words: the reason.
+        rows: of the chosen gait's realism card; empty if the log is too short for one.
+    """
+
+    walked: bool
+    words: str
+    rows: list[dict[str, Any]]
+
+    @property
+    def gait(self) -> GaitOptions:
+        return load_as_walked().gait if self.walked else PLAIN_GAIT
+
+
+def choose_gait(
+    log: Log,
+    robot: Robot,
+    effects: Sequence[Effect],
+    seed: int,
+    progress: Callable[[float], None] = lambda share: None,
+) -> GaitChoice:
+    """Choose the gait by realism cards.
+
+    The score of a card is its number of `like` rows minus that of `unlike` ones; on a tie the plain
+    gait is chosen.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        effects: of the simulated robot.
+        seed: of the walks.
+        progress: called with the share done, 0 to 1.
+    """
+    gaits = {"the plain gait": None, "the gait as walked": replace(load_as_walked(), size=())}
+    try:
+        plain, walked = (
+            compare_walks(
+                log,
+                robot,
+                SimulatedRobot(words, effects, gait),
+                seed,
+                lambda share, k=k: progress(0.5 * (k + share)),
+            )
+            for k, (words, gait) in enumerate(gaits.items())
+        )
+    except SurefootError as error:
+        return GaitChoice(False, f"The plain gait; no realism card: {error}.", [])
+    score = [one.card.counts["like"] - one.card.counts["unlike"] for one in (plain, walked)]
+    taken = walked if score[1] > score[0] else plain
+    counts = [
+        f"{one.words} has {one.card.counts['like']} quantities like the log's and "
+        f"{one.card.counts['unlike']} unlike"
+        for one in (plain, walked)
+    ]
+    words = f"Of the simulated walks, {counts[0]}; {counts[1]}. Taken: {taken.words}."
+    return GaitChoice(taken is walked, words, card_table(taken.card))
+
+
+def leg_drifts(found: WalkComparison) -> tuple[Drift, ...]:
+    """The drift with feet as in the measured log's model and, if different, with the foot radius of
+    the robot's file.
+    """
+    views = (found.measured, *found.simulated)
+    drifts = []
+    for feet in ("as declared", "as in the robot's file"):
+        robots = [v.robot if feet == "as declared" else with_own_feet(v.robot) for v in views]
+        rpe = [_drift(v.log, robot) for v, robot in zip(views, robots, strict=True)]
+        radii = 1e3 * robots[0].foot_radius.mean(), 1e3 * robots[1].foot_radius.mean()
+        words = f"{feet}: {radii[0]:.0f} mm" + (
+            "" if radii[0] == radii[1] else f", {radii[1]:.0f} mm in simulation"
+        )
+        drifts.append(Drift(words, rpe[0], tuple(rpe[1:])))
+        if np.allclose(with_own_feet(robots[0]).foot_radius, robots[0].foot_radius):
+            break
+    return tuple(drifts)
+
+
+def with_own_feet(robot: Robot) -> Robot:
+    """The robot with the foot radius of its file."""
+    return replace(robot, foot_radius=Robot.load(robot.file).foot_radius)
+
+
+def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]:
+    """One row per simulated robot and model of the feet."""
+    return [
+        {
+            "simulated robot": one.words,
+            "model of the feet": drift.feet,
+            "measured": drift.measured,
+            "simulated": float(np.mean(drift.simulated)),
+            "each walk": ", ".join(f"{x:.3f}" for x in drift.simulated),
+            "ratio": drift.ratio,
+            "over seeds, 95 %": "{:.2f} to {:.2f}".format(*drift.interval),
+            f"within {100 * WITHIN:.0f} %": "yes" if drift.alike else "no",
+        }
+        for one in found
+        for drift in leg_drifts(one)
+    ]
+
+
+def _drift(log: Log, robot: Robot) -> float:
+    metrics = run_filter(FILTER, log, robot).metrics
+    return metrics.rpe_trans if metrics else np.nan

@@ -1,6 +1,6 @@
 """Figures of a realism card: the measured walk and the simulated ones in the same axes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,7 +18,6 @@ from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.reporting.html import Picture
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title, single_axes
-from surefoot.scenarios.trace.walk_comparison import WalkComparison
 
 PHASES = 20
 """Bins of the phase of stance."""
@@ -27,10 +26,11 @@ Walks = Sequence[tuple[str, str, Sequence[WalkView]]]
 """Label, colour and walks of each robot."""
 
 
-def pictures(found: Sequence[WalkComparison]) -> Iterator[Picture]:
-    """The card's figures with their captions."""
-    walks = [("measured", OUTSIDE, [found[0].measured])]
-    walks += [(f"simulated, {c.words}", _COLORS[k % 2], c.simulated) for k, c in enumerate(found)]
+def pictures(measured: WalkView, simulated: Mapping[str, Sequence[WalkView]]) -> Iterator[Picture]:
+    """The card's figures with their captions; walks of each simulated robot by its name."""
+    walks: Walks = [("measured", OUTSIDE, [measured])]
+    for k, (words, group) in enumerate(simulated.items()):
+        walks = [*walks, (f"simulated, {words}", _COLORS[k % 2], group)]
     yield Picture(
         _standing_speed(walks),
         "Speed over the ground of feet that are sensed to stand, by the declared legs, median by "

@@ -99,14 +99,12 @@ def trace_logs(
     report = progress or (lambda share: None)
     settings, learnt = options.constants, options.learnt
     found = diagnose(logs, robot, options, lambda share: report(0.88 * share))
-    stretches: tuple[BeforeAfter, ...] = ()
-    unseen: tuple[BeforeAfter, ...] = ()
-    if found.attribution is not None:
-        cases = [run.case for run in found.runs]
-        cases = cases or logs_under_model(logs, robot, options.declared or (), settings)
-        stretches = _filtered(cases, found.effects, learnt, settings.report_share)
-        held_out = [run.case for run in found.held_out.runs] if found.held_out else []
-        unseen = _filtered(held_out, found.effects, learnt, 1.0)
+    cases = [run.case for run in found.runs]
+    if found.attribution is not None and not cases:
+        cases = logs_under_model(logs, robot, options.declared or (), settings)
+    stretches = _filtered(cases, found.effects, learnt, settings.report_share)
+    held_out = [run.case for run in found.held_out.runs] if found.held_out else []
+    unseen = _filtered(held_out, found.effects, learnt, 1.0)
     filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
     harm = (
         *_harm(filters, settings.harm_ratio),
@@ -163,9 +161,8 @@ def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> RunVaria
         return None
     protect(file)
     said = bounded_json(file, "trace")
-    if not isinstance(said, dict) or not _found(said.get("effects"), declared):
-        return None
-    if "unchanged" not in said:
+    known = isinstance(said, dict) and "unchanged" in said
+    if not known or not _found(said.get("effects"), declared):
         return None
     try:
         one = said["unchanged"]

@@ -13,10 +13,9 @@ import numpy as np
 
 from surefoot.models.observer.samples import DQ_CAUSAL
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
-from surefoot.scenarios.estimate.run import declared_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.effects import Effect, effect
+from surefoot.sim.effects import Effect, compensate_all, effect
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
@@ -162,16 +161,14 @@ def _compensated(walked: Log, effects: Sequence[Effect], simulated: Robot) -> Lo
     Its metadata names the resulting mounting of the IMU and radius of the feet, since an observer
     stores the mounting that it was trained with.
     """
-    found = tuple(one.as_dict() for one in effects)
-    log, model = declared_model(
-        replace(walked, meta=replace(walked.meta, effects=found)), simulated
-    )
+    log, model = compensate_all(effects, walked, simulated)
     corrected = {
         "p_BI": model.p_BI.tolist(),
         "q_BI": quaternion_from_matrix(model.R_BI).tolist(),
         "foot_radius": model.foot_radius.tolist(),
     }
-    return replace(log, meta=replace(log.meta, model=log.meta.model | corrected))
+    declared = tuple(one.as_dict() for one in effects)
+    return replace(log, meta=replace(log.meta, effects=declared, model=log.meta.model | corrected))
 
 
 def _walk(drawn: Callable[[int], _Drawn]) -> Log:

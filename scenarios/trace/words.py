@@ -1,6 +1,7 @@
 """Result of a trace in sentences, for the screen and the report."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from math import isfinite
 from typing import Any
 
@@ -8,6 +9,8 @@ from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.result import Filters, Trace
+from surefoot.sim.common.files import bundled
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import Effect, known_effects
 
 VERDICTS = {
@@ -17,36 +20,7 @@ VERDICTS = {
     "not_identifiable": "the data cannot identify an effect",
     "no_residual": "the model explains the log down to its noise floor",
 }
-_MOTIONS = {
-    "encoder_offset": "walk crouched and tall, and turn on the spot",
-    "link_length": "stand tall and crouched, and step over a known distance",
-    "foot_rolling": "change the slope of the legs: long against short steps at one speed",
-    "imu_rotation": "tilt the body in stance about each axis in turn",
-    "gyro_scale": "turn the body about that axis, both ways and at several rates",
-    "joint_delay": "change the gait's frequency: a delay's error grows with it",
-    "imu_delay": "shake the body at several frequencies: a delay's error grows with them",
-    "reference_delay": "change speed often: a delay's error grows with the acceleration",
-    "clock_scale": "record a longer log: the difference of the clocks keeps growing",
-    "encoder_scale": "bend the joint over its whole range: a scale's error grows with the angle",
-    "hip_offset": "turn on the spot and walk sideways, crouched and tall",
-    "gyro_bias": "tilt the body and hold it: a bias stays, an effect of gravity changes",
-    "gyro_g_sensitivity": "tilt the body and hold it: gravity along the axis then changes",
-    "accel_bias": "tilt the body and hold it: a bias stays, gravity along the axis changes",
-    "accel_scale": "tilt the body and hold it, best upside down: gravity along the axis changes",
-    "imu_position": "turn fast about each axis: a lever arm's error grows with the rate squared",
-    "leg_compliance": "stand on the leg and lift it: a compliant leg yields under load",
-    "foot_elasticity": "stand and shift the weight from foot to foot: a foot yields under load",
-    "leg_heading": "walk forwards and sideways: the error of a rotated leg is across its motion",
-    "link_mass": "move the joint fast and slowly, and hold it level: only a mass has weight",
-    "link_com": "move the joint fast and slowly, in several attitudes of the link",
-    "link_inertia": "move the joint fast and slowly: an inertia only resists acceleration",
-    "rate_delay": "swing the legs faster: a delay's error grows with the acceleration",
-    "command_delay": "change the commanded torques fast",
-    "backlash": "load the joint in both directions at the same angle",
-    "mounting_rotation": "walk in every direction, crouched and tall",
-    "contact_delay": "change the gait's frequency and speed",
-    "soft_ground": "walk on hard ground",
-}
+_MOTIONS = bundled("surefoot.scenarios.trace", "motions.toml")
 _PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
 """Kind of target (`Effect.targets`) -> plural noun."""
 _MUCH = 0.1
@@ -56,7 +30,8 @@ _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e
 
 def motion_to_distinguish(names: Sequence[str]) -> str:
     """Motion that would distinguish effects of these names."""
-    return "; ".join(dict.fromkeys(_MOTIONS.get(name, "more varied motion") for name in names))
+    motions = read_toml(_MOTIONS)
+    return "; ".join(dict.fromkeys(motions.get(name, "more varied motion") for name in names))
 
 
 def size_in_words(found: Found, unit: str) -> str:
@@ -170,15 +145,14 @@ def _filter_lines(filters: Filters) -> list[str]:
     """A line for each filter: errors before and after."""
     lines = []
     for name, metrics in filters.items():
-        b, a = metrics["before"], metrics["after"]
-        kind = "legs alone, dead reckoning" if name == DEAD_RECKONING else f"{name} filter"
-        text = f"  {kind}: APE {_change(b, a, 'ape_trans', 3)} m"
+        change = partial(_change, metrics["before"], metrics["after"])
+        ape, rpe = f"APE {change('ape_trans', 3)} m", f"RPE {change('rpe_trans', 4)} m"
+        kind = "legs alone, dead reckoning"
         if name != DEAD_RECKONING:
-            text += f", {_change(b, a, 'ape_rot', 2)} deg"
-        text += f"; RPE {_change(b, a, 'rpe_trans', 4)} m"
-        if name != DEAD_RECKONING:
-            text += f", {_change(b, a, 'rpe_rot', 3)} deg/m"
-        lines.append(f"{text}; drift {_change(b, a, 'drift', 4)} m/m")
+            kind = f"{name} filter"
+            ape += f", {change('ape_rot', 2)} deg"
+            rpe += f", {change('rpe_rot', 3)} deg/m"
+        lines.append(f"  {kind}: {ape}; {rpe}; drift {change('drift', 4)} m/m")
     return lines
 
 

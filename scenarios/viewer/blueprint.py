@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 
 from surefoot.scenarios.estimate.estimators import shown_at_first
 from surefoot.scenarios.viewer.scene import estimate_path, trunk_size
-from surefoot.scenarios.viewer.series import BANDS, series_part
+from surefoot.scenarios.viewer.series import BANDS
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -159,11 +159,10 @@ def _whole_walk(log: Log, estimators: Sequence[str], origin: str, name: str) -> 
     """Series of estimators under `origin` over the whole walk, with the legend before its start."""
     start, end = float(log.t[0]), float(log.t[-1])
     times = (_Time.absolute(seconds=at) for at in (start - _ROOM * (end - start), end))
+    parts = [rr.escape_entity_path_part(name) for name in estimators]
     return rrb.TimeSeriesView(
         origin=origin,
-        contents=[
-            f"{origin}/{kind}/{series_part(n)}" for n in estimators for kind in (BANDS, "error")
-        ],
+        contents=[f"{origin}/{kind}/{part}" for part in parts for kind in (BANDS, "error")],
         name=name,
         axis_x=rrb.TimeAxis(view_range=rr.TimeRange(*times)),
         plot_legend=_LEGEND,

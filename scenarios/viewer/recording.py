@@ -15,18 +15,11 @@ from surefoot.scenarios.estimate.estimators import shown_at_first, traits
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_all
 from surefoot.scenarios.reporting.palette import estimator_label
 from surefoot.scenarios.viewer.blueprint import EXPLANATION, layout
-from surefoot.scenarios.viewer.scene import (
-    trunk_size,
-    write_estimates,
-    write_footprints,
-    write_ground,
-    write_robot,
-    write_shadow,
-    write_truth_path,
-)
+from surefoot.scenarios.viewer.scene import write_scene
 from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import bundled, whole_file
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -39,30 +32,7 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.predict import Prediction
 
-_AT_FIRST = (
-    "Shown at first: {}. The tab *All estimators* has the others; the panel on the left, which a "
-    "button above opens, has an eye for each."
-)
-_BOXES = (
-    "Each box is the trunk at the pose of one estimator; its arrow points forward. Estimates are "
-    "aligned with the true position and heading at their first sample, which proprioception cannot "
-    "observe. The wire ellipsoid is three standard deviations of an estimator's own position "
-    "covariance."
-)
-_ERRORS = (
-    "- **Errors**: estimate minus truth. Bands, and thin lines of the distance, are three of the "
-    "filter's own standard deviations: a consistent filter stays inside them nearly always."
-)
-_DOTS = "- **Dots on the ground**: where feet stood; magenta where one slipped."
-_VELOCITY = "- **Velocity and bounds**: velocity of the IMU along its own axes."
-_PREDICTED = (
-    " The observer's prediction lies midway between its calibrated bounds, the band; magenta marks "
-    "true velocities outside them."
-)
-_FEET = (
-    "- **Feet**: stance of each foot, magenta while a loaded foot slides faster than "
-    f"{SLIPPING} m/s."
-)
+_ABOUT = bundled("surefoot.scenarios.viewer", "about.toml")
 _ERROR_RATE = 20.0  # Hz; errors and paths change over seconds, not over milliseconds
 
 
@@ -126,18 +96,11 @@ def recording(walk: RecordedWalk, title: str, tab: str = EXPLANATION) -> bytes:
     stream.send_recording_name(str(log.meta.scenario or title))
     about = rr.TextDocument(_about(walk, errors), media_type="text/markdown")
     stream.log("/about", about, static=True)
-    stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    if ground := walk.ground or ground_of_log(log):
-        write_ground(stream, log, ground)
-        write_shadow(stream, log, robot, ground)
-    write_robot(stream, log, robot)
-    write_truth_path(stream, log)
-    write_estimates(stream, errors, robot, trunk_size(robot))
+    write_scene(stream, log, robot, errors, walk.ground or ground_of_log(log))
     epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI)
     write_velocity(stream, log, walk.prediction, epsilon)
     write_errors(stream, errors)
     if log.has("contact"):
-        write_footprints(stream, log, robot)
         write_feet(stream, log)
     for name, record in records.items():
         write_update(stream, name, record, None if bounds is None else bounds.gamma)
@@ -148,27 +111,26 @@ def _about(walk: RecordedWalk, errors: Mapping[str, ErrorSeries]) -> str:
     """Explanation in Markdown of what the recording shows, with each estimator's error at the end
     of the walk.
     """
-    log = walk.log
+    log, words = walk.log, read_toml(_ABOUT)
     ends = [f"| {estimator_label(n)} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
     shown = [estimator_label(name) for name in shown_at_first(tuple(errors))]
     table = ["| estimator | distance from the truth at the end |", "|---|---|", *ends, ""]
+    at_first = words["at_first"].format(shown="; ".join(shown))
     return "\n".join(
         [
             f"# {log.meta.scenario or 'A walk'} by {walk.robot.name}, {log.t[-1] - log.t[0]:.1f} s",
             "",
-            "The robot and the grey line show the reference: the truth of a simulated walk, the "
-            "measured motion of a real one, or the course before it is walked.",
+            words["reference"],
             "",
-            *([_BOXES, "", *table] if errors else []),
-            *([_AT_FIRST.format("; ".join(shown)), ""] if len(shown) < len(errors) else []),
-            "- **Ground**: the paler and bluer, the more slippery; labels give the friction "
-            "coefficient.",
-            *([_DOTS] if log.has("contact") else []),
-            _VELOCITY + (_PREDICTED if walk.prediction else ""),
-            *([_ERRORS] if errors else []),
-            *([_FEET] if log.has("contact") else []),
+            *([words["boxes"], "", *table] if errors else []),
+            *([at_first, ""] if len(shown) < len(errors) else []),
+            words["ground"],
+            *([words["footprints"]] if log.has("contact") else []),
+            words["velocity"] + (words["prediction"] if walk.prediction else ""),
+            *([words["errors"]] if errors else []),
+            *([words["feet"].format(slipping=SLIPPING)] if log.has("contact") else []),
             "",
-            "Space plays and pauses; drag and scroll turn and zoom; a double click resets a view.",
+            words["keys"],
         ]
     )
 

@@ -48,13 +48,13 @@ _GRID_STEP = 0.1  # m along a line between points, on ground that is not level
 _ABOVE = 0.01  # m, by which what is drawn on the ground lies above it
 
 
-def time_column(t: np.ndarray) -> rr.TimeColumn:
-    """The recording's only timeline, "time": the log's t, as calendar time if it is seconds since
-    the epoch.
+def send_columns(stream: rr.RecordingStream, path: str, t: np.ndarray, columns: Any) -> None:
+    """Write components of an entity over t (N,) [s], on the recording's only timeline, "time": the
+    log's t, as calendar time if it is seconds since the epoch.
     """
-    if len(t) and t[0] > 1e8:
-        return rr.TimeColumn("time", timestamp=t)
-    return rr.TimeColumn("time", duration=t)
+    calendar = len(t) and t[0] > 1e8
+    times = rr.TimeColumn("time", timestamp=t) if calendar else rr.TimeColumn("time", duration=t)
+    stream.send_columns(path, indexes=[times], columns=columns)
 
 
 def estimate_path(name: str) -> str:
@@ -67,7 +67,35 @@ def rows_at(log: Log, rate: float) -> np.ndarray:
     return np.arange(0, len(log.t), max(1, round(log.rate / rate)))
 
 
-def write_ground(stream: rr.RecordingStream, log: Log, ground: Ground) -> None:
+def write_scene(
+    stream: rr.RecordingStream,
+    log: Log,
+    robot: Robot,
+    errors: Mapping[str, ErrorSeries],
+    ground: Ground | None,
+) -> None:
+    """Write all of /world.
+
+    Args:
+        stream: the recording.
+        log: the walk.
+        robot: that walked.
+        errors: estimator name -> its aligned path.
+        ground: as walked on, if it is known.
+    """
+    stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    if ground:
+        _write_ground(stream, log, ground)
+        _write_shadow(stream, log, robot, ground)
+    _write_robot(stream, log, robot)
+    rows = rows_at(log, 20.0)
+    _write_path(stream, "world/truth", (log.t[rows], log.ref_p[rows]), TRUTH, width=2.0)
+    write_estimates(stream, errors, robot, trunk_size(robot))
+    if log.has("contact"):
+        _write_footprints(stream, log, robot)
+
+
+def _write_ground(stream: rr.RecordingStream, log: Log, ground: Ground) -> None:
     """Write the ground at /world/ground/friction_<mu>/..., and a label on each patch.
 
     Args:
@@ -115,7 +143,7 @@ def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
     return rr.LineStrips3D(lines, colors=[_GRID_LINE], radii=[_pixels(0.4)])
 
 
-def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
+def _write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
     """Write the trunk's shadow on the ground vertically below it."""
     rows = rows_at(log, POSE_RATE)
     p, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
@@ -124,23 +152,23 @@ def write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Gro
     zero, one = np.zeros(len(rows)), np.ones(len(rows))
     cos, sin = np.cos(yaw), np.sin(yaw)
     R = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
-    _send_poses(stream, "world/shadow", [time_column(log.t[rows])], p, R)
+    _send_poses(stream, "world/shadow", log.t[rows], p, R)
     flat = [*(1.1 * trunk_size(robot)[:2]), 0.5 * _ABOVE]
     shape = rr.Ellipsoids3D(half_sizes=[flat], colors=[_SHADOW], fill_mode="solid")
     stream.log("world/shadow/shape", shape, static=True)
 
 
-def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
+def _write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
     """Write the robot at its reference pose: one transform column per link, its shapes once."""
     model = robot.spec().compile()
     base = model.body(robot.base_name).id
     joints = np.array([model.joint(name).id for name in robot.joint_names])
     rows = rows_at(log, POSE_RATE)
-    times = [time_column(log.t[rows])]
+    t = log.t[rows]
     p_GB, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
-    _send_poses(stream, "world/robot", times, p_GB, R_GB)
+    _send_poses(stream, "world/robot", t, p_GB, R_GB)
     followed = rr.Transform3D.columns(translation=(p_GB * [1.0, 1.0, 0.0]).astype(np.float32))
-    stream.send_columns("world/follow", indexes=times, columns=followed)
+    send_columns(stream, "world/follow", t, followed)
     dot = rr.Points3D([[0.0, 0.0, 0.0]], colors=[rgba(TRUTH)], radii=[_pixels(7.0)])
     stream.log("world/robot/dot", dot, static=True)
     _send_shapes(stream, "world/robot", model, base)
@@ -152,11 +180,11 @@ def write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
             )
             stream.log(path, pose, static=True)
         else:
-            _send_poses(stream, path, times, link.p, link.R)
+            _send_poses(stream, path, t, link.p, link.R)
         _send_shapes(stream, path, model, link.body)
 
 
-def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
+def _write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
     """Write a dot at each foothold, magenta where the foot slipped; needs contacts and a
     reference.
     """
@@ -177,12 +205,6 @@ def write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None
         stream.log("world/footprints", rr.Points3D(points, colors=colors, radii=radii), static=True)
 
 
-def write_truth_path(stream: rr.RecordingStream, log: Log) -> None:
-    """Write the reference's path as one line."""
-    rows = rows_at(log, 20.0)
-    _write_path(stream, "world/truth", (log.t[rows], log.ref_p[rows]), TRUTH, width=2.0)
-
-
 def write_estimates(
     stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries], robot: Robot, size: np.ndarray
 ) -> None:
@@ -201,7 +223,7 @@ def write_estimates(
         color, root = estimator_color(name), estimate_path(name)
         _write_path(stream, root, (error.t, error.p_GI), color, width=1.2)
         poses = _trunk_poses(robot, error.p_GI, error.R_GI)
-        _send_poses(stream, f"{root}/body", [time_column(error.t)], *poses)
+        _send_poses(stream, f"{root}/body", error.t, *poses)
         _write_marker(stream, f"{root}/body", name, error, size, height=2.0 + 0.7 * k)
         if error.position_covariance is not None:
             _write_ellipsoid(stream, root, error, error.position_covariance, color)
@@ -231,8 +253,7 @@ def _write_ellipsoid(
         half_sizes=(3.0 * np.sqrt(variance.clip(0.0))).astype(np.float32),
         quaternions=rerun_quaternion(axes).astype(np.float32),
     )
-    times = [time_column(error.t[rows])]
-    stream.send_columns(f"{root}/ellipsoid", indexes=times, columns=columns)
+    send_columns(stream, f"{root}/ellipsoid", error.t[rows], columns)
 
 
 def _write_marker(
@@ -312,7 +333,7 @@ def _write_path(
     style = rr.LineStrips3D.from_fields(colors=[rgba(color)], radii=[_pixels(1.5)])
     stream.log(f"{root}/trail", style, static=True)
     columns = rr.LineStrips3D.columns(strips=pieces)
-    stream.send_columns(f"{root}/trail", indexes=[time_column(t[starts])], columns=columns)
+    send_columns(stream, f"{root}/trail", t[starts], columns)
 
 
 def _pixels(size: float) -> Any:
@@ -320,20 +341,20 @@ def _pixels(size: float) -> Any:
     return rr.Radius.ui_points(size)
 
 
-def _send_poses(stream, path: str, times: list, p: np.ndarray, R: np.ndarray) -> None:
+def _send_poses(stream, path: str, t: np.ndarray, p: np.ndarray, R: np.ndarray) -> None:
     """Poses of an entity over time.
 
     Args:
         stream: rerun's recording.
         path: of the entity.
-        times: rerun's time columns, of N rows.
+        t: (N,) [s].
         p: (N, 3) [m], position in the parent's frame.
         R: (N, 3, 3), to the parent's frame.
     """
     columns = rr.Transform3D.columns(
         translation=p.astype(np.float32), quaternion=rerun_quaternion(R).astype(np.float32)
     )
-    stream.send_columns(path, indexes=times, columns=columns)
+    send_columns(stream, path, t, columns)
 
 
 def _send_shapes(stream, path: str, model: mujoco.MjModel, body: int) -> None:

@@ -21,7 +21,7 @@ from surefoot.scenarios.reporting.palette import (
     leg_color,
     rgba,
 )
-from surefoot.scenarios.viewer.scene import rows_at, time_column
+from surefoot.scenarios.viewer.scene import rows_at, send_columns
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, reference_velocity
 from surefoot.sim.physics.foot_truth import SLIPPING
@@ -35,11 +35,6 @@ BANDS = "3_sigma"
 _BAND, _FAINT = 0.25, 0.06
 """Opacity of the strokes of a single band, and of one of several overlapping ones."""
 ANGLES = ("roll", "pitch", "yaw")
-
-
-def series_part(name: str) -> str:
-    """An estimator's name as part of an entity's path, for any name."""
-    return rr.escape_entity_path_part(name)
 
 
 def write_velocity(
@@ -78,7 +73,7 @@ def write_velocity(
 def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) -> None:
     """Write each estimator's position error [m] and attitude error [deg] by axis, with 3 sigma."""
     for name, error in errors.items():
-        part = series_part(name)
+        part = rr.escape_entity_path_part(name)
         label, color = estimator_label(name), estimator_color(name)
         far = f"{label}: {error.distance[-1]:.2f} m at the end"
         line = _lines(far, color, 2.0)
@@ -107,7 +102,7 @@ def write_update(
     """
     assert record.pi is not None  # Gaussian updates have none
     label, color = estimator_label(name), estimator_color(name)
-    root = f"update/{series_part(name)}"
+    root = f"update/{rr.escape_entity_path_part(name)}"
     line = _lines(f"{label}: mass π", color, 1.5)
     _send(stream, f"{root}/mass", record.t, record.pi, line)
     if gamma is not None:
@@ -133,7 +128,7 @@ def write_feet(stream: rr.RecordingStream, log: Log) -> None:
         path = f"feet/contact/{leg}"
         stream.log(path, style, static=True)
         columns = rr.StateChange.columns(state=words[state[changes]].tolist())
-        stream.send_columns(path, indexes=[time_column(t[changes])], columns=columns)
+        send_columns(stream, path, t[changes], columns)
         if slip is not None:
             starts = rows_at(log, SERIES_RATE)
             peak = np.maximum.reduceat(slip[:, k], starts)
@@ -151,7 +146,7 @@ def _send(stream, path: str, t: np.ndarray, values: np.ndarray, style: rr.AsComp
     a style.
     """
     stream.log(path, style, static=True)
-    stream.send_columns(path, indexes=[time_column(t)], columns=rr.Scalars.columns(scalars=values))
+    send_columns(stream, path, t, rr.Scalars.columns(scalars=values))
 
 
 def _send_band(

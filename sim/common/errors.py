@@ -1,6 +1,7 @@
 """The error for bad input, and the check of whole numbers."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 LARGEST_WHOLE = 2**53
@@ -9,6 +10,15 @@ LARGEST_WHOLE = 2**53
 
 class SurefootError(ValueError):
     """Bad input: a message of one line that names the file, column or option at fault."""
+
+
+@contextmanager
+def errors_in(where: str) -> Iterator[None]:
+    """Context whose SurefootErrors begin with the file, table or part that they are about."""
+    try:
+        yield
+    except SurefootError as error:
+        raise SurefootError(f"{where}: {error}") from None
 
 
 def check_seed(seed: int) -> None:

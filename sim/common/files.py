@@ -74,15 +74,6 @@ def is_there(path: str | Path) -> bool:
     return os.path.exists(path)
 
 
-def measured_folder() -> Path:
-    """Folder of recordings of real robots: $SUREFOOT_MEASURED, or else `shared/measured` beside the
-    checkout; it need not exist.
-    """
-    chosen = os.environ.get("SUREFOOT_MEASURED")
-    checkout = Path(str(files("surefoot"))).resolve().parent
-    return Path(chosen) if chosen else checkout.parent / "shared" / "measured"
-
-
 @dataclass
 class _Run:
     """The command that is running, its input files and folders, and its finished outputs."""
@@ -471,12 +462,10 @@ def _publish(staging: Path, out: Path, force: bool) -> None:
     for name in made:
         check_plain(out / name, out)
         refuse_overwrite(out / name, force)
-    before = manifest_entries(out) if force and _run is not None else {}
     stale = [
         name
-        for name, entries in before.items()
-        if name not in made and _run is not None and _run.command in entries.values()
-        if _is_plain(out / name) and file_digest(out / name) in entries
+        for name, digests in (_own_files(out) if force else {}).items()
+        if name not in made and _is_plain(out / name) and file_digest(out / name) in digests
     ]
     fresh = not out.exists() or not any(out.iterdir())
     # Files are listed before they are renamed, so that an interruption leaves no unlisted one.
@@ -510,7 +499,7 @@ def refuse_full(out: Path, force: bool) -> None:
         )
     if _run is None:
         return
-    own = [n for n, e in manifest_entries(out).items() if _run.command in e.values()]
+    own = _own_files(out)
     if not own:
         raise SurefootError(
             f"-o {out}: --force replaces what surefoot {_run.command} made, and it made nothing "
@@ -519,6 +508,12 @@ def refuse_full(out: Path, force: bool) -> None:
     for name in own:
         if (out / name).exists():
             refuse_overwrite(out / name, force)
+
+
+def _own_files(folder: Path) -> dict[str, dict[str, str]]:
+    """The `manifest_entries` of files that the running command made."""
+    command = None if _run is None else _run.command
+    return {name: e for name, e in manifest_entries(folder).items() if command in e.values()}
 
 
 def _list(into: Path, out: Path, made: Mapping[str, Path]) -> None:

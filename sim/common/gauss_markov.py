@@ -49,18 +49,3 @@ class GaussMarkov:
             drive[0], self._first = self._first, None
         process, self._state = recursion(drive, 1.0, self._keep, self._state)
         return process
-
-
-def gauss_markov(
-    rng: np.random.Generator, n: int, sigma: float, time: float, rate: float
-) -> np.ndarray:
-    """A stationary first-order Gauss-Markov process (n, 3).
-
-    Args:
-        rng: random generator.
-        n: number of rows.
-        sigma: stationary standard deviation, in the unit of the result.
-        time: correlation time [s].
-        rate: sampling rate [Hz].
-    """
-    return GaussMarkov(rng, n, sigma, time, rate).next(n)

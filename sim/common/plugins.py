@@ -16,10 +16,11 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
+from inspect import getfile, getsourcelines
 from pathlib import Path
 from typing import Any
 
@@ -84,16 +85,17 @@ class Registry(Mapping[str, Any]):
         if missing:
             raise SurefootError(f"{_what(point)}: lacks {', '.join(missing)}")
         try:
-            with of_plugin("it is not valid"):
+            with of_plugin("it is not valid", (point,)):
                 self.check(name, member)
         except SurefootError as error:
             raise SurefootError(f"{_what(point)}: {error}") from None
+        _IN_USE[point.value] = point
         return member
 
     def running(self, name: str) -> AbstractContextManager[None]:
         """Context in which code of that member runs (`of_plugin`); a bundled one's is our own."""
         points = plugins(self.group).get(name)
-        return of_plugin(f"{_what(points[0])}: failed") if points else nullcontext()
+        return of_plugin(f"{_what(points[0])}: failed", points) if points else nullcontext()
 
     def usable(self) -> tuple[dict[str, Any], dict[str, str]]:
         """Name -> member, of those that can be used, and name -> reason, of the others."""
@@ -107,18 +109,67 @@ class Registry(Mapping[str, Any]):
 
 
 @contextmanager
-def of_plugin(what: str) -> Iterator[None]:
+def of_plugin(what: str, points: Sequence[EntryPoint] = ()) -> Iterator[None]:
     """Context in which code of a user's own runs: whatever else than a SurefootError it raises, or
-    an exit, becomes one, in a line that starts with `what` and names the place.
+    an exit, becomes one, in a line that starts with `what` and names the place in these plug-ins,
+    else where it was raised.
     """
     try:
         yield
     except SurefootError:
         raise
     except (Exception, SystemExit) as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(place.filename).name}, line {place.lineno}"
-        raise SurefootError(f"{what} ({type(error).__name__}: {error}; {where})") from error
+        raise SurefootError(f"{what} {_reason(error, points)}") from error
+
+
+@contextmanager
+def naming_plugins() -> Iterator[None]:
+    """Context of a command or of a worker's task: an error or exit in code of a plug-in becomes a
+    SurefootError that names it and the place. So does surefoot's own error while plug-ins are in
+    use, since one may have returned what is invalid.
+    """
+    try:
+        yield
+    except (SurefootError, BrokenPipeError):
+        raise
+    except (Exception, SystemExit) as error:
+        raised_in = {package for package, *_ in _places(error)}
+        named = [point for point in _IN_USE.values() if _package(point.module) in raised_in]
+        what = "failed"
+        if not named and not isinstance(error, SystemExit | OSError | MemoryError | ImportError):
+            named, what = list(_IN_USE.values()), "may have returned something invalid"
+        if not named:
+            raise
+        names = ", ".join(map(_what, named))
+        raise SurefootError(f"{names}: {what} {_reason(error, named)}") from error
+
+
+def _reason(error: BaseException, points: Sequence[EntryPoint]) -> str:
+    """What was raised and where: in the innermost frame in a package of these plug-ins; without
+    one, where surefoot could not use what the first of them returned, and where its class is.
+    """
+    places, packages = _places(error), {_package(point.module) for point in points}
+    of_packages = [place for place in places if place[0] in packages]
+    _, file, line = (of_packages or places)[-1]
+    where = f"{file}, line {line}"
+    if points and not of_packages:
+        with suppress(TypeError, OSError):  # no Python source
+            kind = points[0].load()
+            of_class = f"{Path(getfile(kind)).name}, line {getsourcelines(kind)[1]}"
+            where += f", with {points[0].attr} of {of_class}"
+    return f"({type(error).__name__}: {error}; {where})"
+
+
+def _places(error: BaseException) -> list[tuple[str, str, int]]:
+    """Package, file and line of each frame of a traceback, the innermost last."""
+    return [
+        (_package(str(frame.f_globals.get("__name__"))), Path(frame.f_code.co_filename).name, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+    ]
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]
 
 
 @cache
@@ -140,6 +191,8 @@ def plugins(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 FILES = "SUREFOOT_PLUGINS"
 """Environment variable: plug-in files that every process loads, separated by os.pathsep."""
 _LOADED: set[str] = set()
+_IN_USE: dict[str, EntryPoint] = {}
+"""Value -> entry point of the plug-ins that were looked up."""
 _OF_FILES: dict[str, list[EntryPoint]] = {}
 """Group -> entry points from the plug-in files of this process."""
 PLUGIN_GROUPS = tuple(

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError, did_you_mean
+from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError, did_you_mean, errors_in
 from surefoot.sim.common.limits import bounded_text, check_limit, check_toml_keys
 
 T = TypeVar("T")
@@ -72,10 +72,8 @@ def read_typed(path: str | Path, kind: type[T], what: str = "") -> T:
     range.
     """
     table = read_toml(path, what)
-    try:
+    with errors_in(f"{what} {path}".lstrip()):
         return typed(table, kind)
-    except SurefootError as error:
-        raise SurefootError(f"{f'{what} {path}'.lstrip()}: {error}") from None
 
 
 def typed(table: dict[str, Any], kind: type[T]) -> T:

@@ -54,7 +54,7 @@ def gait_for(
         options: of the gait.
     """
     length, pattern = robot.leg_length, pattern_named(options.pattern)
-    home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
+    home_B = robot.home_feet_B
     mass, com_B, inertia, foot_mass = robot.inertial
     return Gait(
         period=pattern.period * period * 0.5 * np.sqrt(length / 0.66),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.sim.common.gauss_markov import gauss_markov
+from surefoot.sim.common.gauss_markov import GaussMarkov
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.gait.state import Gait
@@ -42,7 +42,8 @@ def irregular(
         size = getattr(options, f"{name}_noise")
         if size:
             rate = 1.0 / float(np.median(np.diff(np.arange(ticks) * dt)))
-            drawn[f"{name}_error"] = gauss_markov(rng, ticks, size, options.noise_time, rate)
+            process = GaussMarkov(rng, ticks, size, options.noise_time, rate)
+            drawn[f"{name}_error"] = process.next(ticks)
     return gait._replace(**drawn)
 
 

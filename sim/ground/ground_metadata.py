@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import typed
 from surefoot.sim.ground.terrain import Extent, Ground, HeightField, Patch, Strip
@@ -75,7 +75,7 @@ def ground_of_log(log: "Log") -> Ground | None:
     """
     if GROUND_KEY not in log.meta.model:
         return None
-    try:
+    with errors_in(f"{log.name}: metadata"):
         kept = typed({GROUND_KEY: log.meta.model[GROUND_KEY]}, dict[str, _Kept])[GROUND_KEY]
         return Ground(
             kept.mu,
@@ -84,8 +84,6 @@ def ground_of_log(log: "Log") -> Ground | None:
             kept.strips,
             fields=tuple(_read(field) for field in kept.fields),
         )
-    except SurefootError as error:
-        raise SurefootError(f"{log.name}: metadata: {error}") from None
 
 
 def thinned(ground: Ground, most: int = MOST_POINTS) -> Ground:

@@ -7,12 +7,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from surefoot.sim.importing.columns import ColumnEntry
+from scipy.spatial.transform import Rotation
+
+from surefoot.sim.importing.columns import ColumnEntry, kind_of, read_column
 from surefoot.sim.importing.map import ImportMap
 
 _OF_COLUMNS = re.compile(
     r"([\w, ]+?)(, \.\.\.)? = \{ (?:\.\.\.|column = <their column of (\w+)>)(?:, (.+))? \}"
 )
+_NO_TURN = (1.0, 0.0, 0.0, 0.0)
 _IN_SECTION = re.compile(r"\[([\w.]+)\] (.+ = .+)")
 
 
@@ -34,12 +37,14 @@ def advised_lines(
         for line in text.split("; "):
             if found := _OF_COLUMNS.fullmatch(line):
                 changes = tomllib.loads(f"of = {{ {found[4] or ''} }}")["of"]
-                named = concerned if found[2] else found[1].split(", ")
+                named = found[1].split(", ")
+                if found[2]:
+                    named = [one for one in concerned if kind_of(one) == kind_of(named[0])]
                 for section, entries in own.items():
                     for column in (one for one in named if one in entries):
                         there = changed.setdefault(section, {})
                         before = there.get(column, entries[column])
-                        there[column] = _changed(entries.get(found[3], before), changes)
+                        there[column] = _changed(column, entries.get(found[3], before), changes)
             elif found := _IN_SECTION.fullmatch(line):
                 _add(changed, rules, name, found[1], tomllib.loads(found[2]))
     lines: list[str] = []
@@ -51,18 +56,20 @@ def advised_lines(
     return tuple(lines)
 
 
-def _changed(entry: ColumnEntry | str, changes: Mapping[str, Any]) -> ColumnEntry:
-    """A column's entry, with changes to the values that it gives so far."""
+def _changed(column: str, entry: ColumnEntry | str, changes: Mapping[str, Any]) -> ColumnEntry:
+    """A column's entry, with changes to the values in SI that it gives so far."""
     entry = ColumnEntry(entry) if isinstance(entry, str) else entry
     sign, gain = changes.get("sign", 1.0), changes.get("gain", 1.0)
-    return replace(
+    entry = replace(
         entry,
         unit=changes.get("unit", entry.unit),
         sign=sign * entry.sign,
         gain=gain * entry.gain,
         offset=sign * gain * entry.offset + changes.get("offset", 0.0),
-        wrap=changes.get("wrap", entry.wrap),
     )
+    if "wrap" not in changes:
+        return entry
+    return replace(entry, wrap=changes["wrap"] / abs(read_column("", column, entry, ()).scale))
 
 
 def _add(
@@ -85,9 +92,8 @@ def _add(
         signs = changed.setdefault("robot", {}).setdefault("joint_sign", dict(rules.joint_sign))
         signs |= {joint: sign * rules.joint_sign.get(joint, 1.0) for joint, sign in values.items()}
         return
-    turns = rules.reference and (rules.reference.frame == "base" or any(rules.reference.q_IM[1:]))
-    if "q_IM" in values and turns:
-        return  # the map turns the body already, or not by q_IM
+    if section == "reference" and rules.reference is not None:
+        values = _turned_further(values, rules)
     there = changed.setdefault(section, {})
     if section == "reference" and rules.reference and isinstance(rules.reference.offset, dict):
         values = {k: rules.reference.offset | {name: x} if k == "offset" else x
@@ -103,6 +109,22 @@ def _add(
     there |= values
 
 
+def _turned_further(values: dict[str, Any], rules: ImportMap) -> dict[str, Any]:
+    """Advised rotations of a reference, together with those of the map, in the frame "imu"."""
+    assert rules.reference is not None
+    of_map = {"q_GW": rules.reference.q_GW, "q_IM": rules.reference.q_IM}
+    made = dict(values)
+    if "q_IM" in values and rules.reference.frame == "base":
+        R_IB = Rotation.from_quat(rules.model.get("q_BI", _NO_TURN), scalar_first=True).inv()
+        made |= {"frame": "imu", "p_IM": (-R_IB.apply(rules.model["p_BI"])).tolist()}
+        of_map["q_IM"] = R_IB.as_quat(scalar_first=True)
+    for key in values.keys() & of_map.keys():
+        both = [Rotation.from_quat(q, scalar_first=True) for q in (values[key], of_map[key])]
+        q = (both[0] * both[1]).as_quat(canonical=True, scalar_first=True)
+        made[key] = (q.round(6) + 0.0).tolist()
+    return made
+
+
 def _key(key: str) -> str:
     return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else json.dumps(key)
 
@@ -114,6 +136,8 @@ def _toml(value: Any) -> str:
         value = {k: x for k, x in asdict(value).items() if k == "column" or x != plain[k]}
     if isinstance(value, Mapping):
         return f"{{ {', '.join(f'{_key(key)} = {_toml(one)}' for key, one in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, float):
         return f"{value:.9g}" if abs(value) < 1e6 else f"{value:.6f}"
     return json.dumps(value, ensure_ascii=False)

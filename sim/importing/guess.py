@@ -170,9 +170,10 @@ def _attitude(one: RecordedFile, own: Mapping[str, Named]) -> list[Entry]:
         unit, doubt = unit_of_angles([one.columns[euler["yaw"]]], set())
     elif len(places) == 4:
         said = [order for order in ("wxyz", "xyzw") if all(order in words_of(n) for n in columns)]
-        first, last = (np.mean(np.abs(one.columns[n])) for n in (columns[0], columns[3]))
+        # Upright in a world with z up, whatever its heading, a body has x and y near 0.
+        first, third = (np.mean(np.abs(one.columns[n])) for n in (columns[0], columns[2]))
         doubt = "" if said else "is w the first, or the last?"
-        order = said[0] if said else "wxyz" if first > last else "xyzw"
+        order = said[0] if said else "wxyz" if first > third else "xyzw"
         axes = [f"ref_q_{a}" for a in order]
     elif len(places) == 3:
         unit, _ = unit_of_angles([one.columns[n] for n in columns], set())

@@ -321,12 +321,16 @@ def lists_of(names: Mapping[str, Named], *shared: str) -> dict[tuple, dict[str, 
 
 def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
     """Interpret the elements of each list of one recording together: vectors of the feet, joints
-    where a vector has too many elements, and the pose (and velocities) of a body in one list.
+    where a vector has too many elements, the pose (and velocities) of a body in one list, and a
+    position of three elements beside a quaternion, which are a pose.
     """
     found = dict(names)
     plain = {n: one for n, one in names.items() if not (one.axis or one.leg or one.joint)}
     plain = {n: one for n, one in plain.items() if one.place is not None}
-    for (kind, source, _), members in lists_of(plain, "kind", "source", "stem").items():
+    lists = lists_of(plain, "kind", "source", "stem")
+    posed = {one[1] for one, members in lists.items() if one[0] == "ref_q" and len(members) == 4}
+    for (kind, source, stem), members in lists.items():
+        votes = {_WORDS.get(word) for word in stem.split()}
         limbs = {one.limb for one in members.values()}
         places = sorted({one.place or 0 for one in members.values()})
         for name, one in members.items():
@@ -340,4 +344,9 @@ def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
             elif not kind and one.body and len(members) in (7, 13):
                 what = "ref_p" if at < 3 else "ref_q" if at < 7 else "ref_v"
                 found[name] = replace(one, kind=what)
+            elif (
+                kind == "q" and len(members) == 3 and source in posed
+                and ("quantity", "position") in votes and ("of", "joint") not in votes
+            ):  # fmt: skip
+                found[name] = replace(one, kind="ref_p")
     return found

@@ -145,11 +145,8 @@ def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
     if log.has("dq"):
         return log.dq
     log.require("q")
-
-    def made() -> np.ndarray:
-        return derivative(log.t, log.q, JOINT_WINDOW, causal)
-
-    return log.once(f"joint velocity {causal}", ["q"], made)
+    what = f"joint velocity {causal}"
+    return log.once(what, ["q"], lambda: derivative(log.t, log.q, JOINT_WINDOW, causal))
 
 
 def foot_velocity(log: Log) -> np.ndarray:

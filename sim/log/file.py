@@ -127,12 +127,9 @@ class LogReader:
         Raises LogError, one line with file, column and row, at the first fault.
         """
         size = max(1, round(min(seconds * self.meta.rate, self.rows)))
-        try:
-            check_limit("memory", 8.0 * size * len(self.columns), "bytes in memory")
-        except SurefootError as error:
-            raise LogError(f"{self.path}: {error}") from None
         row, before = 0, -np.inf
         with self._opened() as file:
+            check_limit("memory", 8.0 * size * len(self.columns), "bytes in memory")
             for table in _tables(file, size):
                 frame = pd.DataFrame({name: table[name].to_numpy() for name in self.columns})
                 check_frame(frame, self.meta.rate, row, before)

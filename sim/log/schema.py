@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.limits import check_limit, limits, parse_json
 from surefoot.sim.common.toml import SLOWEST_RATE, Count, SampleRate, typed
 
@@ -68,15 +68,13 @@ def group_columns(group: str, joints: tuple[str, ...], legs: tuple[str, ...]) ->
     """The columns of a group for these joints and legs; without any, the name with its
     placeholder.
     """
-    names: list[str] = []
-    for name in GROUPS[group]:
-        for placeholder, each in (("<joint>", joints), ("<leg>", legs)):
-            if placeholder in name and each:
-                names += [name.replace(placeholder, one) for one in each]
-                break
-        else:
-            names.append(name)
-    return tuple(names)
+    names = (
+        name.replace("<joint>", joint).replace("<leg>", leg)
+        for name in GROUPS[group]
+        for joint in joints or ("<joint>",)
+        for leg in legs or ("<leg>",)
+    )
+    return tuple(dict.fromkeys(names))
 
 
 def joint_prefix(column: str) -> str | None:
@@ -93,11 +91,8 @@ def foot_vector(column: str) -> str | None:
 
 def is_column(name: str) -> bool:
     """Whether a log may have a column of this name."""
-    return (
-        name in _PLAIN
-        or name.startswith("x_")
-        or _pattern(name, (*_OF_JOINTS, *_OF_LEGS)) is not None
-    )
+    is_of_part = _pattern(name, (*_OF_JOINTS, *_OF_LEGS)) is not None
+    return is_of_part or name in _PLAIN or name.startswith("x_")
 
 
 def joint_names(columns: Iterable[str]) -> tuple[str, ...]:
@@ -121,13 +116,12 @@ def _pattern(column: str, patterns: tuple[str, ...]) -> tuple[str, str] | None:
     """The most specific matching pattern, and the joint or leg: force_<leg>_x and FL for
     force_FL_x.
     """
-    found: tuple[str, str] | None = None
-    for pattern in patterns:
+    for pattern in sorted(patterns, key=len, reverse=True):
         start, end = pattern.split("<")[0], pattern.split(">")[1]
-        fits = column.startswith(start) and column.endswith(end)
-        if fits and len(column) > len(start + end) and (not found or len(pattern) > len(found[0])):
-            found = pattern, column[len(start) : len(column) - len(end)]
-    return found
+        part = column[len(start) : len(column) - len(end)]
+        if part and column == f"{start}{part}{end}":
+            return pattern, part
+    return None
 
 
 @dataclass(frozen=True)
@@ -152,21 +146,21 @@ class Meta:
         warnings: about what was not plausible on import, one line each (`sim.plausibility`).
     """
 
-    rate: float
-    schema: int = SCHEMA
+    rate: SampleRate
+    schema: Count = SCHEMA
     robot: str | None = None
     scenario: str | None = None
     seed: int | None = None
     effects: tuple[dict[str, Any], ...] = ()
     motor_law: dict[str, Any] | None = None
     derived: tuple[str, ...] = ()
-    versions: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, Any] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class _DeclaredEffect:
+class _Effect:
     name: str
     target: str
     value: float
@@ -196,20 +190,11 @@ class _Model:
 
 
 @dataclass(frozen=True)
-class _Metadata:
-    """Types of the metadata; a model may have further entries."""
+class _Parts:
+    """Types of the tables in the metadata; a model may have further entries."""
 
-    rate: SampleRate
-    schema: Count
-    robot: str | None = None
-    scenario: str | None = None
-    seed: int | None = None
-    effects: tuple[_DeclaredEffect, ...] = ()
-    motor_law: dict[str, Any] | None = None
-    derived: tuple[str, ...] = ()
-    versions: dict[str, Any] = field(default_factory=dict)
+    effects: tuple[_Effect, ...] = ()
     model: dict[str, Any] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
 
     def __post_init__(self):
         known = {f.name for f in fields(_Model)}
@@ -248,14 +233,11 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
         raise SurefootError(
             f"written with log schema {version}, newer than {SCHEMA}: update surefoot to read it"
         )
-    try:
-        typed(values, _Metadata)
-    except SurefootError as error:
-        raise SurefootError(f"metadata: {error}") from None
-    lists: dict[str, Any] = {
-        n: tuple(values.get(n, ())) for n in ("effects", "derived", "warnings")
-    }
-    return Meta(**{**values, **lists})
+    with errors_in("metadata"):
+        if version is None:
+            raise SurefootError("schema is missing")
+        typed({key: values[key] for key in ("effects", "model") if key in values}, _Parts)
+        return typed(values, Meta)
 
 
 def check_frame(
@@ -303,21 +285,17 @@ def _check_columns(names: list[str]) -> None:
     for name in names:
         if not is_column(name):
             raise SurefootError(f"unknown column {name} (a column of your own is named x_<name>)")
-    for group in ("imu", "reference", "ref_v"):
-        missing = [name for name in GROUPS[group] if name not in seen]
-        if missing and len(missing) < len(GROUPS[group]):
-            raise SurefootError(f"column {missing[0]} is missing")
-    if seen & {"ref_ok", *GROUPS["ref_v"]} and "ref_p_x" not in seen:
-        raise SurefootError("column ref_p_x is missing beside the other reference columns")
-    _check_each(names, _OF_JOINTS, joint_names(names), "q_<joint>")
     legs = leg_names(names)
-    first = (p for p in _OF_LEGS if legs and p.replace("<leg>", legs[0]) in seen)
-    _check_each(names, _OF_LEGS, legs, next(first, "contact_<leg>"))
-    for group in ("foot", "force_xyz"):
+    for group in ("imu", "reference", "ref_v", "foot", "force_xyz"):
         wanted = group_columns(group, (), legs)
         missing = [name for name in wanted if name not in seen]
         if missing and len(missing) < len(wanted):
             raise SurefootError(f"column {missing[0]} is missing")
+    if seen & {"ref_ok", *GROUPS["ref_v"]} and "ref_p_x" not in seen:
+        raise SurefootError("column ref_p_x is missing beside the other reference columns")
+    _check_each(names, _OF_JOINTS, joint_names(names), "q_<joint>")
+    first = (p for p in _OF_LEGS if legs and p.replace("<leg>", legs[0]) in seen)
+    _check_each(names, _OF_LEGS, legs, next(first, "contact_<leg>"))
 
 
 def _check_each(

@@ -154,11 +154,7 @@ def _least_forces(
     asked = np.concatenate([wrench[:, :3], wrench[:, 3:] / length], axis=1)
     AW = (A * weight[:, None, :, None]).reshape(n, 6, -1)
     S = AW @ A.reshape(n, 6, -1).transpose(0, 2, 1)
-    S += (
-        WRENCH_TOLERANCE
-        * np.maximum(np.trace(S, axis1=1, axis2=2), 1e-9)[:, None, None]
-        * np.eye(6)
-    )
-    return np.einsum("nij,ni->nj", AW, np.linalg.solve(S, asked[..., None])[..., 0]).reshape(
-        n, legs, 3
-    )
+    trace = np.maximum(np.trace(S, axis1=1, axis2=2), 1e-9)
+    S += WRENCH_TOLERANCE * trace[:, None, None] * np.eye(6)
+    solved = np.linalg.solve(S, asked[..., None])[..., 0]
+    return np.einsum("nij,ni->nj", AW, solved).reshape(n, legs, 3)

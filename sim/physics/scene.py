@@ -136,10 +136,10 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
     _refuse_untouching_feet(model, robot)
     joints = [model.joint(name) for name in robot.joint_names]
     qpos_adr = np.array([joint.qposadr[0] for joint in joints])
-    home_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
     start = model.qpos0.copy()
     height_map = ground.height_map
-    start[:7] = _standing_pose(height_map, float(np.max(robot.foot_radius - home_B[:, 2])))
+    stand = float(np.max(robot.foot_radius - robot.home_feet_B[:, 2]))
+    start[:7] = _standing_pose(height_map, stand)
     start[qpos_adr] = robot.q_home
     return World(
         model=model,

@@ -163,10 +163,7 @@ def _sliding_foot(spec: mujoco.MjSpec, robot: Robot, leg: int) -> mujoco.MjsBody
     """Move a foot's sphere and site to a body of their own."""
     geom, site = foot_parts(spec, LEGS[leg])
     link, model = site.parent, spec.compile()
-    data = mujoco.MjData(model)
-    for name, angle in zip(robot.joint_names, robot.q_home, strict=True):
-        data.qpos[model.joint(name).qposadr[0]] = angle
-    mujoco.mj_kinematics(model, data)
+    data = robot.at_home(model)
     base, own = (data.body(name).xmat.reshape(3, 3) for name in (robot.base_name, link.name))
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, (own.T @ base).ravel())

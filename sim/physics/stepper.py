@@ -321,16 +321,10 @@ def at_time_of_rates(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     reference and its accelerometer, and between angles and their rates, that no robot has.
     """
     back = -0.5 * TIMESTEP
-    turned = Rotation.from_quat(qpos[:, 3:7], scalar_first=True) * Rotation.from_rotvec(
-        back * qvel[:, 3:6]
-    )
-    return np.column_stack(
-        [
-            qpos[:, :3] + back * qvel[:, :3],
-            turned.as_quat(scalar_first=True),
-            qpos[:, 7:] + back * qvel[:, 6:],
-        ]
-    )
+    turn = Rotation.from_rotvec(back * qvel[:, 3:6])
+    turned = Rotation.from_quat(qpos[:, 3:7], scalar_first=True) * turn
+    p, joints = qpos[:, :3] + back * qvel[:, :3], qpos[:, 7:] + back * qvel[:, 6:]
+    return np.column_stack([p, turned.as_quat(scalar_first=True), joints])
 
 
 def motion_of(world: World, trace: Recording, first: int = 0) -> Motion:

@@ -1,12 +1,12 @@
 """Checks of a reference's attitudes against gyro and gravity: quaternion order, frame, delay."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.plausibility.axes import match_axes
+from surefoot.sim.plausibility.axes import angle_between, match_axes
 
 LATEST = 2.0
 """Largest delay of a reference that is searched for [s]; `surefoot align` searches further."""
@@ -29,6 +29,13 @@ TILT = 45.0
 _UPRIGHT = 30.0
 """The same for an interpretation that corrects it [deg]."""
 
+_LAST_IS_W = {
+    "ref_q_w": "ref_q_z",
+    "ref_q_x": "ref_q_w",
+    "ref_q_y": "ref_q_x",
+    "ref_q_z": "ref_q_y",
+}
+"""Column -> that which was taken for it, where w is the last number and was read as the first."""
 _NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 _Y_UP = Rotation.from_euler("x", 90, degrees=True)
 
@@ -53,11 +60,24 @@ def _rolled(R: Rotation) -> Rotation:
     return Rotation.from_quat(R.as_quat(scalar_first=True))
 
 
+def _exchanged(columns: Mapping[str, str], inverse: bool = False) -> str:
+    """Map lines for columns that are in the place of others, of the inverse rotation."""
+    turned = {n: ", sign = -1" * (inverse and n != "ref_q_w") for n in columns}
+    return "; ".join(
+        f"{n} = {{ column = <their column of {other}>{turned[n]} }}" for n, other in columns.items()
+    )
+
+
 OTHER_READINGS = (
     Reading(
         "the quaternion's order is x, y, z, w",
-        "give ref_q_w their last number, ref_q_x their first",
+        _exchanged(_LAST_IS_W),
         _rolled,
+    ),
+    Reading(
+        "the quaternion's order is w, x, y, z",
+        _exchanged({other: n for n, other in _LAST_IS_W.items()}),
+        lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True),
     ),
     Reading(
         "the quaternion turns the world to the body, not the body to the world",
@@ -66,7 +86,7 @@ OTHER_READINGS = (
     ),
     Reading(
         "the quaternion's order is x, y, z, w, and it turns the world to the body",
-        "give ref_q_w their last number; ref_q_x, ref_q_y, ref_q_z = { ..., sign = -1 }",
+        _exchanged(_LAST_IS_W, inverse=True),
         lambda R: _rolled(R).inv(),
     ),
     Reading(
@@ -75,7 +95,9 @@ OTHER_READINGS = (
         lambda R: _NED * R * _NED,
     ),
     Reading(
-        "the world is north-east-down (z down)", "turn it by 180 deg about x", lambda R: _NED * R
+        "the world is north-east-down (z down)",
+        "[reference] q_GW = [0, 1, 0, 0]",
+        lambda R: _NED * R,
     ),
     Reading(
         "the tracked body's axes are forward, right, down",
@@ -84,17 +106,23 @@ OTHER_READINGS = (
     ),
     Reading(
         "its heading turns clockwise",
-        "ref_yaw = { ..., sign = -1 }, of the angles it was made of",
+        "ref_yaw = { ..., sign = -1 }",
         lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYX") * [-1.0, 1.0, 1.0]),
     ),
     Reading(
         "roll and pitch are exchanged",
-        "ref_roll and ref_pitch exchanged, of the angles it was made of",
+        _exchanged({"ref_roll": "ref_pitch", "ref_pitch": "ref_roll"}),
         lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYX")[:, [0, 2, 1]]),
     ),
-    Reading("the world's y is up", "turn it by 90 deg about x", lambda R: _Y_UP * R),
     Reading(
-        "the world's z is down and y up", "turn it by -90 deg about x", lambda R: _Y_UP.inv() * R
+        "the world's y is up",
+        "[reference] q_GW = [0.707107, 0.707107, 0, 0]",
+        lambda R: _Y_UP * R,
+    ),
+    Reading(
+        "the world's z is down and y up",
+        "[reference] q_GW = [0.707107, -0.707107, 0, 0]",
+        lambda R: _Y_UP.inv() * R,
     ),
 )
 
@@ -145,8 +173,7 @@ def attitude_fault(
         if not np.any(force):
             return 0.0
         up = read(begin).inv().apply([0.0, 0.0, 1.0]).mean(axis=0)
-        size = max(float(np.linalg.norm(force) * np.linalg.norm(up)), 1e-9)
-        return float(np.degrees(np.arccos(np.clip(force @ up / size, -1.0, 1.0))))
+        return angle_between(force, up)
 
     as_is = turned(lambda R: R)
     match, lean = match_axes(gyro, as_is), leaning(lambda R: R)
@@ -154,8 +181,8 @@ def attitude_fault(
     late, shifted = delay
     if late and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
         which, how = ("after", "late") if late > 0 else ("before", "early")
-        told = f"turns {abs(late):.2f} s {which} the gyro"
-        return AttitudeFault(told, f"the reference's clock is {how}", "", late)
+        seen = f"turns {abs(late):.2f} s {which} the gyro"
+        return AttitudeFault(seen, f"the reference's clock is {how}", "", late)
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [
@@ -175,8 +202,8 @@ def attitude_fault(
         put_right[:, list(match.order)] = gyro * match.sign
         if match.wrong and not trusts_gyro(put_right):
             return None
-    told = (
+    seen = (
         f"correlation of its turning with the gyro {', '.join(f'{x:.2f}' for x in match.own)} "
         f"about x, y, z, its vertical {lean:.0f} deg from gravity"
     )
-    return AttitudeFault(told, best[2].words, best[2].map_line)
+    return AttitudeFault(seen, best[2].words, best[2].map_line)

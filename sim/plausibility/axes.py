@@ -6,6 +6,9 @@ from itertools import permutations
 import numpy as np
 
 AXIS_NAMES = "xyz"
+GYRO, ACCEL, REF_P, REF_V = (
+    tuple(f"{kind}_{a}" for a in AXIS_NAMES) for kind in ("gyro", "accel", "ref_p", "ref_v")
+)
 OTHER = 0.7
 """Correlation with another axis from which that axis is taken to be measured: clean walks have 0.8
 (accelerometers) to 1 with their own axis, below 0.6 with others (roll and sway are correlated).
@@ -87,6 +90,12 @@ def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
     scale = both[range(3), order] / np.where(power > 0, power, np.inf)
     sign = np.where(matched < 0, -1.0, 1.0)
     return AxesMatch(tuple(order), sign, np.diag(alike).copy(), np.abs(matched), np.abs(scale))
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two vectors (3,) [deg]."""
+    size = max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9)
+    return float(np.degrees(np.arccos(np.clip(a @ b / size, -1.0, 1.0))))
 
 
 def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> tuple[float, float]:

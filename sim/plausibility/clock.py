@@ -4,7 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.importing.columns import UNITS
+from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.units import unit_line
 from surefoot.sim.plausibility.view import RESTS, LogView
 
 STEP_OFF = 0.02
@@ -29,8 +31,6 @@ percent.
 """
 SAME_CLOCK = 0.1
 """Largest difference between streams in that factor for which they agree on the clock."""
-_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Unit of time in a map -> seconds."""
 _USUAL = (20.0, 1e4)
 """Usual rates of logs [Hz]."""
 LEAPS = 0.6
@@ -47,8 +47,17 @@ _AT_ONCE = 0.4
 """Share of joints, or of the reference's columns, that jump at one row."""
 
 
+@rule_named("rows")
 def stamps(view: LogView) -> Iterator[Finding]:
-    """Check that rows come at the stated rate, without gaps."""
+    """Check that rows come at the stated rate, without gaps.
+
+    Compares: steps of t with each other and with the log's rate.
+    Speaks from: {STEP_OFF:.0%} of the rate, {SLOWEST_ROWS:g} to {FASTEST_ROWS:g} Hz;
+        {MISSING_ROWS:.0%} of the rows missing, or a gap of {LONGEST_GAP:g} s.
+    Because: loops that wait whole time slices are 1 % slow; filters bridge single rows, nothing
+        can be interpolated over a tenth of a stride.
+    Remedy: state the rate that the rows have; record again, or cut the log at the gap.
+    """
     t, rate = view.t, view.log.rate
     if len(t) < 3:
         return
@@ -56,22 +65,22 @@ def stamps(view: LogView) -> Iterator[Finding]:
     usual = float(np.median(step))
     actual = 1.0 / usual
     if not SLOWEST_ROWS < actual < FASTEST_ROWS:
-        unit = next((u for u, s in _UNITS.items() if _USUAL[0] <= actual / s <= _USUAL[1]), "")
+        unit = next((u for u, s in UNITS["t"].items() if _USUAL[0] <= actual / s <= _USUAL[1]), "")
         if actual < SLOWEST_ROWS and _leaps_from_row_to_row(view):
             cause = "too slow for any filter: a stride has two rows; log at 100 Hz or more"
             yield Finding(("t",), f"rows at {actual:.3g} Hz, between which all moves", cause)
             return
         cause = f"in {unit}, not s" if unit else "wrong unit of time"
-        line = f't = {{ ..., unit = "{unit}" }}' if unit else ""
+        line = unit_line(("t",), unit) if unit else ""
         yield Finding(("t",), f"rows at {actual:.3g} Hz", cause, line)
         return
     mean = (len(t) - 1) / (t[-1] - t[0])
     if abs(actual / rate - 1.0) > STEP_OFF and abs(mean / rate - 1.0) > STEP_OFF:
-        told = f"rows at {actual:.4g} Hz, the log says {rate:.4g} Hz"
-        yield Finding(("t",), told, "wrong rate, or wrong unit of time")
-    told, gap = _lost(view)
+        seen = f"rows at {actual:.4g} Hz, the log says {rate:.4g} Hz"
+        yield Finding(("t",), seen, "wrong rate, or wrong unit of time")
+    seen, gap = _lost(view)
     if gap:
-        yield Finding(("t",), told, "lost rows")
+        yield Finding(("t",), seen, "lost rows")
 
 
 def _leaps_from_row_to_row(view: LogView) -> bool:
@@ -83,12 +92,19 @@ def _leaps_from_row_to_row(view: LogView) -> bool:
     return bool(step.size) and float(np.median(step)) > LEAPS
 
 
+@rule_named("single rows", "t", minor=True)
 def single_rows(view: LogView) -> Iterator[Finding]:
-    """Find single missing rows, which can be interpolated."""
+    """Find single missing rows, which can be interpolated.
+
+    Compares: stamps with even ones.
+    Speaks from: {MISSING_ROWS:.0%} of the rows missing, without a gap.
+    Because: loops that share a computer are late for some per cent.
+    Remedy: nothing, if it is known: [even] makes rows even.
+    """
     if len(view.t) > 2:
-        told, gap = _lost(view)
-        if told and not gap:
-            yield Finding(("t",), told, "lost rows")
+        seen, gap = _lost(view)
+        if seen and not gap:
+            yield Finding(("t",), seen, "lost rows")
 
 
 def _lost(view: LogView) -> tuple[str, bool]:
@@ -101,20 +117,25 @@ def _lost(view: LogView) -> tuple[str, bool]:
     gap = longest > LONGEST_GAP and longest > 3.0 * usual
     if share <= MISSING_ROWS and not gap:
         return "", False
-    told = (
+    seen = (
         f"{missing.sum():.0f} rows missing ({100 * share:.1f} %), longest gap "
         f"{1e3 * longest:.0f} ms after {view.t[int(np.argmax(step))]:.2f} s"
     )
-    return told, gap
+    return seen, gap
 
 
+@rule_named("speed of time", "t", when="comparable")
 def speed(view: LogView) -> Iterator[Finding]:
     """Check that logged rates agree with numerical derivatives in all streams; else the stamps are
     wrong.
+
+    Compares: dq, ref_v and gyro with the change of q, ref_p and ref_q.
+    Speaks from: all of them off by the same factor, {SPEED_OFF:.0%} or more.
+    Because: one factor for all streams is the clock's: 1 ms taken for 2, rows that were thinned
+        out.
+    Remedy: mend [source] rate, or the unit of t.
     """
     log = view.log
-    if not view.comparable:
-        return
     pairs, error = [], 0.0
     if log.has("q") and log.has("dq"):
         pairs.append((view.means(log.dq), view.changes(log.q)))
@@ -130,24 +151,29 @@ def speed(view: LogView) -> Iterator[Finding]:
         if size == 0.0 or abs(both) < 0.8 * np.sqrt(np.sum(rate**2) * size):
             return
         factors.append(float(both / size))
-    if len(factors) < 2:
-        return
-    if max(abs(f - factors[0]) for f in factors) > SAME_CLOCK * abs(factors[0]):
+    if len(factors) < 2 or np.ptp(factors) > SAME_CLOCK * abs(factors[0]):
         return
     factor = float(np.median(factors))
     if abs(factor - 1.0) > SPEED_OFF + error:
-        told = f"rates are {factor:.3g} times the change of what they are rates of, in all streams"
+        seen = f"rates are {factor:.3g} times the change of what they are rates of, in all streams"
         cause = "time runs backwards" if factor < 0 else "stamps at a wrong rate"
-        yield Finding(("t",), told, cause)
+        yield Finding(("t",), seen, cause)
 
 
+@rule_named("jumps", beside="t q foot", when="comparable")
 def leaps(view: LogView) -> Iterator[Finding]:
-    """Check that joints and body do not jump between two rows."""
+    """Check that joints and body do not jump between two rows.
+
+    Compares: joints from row to row.
+    Speaks from: two in five leap at one row, to five times what one row in a hundred has.
+    Because: rows are missing there, although stamps are even.
+    Remedy: record again, with the sensor's own stamps.
+    """
     log = view.log
     streams = [log.q] if log.has("q") else []
     if log.has("foot"):
         streams.append(log.foot_I.reshape(len(view.t), -1))
-    if not streams or not view.comparable:
+    if not streams:
         return
     x = np.column_stack(streams)
     # Rows very close together have a late or an early stamp; no joint jumped.
@@ -160,15 +186,15 @@ def leaps(view: LogView) -> Iterator[Finding]:
     jumped = np.mean(rate[:, alive] > _JUMP * fast[alive], axis=1) > _AT_ONCE
     rows = np.flatnonzero(jumped)
     if rows.size:
-        told = (
+        seen = (
             f"{rows.size} rows at which joints jump together, the first at {view.t[rows[0]]:.2f} s"
         )
-        yield Finding(("t", "q"), told, "rows were lost behind even stamps, or put in")
+        yield Finding(("t", "q"), seen, "rows were lost behind even stamps, or put in")
     steps = np.diff(x[:, alive], axis=0)
     power = np.sum(steps**2, axis=0)
     next_, second = (np.sum(steps[k:] * steps[:-k], axis=0) / power for k in (1, 2))
     if np.median(next_) < _BACK and np.median(second) > _FORTH:
-        told = (
+        seen = (
             f"steps correlate by {np.median(next_):.2f} with the next, by {np.median(second):.2f}"
         )
-        yield Finding(("t", "q"), f"{told} with the one after", "rows are out of order")
+        yield Finding(("t", "q"), f"{seen} with the one after", "rows are out of order")

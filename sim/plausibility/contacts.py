@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.streams import stretches_without_change
 from surefoot.sim.plausibility.view import LogView
 
 FARTHEST_STILL = 0.3
@@ -37,68 +38,88 @@ HIGHER = 0.005
 """Height of feet in contact above lifted ones to report [m]; trotting robots lift by 30 to 80
 mm.
 """
+_VARIES = 0.05**2
+"""Least variance of a contact."""
 _CLEAR = 0.3
 """Correlation of contact with height from which it is inverted: clean walks have -0.4 to -0.9, on
 stairs and slopes too, since heights are relative to the body.
 """
 
 
+@rule_named("missed steps", "t contact", when="comparable")
 def missed(view: LogView) -> Iterator[Finding]:
-    """Check that feet touch down about as often as each other."""
+    """Check that feet touch down about as often as each other.
+
+    Compares: the number of changes of each contact with that of the others.
+    Speaks from: less than {MISSES:g} of it, where the others change {MOST_SURE} times or more.
+    Because: in every gait each foot steps once a stride.
+    Remedy: the threshold of [contact] for that foot.
+    """
     log = view.log
-    if not log.has("contact") or len(log.legs) < 3 or not view.comparable:
+    if len(log.legs) < 3:
         return
     changes = np.array([_lasting(view.t, contact) for contact in log.contact.T])
     usual = float(np.median(changes))
     rare = (changes > 0) & (changes < MISSES * usual) & (usual >= MOST_SURE)
     for i in np.flatnonzero(rare):
-        told = f"changes {changes[i]} times, where most feet do {usual:.0f} times"
+        seen = f"changes {changes[i]} times, where most feet do {usual:.0f} times"
         cause = "a threshold that lighter steps do not reach, or a leg that is held up"
-        yield Finding((f"contact_{log.legs[i]}",), told, cause)
+        yield Finding((f"contact_{log.legs[i]}",), seen, cause)
 
 
+@rule_named("contacts", "contact")
 def dead(view: LogView) -> Iterator[Finding]:
-    """Check that each foot of a walking robot touches down and lifts off."""
+    """Check that each foot of a walking robot touches down and lifts off.
+
+    Compares: contacts with each other over time.
+    Speaks from: none changes, or one does not for {UNCHANGED:g} s in which the others change
+        {OTHERS_CHANGE} times and more, although the robot walks.
+    Because: a foot of a robot that walks lifts at every stride.
+    Remedy: the threshold of [contact]; leave a dead contact out.
+    """
     log = view.log
-    if not log.has("contact") or len(log.legs) < 2 or not view.comparable:
+    if len(log.legs) < 2:
         return
     contact = log.contact
-    changes = np.abs(np.diff(contact.astype(int), axis=0))
-    count = changes.sum(axis=0)
+    count = np.abs(np.diff(contact.astype(int), axis=0)).sum(axis=0)
     still = np.flatnonzero(count == 0)
     walks = int(np.sum(count >= OTHERS_CHANGE)) >= 2
     if len(still) == len(log.legs) and log.has("reference"):
         walks = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
-        walks = walks and _legs_swing(view)
+        # Its feet move under it, so that it is not carried.
+        feet = None if view.stance is None else view.stance.foot[:, :, :2]
+        walks = walks and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
     if walks and still.size:
-        for state, words in ((True, "always 1"), (False, "always 0")):
+        for state in (1, 0):
             columns = tuple(f"contact_{log.legs[i]}" for i in still if contact[0, i] == state)
             if columns:
-                told = f"{words} although the robot walks"
-                yield Finding(columns, told, "a dead sensor, or a wrong threshold")
+                seen = f"always {state} although the robot walks"
+                yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
     for i in np.flatnonzero(count > 0):
-        first, last = _longest(np.flatnonzero(changes[:, i]), len(contact))
-        if view.t[last - 1] - view.t[first] < UNCHANGED:
-            continue
-        others = [_lasting(view.t[first:last], x[first:last]) for x in np.delete(contact.T, i, 0)]
-        if np.median(others) >= OTHERS_CHANGE:
-            told = (
-                f"no change from {view.t[first]:.2f} to {view.t[last - 1]:.2f} s, while the others "
-                f"change {np.median(others):.0f} times"
-            )
-            yield Finding((f"contact_{log.legs[i]}",), told, "a sensor that hangs")
+        for first, last in stretches_without_change(view.t, contact[:, i], UNCHANGED)[:1]:
+            t, rows = view.t[first : last + 1], np.delete(contact, i, axis=1)[first : last + 1]
+            others = np.median([_lasting(t, x) for x in rows.T])
+            if others >= OTHERS_CHANGE:
+                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s, while the others change"
+                seen += f" {others:.0f} times"
+                yield Finding((f"contact_{log.legs[i]}",), seen, "a sensor that hangs")
 
 
+@rule_named("flickering", "t contact", when="comparable")
 def flickering(view: LogView) -> Iterator[Finding]:
-    """Check that a foot does not touch down and lift off too often."""
+    """Check that a foot does not touch down and lift off too often.
+
+    Compares: contacts with themselves over time.
+    Speaks from: {FLICKERS:g} changes a second.
+    Because: four a second in strides; a sensor about its threshold has many.
+    Remedy: [contact] debounce, or a threshold that is further from the noise.
+    """
     log = view.log
-    if not log.has("contact") or not view.comparable:
-        return
     rate = np.array([_changes(view.t, x) for x in log.contact.T]) / (view.t[-1] - view.t[0])
     if (bad := np.flatnonzero(rate > FLICKERS)).size:
         columns = tuple(f"contact_{log.legs[i]}" for i in bad)
-        told = f"{rate[bad].max():.0f} changes a second"
-        yield Finding(columns, told, "noise about the threshold", "[contact] debounce")
+        seen = f"{rate[bad].max():.0f} changes a second"
+        yield Finding(columns, seen, "noise about the threshold", "[contact] debounce")
 
 
 def _changes(t: np.ndarray, contact: np.ndarray) -> int:
@@ -123,55 +144,31 @@ def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 
-def _legs_swing(view: LogView) -> bool:
-    """Whether the feet move under the body as in walking."""
-    if view.stance is None:
-        return True
-    return bool(np.median(np.ptp(view.stance.foot[:, :, :2], axis=0)) > 0.05)
-
-
-def _longest(at: np.ndarray, rows: int) -> tuple[int, int]:
-    edges = np.concatenate([[0], at + 1, [rows]])
-    k = int(np.argmax(np.diff(edges)))
-    return int(edges[k]), int(edges[k + 1])
-
-
+@rule_named("contact heights", "contact", beside="q foot accel")
 def inverted(view: LogView) -> Iterator[Finding]:
-    """Check that feet in contact are lower than lifted ones."""
-    heights = contact_heights(view)
-    if heights is None:
-        return
-    difference, alike = heights
-    lifted = np.array([_lasting(view.t, contact) for contact in view.log.contact.T])
-    wrong = (np.diag(difference) > HIGHER) & (np.diag(alike) > _CLEAR)
-    wrong = np.flatnonzero(wrong & (lifted >= OTHERS_CHANGE))
-    if wrong.size:
-        columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
-        higher = 1e3 * np.diag(difference)[wrong].mean()
-        told = f"feet are {higher:.0f} mm higher in contact than lifted"
-        # In a trot, one diagonal stands while the other swings.
-        all_of_them = "inverted: 1 means lifted, or left and right are swapped"
-        cause = all_of_them if len(wrong) > 1 else "inverted, or another leg's"
-        yield Finding(columns, told, cause)
+    """Check that feet in contact are lower than lifted ones.
 
-
-def contact_heights(view: LogView) -> tuple[np.ndarray, np.ndarray] | None:
-    """Mean height of foot i with contact k on, relative to off (L, L) [m], and their
-    correlation.
+    Compares: the height of a foot in contact with that when lifted.
+    Speaks from: {HIGHER:g} m higher.
+    Because: trotting robots lift their feet by 30 to 80 mm.
+    Remedy: contact from the other level of the switch; the order of the legs.
     """
     legs, up = view.stance, view.up_by_body
     if legs is None or up is None:
-        return None
+        return
     # Slow changes are due to terrain and posture.
-    height = legs.foot @ up
-    on = legs.contact.astype(float)
-    moves = on.std(axis=0)
-    if not (moves > 0.05).any():
-        return None
-    difference, alike = np.zeros((2, len(moves), len(moves)))
-    h = height - height.mean(axis=0)
-    for k in np.flatnonzero(moves > 0.05):
-        c = on[:, k] - on[:, k].mean()
-        difference[:, k] = (c @ h) / (c @ c)
-        alike[:, k] = (c @ h) / np.maximum(np.linalg.norm(c) * np.linalg.norm(h, axis=0), 1e-12)
-    return difference, alike
+    height, on = legs.foot @ up, legs.contact.astype(float)
+    height, on = height - height.mean(axis=0), on - on.mean(axis=0)
+    both, power = np.sum(on * height, axis=0), np.sum(on**2, axis=0)
+    alike = both / np.maximum(np.sqrt(power * np.sum(height**2, axis=0)), 1e-12)
+    lifted = np.array([_lasting(view.t, contact) for contact in view.log.contact.T])
+    # A contact that hardly changes has no other height.
+    higher = both / np.where(power > _VARIES * len(on), power, np.inf)
+    wrong = np.flatnonzero((higher > HIGHER) & (alike > _CLEAR) & (lifted >= OTHERS_CHANGE))
+    if wrong.size:
+        columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
+        seen = f"feet are {1e3 * higher[wrong].mean():.0f} mm higher in contact than lifted"
+        # In a trot, one diagonal stands while the other swings.
+        all_of_them = "inverted: 1 means lifted, or left and right are swapped"
+        cause = all_of_them if len(wrong) > 1 else "inverted, or another leg's"
+        yield Finding(columns, seen, cause)

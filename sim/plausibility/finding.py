@@ -1,9 +1,19 @@
 """Plausibility rules, and what they find in a log."""
 
+import inspect
+import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from surefoot.sim.plausibility.view import LogView
+
+_OF_NEED = {"gyro": "imu", "accel": "imu", "ref": "reference"}
+"""Group of columns of a log by what a rule needs, where it has another name."""
+_When = Literal["comparable", "compares_turning", "trusts_reference"] | None
+PARAGRAPHS = ("Compares", "Speaks from", "Because", "Remedy")
+"""Titles of the paragraphs that explain a rule."""
 
 
 @dataclass(frozen=True)
@@ -33,29 +43,66 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rule:
-    """A plausibility rule.
+    """A plausibility rule: a function that finds violations in a log, which its docstring explains.
 
     Attributes:
         name: unique.
-        compares: what is compared with what.
-        threshold: from which it reports.
-        reason: for the threshold.
-        remedy: what to do.
-        needs: columns or their prefixes; the rule is skipped where one of them is in doubt.
-        find: function that finds violations in a log.
+        find: the function.
+        needs: columns or their prefixes; the rule is skipped where one is missing or in doubt.
+        beside: columns or prefixes that may be missing, but must not be in doubt.
+        when: property of the view without which there is nothing to compare.
+        minor: it puts no column in doubt.
     """
 
     name: str
-    compares: str
-    threshold: str
-    reason: str
-    remedy: str
-    needs: tuple[str, ...]
     find: Callable[[LogView], Iterator[Finding]]
+    needs: tuple[str, ...]
+    beside: tuple[str, ...]
+    when: _When
+    minor: bool
 
-    def asks_of(self, doubted: set[str]) -> bool:
-        """Whether no column that it needs is in doubt."""
-        return not any(d == n or d.startswith(f"{n}_") for d in doubted for n in self.needs)
+    def findings(self, view: LogView, doubted: set[str]) -> list[Finding]:
+        """What it finds in a log, besides what is only about columns in doubt."""
+        asked = (*self.needs, *self.beside)
+        if any(d == n or d.startswith(f"{n}_") for d in doubted for n in asked):
+            return []
+        if any(n != "t" and not view.log.has(_OF_NEED.get(n, n)) for n in self.needs):
+            return []
+        if self.when is not None and not getattr(view, self.when):
+            return []
+        found = (one for one in self.find(view) if not doubted.issuperset(one.streams))
+        return [replace(one, rule=self.name) for one in found]
+
+    @property
+    def explained(self) -> dict[str, str]:
+        """The paragraphs of its docstring, by the titles of PARAGRAPHS.
+
+        Names in braces are those of its module.
+        """
+        known = vars(sys.modules[self.find.__module__])
+        titles = re.compile(rf"^({'|'.join(PARAGRAPHS)}): ", re.M)
+        _, *parts = titles.split(inspect.getdoc(self.find) or "")
+        texts = (" ".join(text.split()).removesuffix(".").format_map(known) for text in parts[1::2])
+        return dict(zip(parts[::2], texts, strict=True))
+
+
+def rule_named(
+    name: str,
+    needs: str = "",
+    beside: str = "",
+    when: _When = None,
+    minor: bool = False,
+) -> Callable[[Callable[[LogView], Iterator[Finding]]], Rule]:
+    """Make a function that finds violations in a log a rule.
+
+    Args:
+        name: unique.
+        needs: columns or their prefixes that it needs, as one text.
+        beside: those that may be missing, but must not be in doubt.
+        when: property of the view without which there is nothing to compare.
+        minor: it puts no column in doubt.
+    """
+    return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, minor)
 
 
 def _named(columns: Sequence[str]) -> str:

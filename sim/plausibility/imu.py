@@ -7,18 +7,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
-from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.plausibility.axes import (
+    ACCEL,
     AXIS_NAMES,
     GAIN,
+    GYRO,
     OTHER,
+    REF_P,
     AxesMatch,
+    angle_between,
     lag_of,
     match_axes,
 )
-from surefoot.sim.plausibility.finding import Finding
-from surefoot.sim.plausibility.noise import noise_of
-from surefoot.sim.plausibility.place import SPEEDING, of_another_point, speed_changes
+from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.place import SPEEDING, other_point, speed_changes
+from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
 
 ZERO_G = 0.8
@@ -65,7 +68,7 @@ SHAKES = 0.05
 """Least standard deviation of the accelerations along axes that are compared [m/s^2]: 0.5 in walks;
 0.01, of the order of noise, in turns on the spot.
 """
-MISSED = 0.7
+SUM_OFF = 0.7
 """Error of an accelerometer's sum over SPEEDING seconds relative to the reference's changes of
 velocity: 0.1 in simulated walks of any rate, 0.3 on a measured Go1, 0.6 on an iCub.
 """
@@ -81,113 +84,66 @@ gravity.
 """
 NOT_LEVEL = 8.0
 """Angle between gravity and the reference's vertical [deg]; an accelerometer 80 mg off causes 5."""
-NOISY = 0.2
-"""Noise of a gyro between rows [rad/s]: data sheets have 0.01 (MPU-6050, 0.05 deg/s behind a
-filter, 0.005 deg/s/√Hz), logs of a Go1 and a SCALER 0.03 including vibration.
-"""
-NOISY_ACCEL = 2.0
-"""The same of an accelerometer [m/s^2]: data sheets have 0.06 (MPU-6050, 400 ug/sqrt(Hz), over
-250 Hz), logs of a Go1, a SCALER and an iCub 0.3 to 0.6 including vibration.
-"""
 _BLOCK = 2.0
 """Averaging time of a gyro's bias [s], four strides."""
-_AXES_P = tuple(f"ref_p_{a}" for a in AXIS_NAMES)
-_AXES_GYRO = tuple(f"gyro_{a}" for a in AXIS_NAMES)
-_AXES_ACCEL = tuple(f"accel_{a}" for a in AXIS_NAMES)
-_DEGREE = 180.0 / np.pi
-_UNITS_OF_ACCEL = {
-    "g": 1.0,
-    "ft/s^2": GRAVITY / 0.3048,
-    "cm/s^2": 1e2 * GRAVITY,
-    "mg": 1e3,
-    "mm/s^2": 1e3 * GRAVITY,
-}
-"""Gravity in other units."""
-_UNITS_OF_GYRO = {
-    "deg/s": _DEGREE,
-    "rpm": 60.0 / (2.0 * np.pi),
-    "mrad/s": 1e3,
-    "turns/s": 0.5 / np.pi,
-}
-"""1 rad/s in other units."""
 
 
+@rule_named("gravity", "accel", when="comparable")
 def gravity(view: LogView) -> Iterator[Finding]:
     """Check that the mean specific force of a body that stays near the ground is gravity,
     upwards.
+
+    Compares: the mean of the accelerometer with gravity, and its direction with what is up: the
+        robot's z, else away from the feet, else the reference's.
+    Speaks from: {ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {MOST_LEAN:g}° from up.
+    Because: what stays near the ground feels gravity on average; accelerometers have biases of
+        80 mg at worst (MPU-6050 product specification); a robot that turns about on a slope of
+        35° has a shorter mean.
+    Remedy: unit = "g"; sign; offset (twice gravity where the motion has the right sign, see the
+        evidence); the order of the axes.
     """
-    if not view.log.has("imu") or not view.comparable:
-        return
-    mean = view.log.accel.mean(axis=0)
+    accel = view.log.accel
+    mean, spread = accel.mean(axis=0), float(accel.std(axis=0).max())
     size = float(np.linalg.norm(mean))
     up, whose = _up(view)
-    told = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
-    sizes, spread = np.linalg.norm(view.log.accel, axis=1), view.log.accel.std(axis=0).max()
-    unit = _unit_of_accel(size, float(spread))
-    if unit is None and sizes.std() < SAME_SIZE * size < 0.1 * spread:
-        unit = "a direction: its size is the same in every row", ""
-    if unit is not None:
-        cause, line = unit
-        yield Finding(_AXES_ACCEL, told, cause, line)
-        return
-    if up is None:
-        if not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
-            yield Finding(_AXES_ACCEL, told, "scaled, or a bias")
-        return
-    lean = float(np.degrees(np.arccos(np.clip(mean @ up / max(size, 1e-9), -1.0, 1.0))))
-    if lean > MOST_LEAN:
-        told = f"{told}, {lean:.0f} deg from up by {whose}"
-        turned = _imu_turned(view)
-        if turned is not None:
-            yield turned
-            return
-        yield _turned_over(view, mean, up, told)
-    elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
-        yield Finding(_AXES_ACCEL, told, f"scaled by {size / GRAVITY:.3g}, or a bias")
-
-
-def _unit_of_accel(size: float, spread: float) -> tuple[str, str] | None:
-    """Cause and map line where the magnitude is gravity in another unit."""
-    unit, one = min(_UNITS_OF_ACCEL.items(), key=lambda one: abs(np.log(max(size, 1e-9) / one[1])))
-    if abs(np.log(max(size, 1e-9) / one)) < np.log(1.3 if unit == "g" else 1.1):
-        known = unit in UNITS["accel"]
-        line = f'accel_x, accel_y, accel_z = {{ ..., unit = "{unit}" }}' if known else ""
-        return f"in {unit}, not m/s^2", line
+    seen = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
+    cause, line = in_another_unit("accel", ACCEL, size / GRAVITY, "")
     if 0.8 < size / GRAVITY**2 < 1.2:
-        return "multiplied by gravity twice", ""
-    if size < 0.2 * GRAVITY and spread > 0.0:
-        return (
-            "gravity was taken off: an acceleration, not the specific force that filters need",
-            "",
-        )
-    return None
+        cause, line = "multiplied by gravity twice", ""
+    elif size < 0.2 * GRAVITY and spread > 0.0 and not cause:
+        cause = "gravity was taken off: an acceleration, not the specific force that filters need"
+    elif np.linalg.norm(accel, axis=1).std() < SAME_SIZE * size < 0.1 * spread and not cause:
+        cause = "a direction: its size is the same in every row"
+    lean = 0.0 if up is None else angle_between(mean, up)
+    if cause:
+        yield Finding(ACCEL, seen, cause, line)
+    elif up is not None and lean > MOST_LEAN:
+        seen = f"{seen}, {lean:.0f} deg from up by {whose}"
+        yield _imu_turned(view) or _turned_over(view, mean, up, seen)
+    elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
+        yield Finding(ACCEL, seen, f"scaled by {size / GRAVITY:.3g}, or a bias")
 
 
-def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, told: str) -> Finding:
+def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> Finding:
     """Explain why the mean specific force does not point up."""
     axis = int(np.argmax(np.abs(up)))
     found = int(np.argmax(np.abs(mean)))
     if found != axis:
         cause = f"swapped axes: gravity is on {AXIS_NAMES[found]}, up is {AXIS_NAMES[axis]}"
-        return Finding((f"accel_{AXIS_NAMES[axis]}", f"accel_{AXIS_NAMES[found]}"), told, cause)
-    column = f"accel_{AXIS_NAMES[axis]}"
-    moved = (
-        match_axes(view.accel[view.ok], view.felt[view.ok]).own if view.trusts_reference else None
-    )
-    if moved is not None and moved[axis] > 0.5:
-        shift = round(2.0 * np.sign(up[axis]) * GRAVITY, 2)
+        return Finding((f"accel_{AXIS_NAMES[axis]}", f"accel_{AXIS_NAMES[found]}"), seen, cause)
+    column = ACCEL[axis]
+    offset = f"offset = {round(2.0 * np.sign(up[axis]) * GRAVITY, 2)}"
+    if not view.trusts_reference:
+        line = f"{column} = {{ ..., sign = -1 }}, or {offset} where only gravity is wrong"
+        return Finding((column,), seen, "wrong sign, of the axis or of gravity alone", line)
+    moved = match_axes(view.accel[view.ok], view.felt[view.ok]).own
+    if moved[axis] > 0.5:
         cause = "gravity has the wrong sign, the motion the right one"
-        return Finding((column,), told, cause, f"{column} = {{ ..., offset = {shift} }}")
-    flipped = [f"accel_{AXIS_NAMES[i]}" for i in range(3) if moved is not None and moved[i] < -0.5]
-    columns = tuple(flipped) or (column,)
-    if moved is None:
-        shift = round(2.0 * np.sign(up[axis]) * GRAVITY, 2)
-        line = f"{column} = {{ ..., sign = -1 }}, or offset = {shift} where only gravity is wrong"
-        return Finding(columns, told, "wrong sign, of the axis or of gravity alone", line)
-    cause = "wrong sign" + (
-        ": gravity was logged for specific force" if len(columns) == 3 else " (z down?)"
-    )
-    return Finding(columns, told, cause, f"{', '.join(columns)} = {{ ..., sign = -1 }}")
+        return Finding((column,), seen, cause, f"{column} = {{ ..., {offset} }}")
+    columns = tuple(ACCEL[i] for i in np.flatnonzero(moved < -0.5)) or (column,)
+    why = ": gravity was logged for specific force" if len(columns) == 3 else " (z down?)"
+    line = f"{', '.join(columns)} = {{ ..., sign = -1 }}"
+    return Finding(columns, seen, f"wrong sign{why}", line)
 
 
 def _up(view: LogView) -> tuple[np.ndarray | None, str]:
@@ -200,9 +156,17 @@ def _up(view: LogView) -> tuple[np.ndarray | None, str]:
     return None, ""
 
 
+@rule_named("accelerometer", "t accel gyro ref", when="trusts_reference")
 def accelerometer(view: LogView) -> Iterator[Finding]:
-    """Check that the specific force agrees with the motion of the reference."""
-    if not (view.trusts_reference and view.resolves):
+    """Check that the specific force agrees with the motion of the reference.
+
+    Compares: the accelerometer with gravity and the acceleration of ref_p, in world and body.
+    Speaks from: correlations as of the gyro; a factor of 1 + {SCALED_ACCEL:g}; a mean
+        {ZERO_G:g} m/s² off.
+    Because: impacts and filters blur accelerations, to factors of 0.6 to 1.2 in clean walks.
+    Remedy: order or sign of the axes of accel or ref_p, whichever the evidence names.
+    """
+    if not view.resolves:
         return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     in_body = match_axes(accel, felt)
@@ -211,62 +175,67 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
     fits = max(in_body.own.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
     delayed = abs(late) > view.least_lag(LATE_ACCEL) and shifted > max(0.6, fits)
-    if delayed and not of_another_point(view):
-        told = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
+    if delayed and other_point(view) is None:
+        seen = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
-        yield Finding((*_AXES_ACCEL, *_AXES_P), told, cause)
+        yield Finding((*ACCEL, *REF_P), seen, cause)
         return
     as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).own[:2]
     if as_world.min() > OTHER and (as_world - in_body.own[:2]).mean() > 0.5 * GAIN:
-        told = f"correlation with the reference's accelerations in G {_numbers(as_world)}"
-        yield Finding(_AXES_ACCEL, told, "in the world's axes, not the body's")
+        seen = f"correlation with the reference's accelerations in G {_numbers(as_world)}"
+        yield Finding(ACCEL, seen, "in the world's axes, not the body's")
         return
     size = float(np.sqrt(np.sum(accel.var(axis=0)) / max(np.sum(felt.var(axis=0)), 1e-12)))
     if size < QUIET:
-        told = f"has {size:.2f} of the accelerations of the reference's motion"
-        yield Finding(_AXES_ACCEL, told, "filtered, or gravity alone")
+        seen = f"has {size:.2f} of the accelerations of the reference's motion"
+        yield Finding(ACCEL, seen, "filtered, or gravity alone")
         return
     # If gravity shows that the IMU's z is upright, the reference's is at fault.
     if _shakes(view, in_world) and (
         in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
     ):
         columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)
-        told = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
+        seen = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
-        lines = _lines("ref_p", in_world)
-        yield Finding(columns, told, f"{down}{in_world.words}", lines)
+        yield Finding(columns, seen, f"{down}{in_world.words}", _lines("ref_p", in_world))
     elif _shakes(view, in_body):
-        columns = tuple(_AXES_ACCEL[i] for i in in_body.wrong)
-        told = f"correlation with the reference's motion {_of(in_body, in_body.own)}"
-        yield Finding(columns, told, in_body.words, _lines("accel", in_body))
+        columns = tuple(ACCEL[i] for i in in_body.wrong)
+        seen = f"correlation with the reference's motion {_of(in_body, in_body.own)}"
+        yield Finding(columns, seen, in_body.words, _lines("accel", in_body))
     elif abs(np.log(in_world.scaled)) > np.log1p(SCALED_ACCEL):
-        told = f"accelerates {in_world.scaled:.3g} times as fast as the accelerometer"
+        seen = f"accelerates {in_world.scaled:.3g} times as fast as the accelerometer"
         cause = "scaled, another unit, or stamps at a wrong rate"
-        yield Finding(_AXES_P, told, cause)
+        yield Finding(REF_P, seen, cause)
     else:
         apart = accel.mean(axis=0) - felt.mean(axis=0)
-        R_GI = view.attitudes(0.0, view.ok)
-        aside = R_GI.apply(accel - felt).mean(axis=0)[:2]
+        up = view.R_GI[view.ok].apply(accel - felt).mean(axis=0) - GRAVITY_G
+        aside = up[:2]
         lean = float(np.degrees(np.arctan2(np.linalg.norm(aside), GRAVITY)))
         if lean > NOT_LEVEL and np.linalg.norm(aside) > 1.05 * np.linalg.norm(apart):
-            told = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
+            seen = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
             cause = "the reference's world is not level"
-            yield Finding((*_AXES_P, "ref_q"), told, cause, "[reference] q_GW")
+            level = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
+            yield Finding((*REF_P, "ref_q"), seen, cause, _turned_line("q_GW", level))
             return
         for i in np.flatnonzero(np.abs(apart) > ZERO_G):
-            told = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
+            seen = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
             cause = "a bias, or a leaning mount"
-            yield Finding((_AXES_ACCEL[i],), told, cause)
+            yield Finding((ACCEL[i],), seen, cause)
 
 
-def sampled(view: LogView) -> Iterator[Finding]:
+@rule_named("IMU's rows", "t accel gyro ref", when="trusts_reference")
+def averaged(view: LogView) -> Iterator[Finding]:
     """Check that an IMU's rows are averages: summed over time they give the change of velocity.
 
     What shakes a body between samples makes the sum a random walk, as large as the steps from row
     to row imply.
+
+    Compares: the accelerometer's sum over {SPEEDING:g} s with changes of velocity of ref_p.
+    Speaks from: {SUM_OFF:.0%} of these, and {IMPLIED[0]:g} to {IMPLIED[1]:g} times what
+        independent samples cause.
+    Because: averages over each row give the change of velocity at any rate.
+    Remedy: log faster, or averages over the rows: filters take rows for such.
     """
-    if not view.trusts_reference:
-        return
     by_imu, by_reference = speed_changes(view)
     if len(by_imu) * STEP < SHORTEST_LOG:
         return
@@ -277,12 +246,12 @@ def sampled(view: LogView) -> Iterator[Finding]:
     bend = accel[1:-1] - 0.5 * (accel[2:] + accel[:-2])
     # White noise has a bend of 1.5 times its variance.
     implied = np.sqrt(np.sum(np.mean(bend**2, axis=0)) / 1.5 * view.step * SPEEDING)
-    if missed > MISSED * changed and IMPLIED[0] < missed / max(implied, 1e-12) < IMPLIED[1]:
-        told = (
+    if missed > SUM_OFF * changed and IMPLIED[0] < missed / max(implied, 1e-12) < IMPLIED[1]:
+        seen = (
             f"summed over {SPEEDING:g} s, it is {missed:.2f} m/s off changes of {changed:.2f} m/s"
         )
         cause = "sampled at the rows, not averaged over them; log faster, or log averages"
-        yield Finding((*_AXES_GYRO, *_AXES_ACCEL), told, cause)
+        yield Finding((*GYRO, *ACCEL), seen, cause)
 
 
 def _shakes(view: LogView, match: AxesMatch) -> bool:
@@ -291,92 +260,79 @@ def _shakes(view: LogView, match: AxesMatch) -> bool:
     return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
 
 
+@rule_named("gyro's unit", "gyro", when="comparable")
 def gyro_unit(view: LogView) -> Iterator[Finding]:
-    """Check that a gyro measures something, in rad/s."""
-    if not view.log.has("imu") or not view.comparable:
-        return
+    """Check that a gyro measures something, in rad/s.
+
+    Compares: the gyro's size.
+    Speaks from: {TUMBLING:g} rad/s root mean square, or 0 throughout.
+    Because: a turn a second for as long as the log lasts is no walk.
+    Remedy: unit = "deg/s".
+    """
     rms = float(np.sqrt(np.mean(np.sum(view.log.gyro**2, axis=1))))
     if rms == 0.0:
-        told, cause = "0 rad/s in every row", "not connected, or not logged"
-        yield Finding(_AXES_GYRO, told, cause)
+        seen, cause = "0 rad/s in every row", "not connected, or not logged"
+        yield Finding(GYRO, seen, cause)
     elif rms > TUMBLING:
-        told = f"root mean square {rms:.3g} rad/s"
+        seen = f"root mean square {rms:.3g} rad/s"
         mean, other = (x.mean(axis=0) for x in (view.log.gyro, view.log.accel))
         if abs(np.linalg.norm(mean) / GRAVITY - 1.0) < 0.1 and np.linalg.norm(other) < rms / 3.0:
-            columns = (*_AXES_GYRO, *_AXES_ACCEL)
-            yield Finding(columns, f"{told}, gravity in its mean", "gyro and accelerometer swapped")
+            columns = (*GYRO, *ACCEL)
+            yield Finding(columns, f"{seen}, gravity in its mean", "gyro and accelerometer swapped")
             return
-        factor = _DEGREE
+        factor = 180.0 / np.pi
         if view.compares_turning and view.gyro_match.alike:
             factor = view.gyro_match.scaled
-            told += f", {factor:.3g} times as fast as the reference turns"
-        yield Finding(_AXES_GYRO, told, *_scaled_gyro(factor))
+            seen += f", {factor:.3g} times as fast as the reference turns"
+        cause, line = in_another_unit("gyro", GYRO, factor, "scaled")
+        yield Finding(GYRO, seen, cause, line)
 
 
-def _scaled_gyro(factor: float) -> tuple[str, str]:
-    """Cause and map line for a gyro with `factor` times the true rate."""
-    unit, one = min(_UNITS_OF_GYRO.items(), key=lambda one: abs(np.log(factor / one[1])))
-    if abs(factor / one - 1.0) > 0.2:
-        return "scaled", ""
-    known = unit in UNITS["gyro"]
-    line = f'gyro_x, gyro_y, gyro_z = {{ ..., unit = "{unit}" }}' if known else ""
-    return f"in {unit}, not rad/s", line
-
-
+@rule_named("gyro", "t gyro ref", when="compares_turning")
 def gyro(view: LogView) -> Iterator[Finding]:
-    """Check that a gyro measures the rotation of the reference."""
-    if not view.compares_turning:
-        return
+    """Check that a gyro measures the rotation of the reference.
+
+    Compares: the gyro with the turning of ref_q, axis by axis.
+    Speaks from: correlation above {OTHER:g} with another axis or its negative, {GAIN:g} more
+        than with its own; a factor off by {GYRO_SCALED:.0%}; a mean {ZERO_RATE:g} rad/s off.
+    Because: gyros are true to 3 %, and read 20 deg/s at rest at worst (MPU-6050).
+    Remedy: order, sign or unit of the axes; where the accelerometer says the same,
+        imu_orientation.
+    """
     match = view.gyro_match
-    turned = _imu_turned(view)
-    if turned is not None:
+    if turned := _imu_turned(view):
         yield turned
         return
     if match.wrong:
-        columns = tuple(_AXES_GYRO[i] for i in match.wrong)
-        told = f"correlation with the reference's turning {_of(match, match.own)}"
-        yield Finding(columns, told, match.words, _lines("gyro", match))
+        columns = tuple(GYRO[i] for i in match.wrong)
+        seen = f"correlation with the reference's turning {_of(match, match.own)}"
+        yield Finding(columns, seen, match.words, _lines("gyro", match))
         return
     if not match.alike:
         if not view.resolves:
             return
-        told = f"correlation of turning {_numbers(match.own)} about x, y, z"
+        seen = f"correlation of turning {_numbers(match.own)} about x, y, z"
         cause = "another body, other axes or another clock; try surefoot align"
-        yield Finding((*_AXES_GYRO, "ref_q"), told, cause)
+        yield Finding((*GYRO, "ref_q"), seen, cause)
         return
     factor = match.scaled
     weak = np.flatnonzero(
         (match.best > _GOES_WELL) & (np.abs(np.log(match.scale)) > np.log1p(WEAK))
     )
     if len(weak) == 1:
-        told = f"{match.scale[weak[0]]:.3g} times as fast as the reference turns, unlike the others"
-        yield Finding((_AXES_GYRO[weak[0]],), told, "scaled")
+        seen = f"{match.scale[weak[0]]:.3g} times as fast as the reference turns, unlike the others"
+        yield Finding((GYRO[weak[0]],), seen, "scaled")
     elif abs(factor - 1.0) > GYRO_SCALED:
-        told = f"{factor:.3g} times as fast as the reference turns"
-        yield Finding(_AXES_GYRO, told, *_scaled_gyro(factor))
+        seen = f"{factor:.3g} times as fast as the reference turns"
+        cause, line = in_another_unit("gyro", GYRO, factor, "scaled")
+        yield Finding(GYRO, seen, cause, line)
     off = (view.gyro - view.turning)[view.ok]
     blocks = np.array_split(off, max(1, round(len(off) * STEP / _BLOCK)))
-    apart, means = off.mean(axis=0), np.array([one.mean(axis=0) for one in blocks])
-    worst = np.quantile(np.abs(means), 0.9, axis=0)
-    for i in np.flatnonzero(np.maximum(np.abs(apart), worst) > ZERO_RATE):
-        told = f"mean {apart[i]:.2f} rad/s off the reference's turning"
-        if abs(apart[i]) < ZERO_RATE:
-            told = f"up to {worst[i]:.2f} rad/s off the reference's turning for {_BLOCK:g} s"
-        yield Finding((_AXES_GYRO[i],), told, "a bias")
-
-
-def gyro_noise(view: LogView) -> Iterator[Finding]:
-    """Check the noise of a gyro, from third differences, which hold little of a body's smooth
-    rotation.
-    """
-    if view.log.has("imu") and view.comparable and view.resolves:
-        yield from noise_of(view.log.gyro, _AXES_GYRO, NOISY, "rad/s")
-
-
-def accel_noise(view: LogView) -> Iterator[Finding]:
-    """Check the noise of an accelerometer, in the same way."""
-    if view.log.has("imu") and view.comparable and view.resolves:
-        yield from noise_of(view.log.accel, _AXES_ACCEL, NOISY_ACCEL, "m/s^2")
+    means = np.array([one.mean(axis=0) for one in blocks])
+    most = np.quantile(np.abs(means), 0.9, axis=0)
+    for i in np.flatnonzero(most > ZERO_RATE):
+        seen = f"up to {most[i]:.2f} rad/s off the reference's turning for {_BLOCK:g} s"
+        yield Finding((GYRO[i],), seen, "a bias")
 
 
 def _imu_turned(view: LogView) -> Finding | None:
@@ -384,27 +340,24 @@ def _imu_turned(view: LogView) -> Finding | None:
 
     None where there is none, and where one of the two is turned alone.
     """
-    if not view.compares_turning:
-        return None
-    axes = _axes_of_imu(view)
+    axes = _axes_of_imu(view) if view.compares_turning else None
     if axes is None:
         return None
-    columns = (*_AXES_GYRO, *_AXES_ACCEL)
-    turned = Rotation.from_matrix(axes).as_rotvec(degrees=True) if np.linalg.det(axes) > 0 else None
-    words = "mirrored" if turned is None else f"by {_numbers(turned)} deg about x, y, z"
-    whole = np.array_equal(axes, np.round(axes))
-    if turned is not None and not _in_body(view, axes):
-        q = Rotation.from_matrix(axes).as_quat(canonical=True, scalar_first=True)
-        told = f"{words}, from the tracked body's axes, as turning and motion say"
-        line = f"[reference] q_IM = [{', '.join(f'{x:.4f}' for x in q + 0.0)}]"
-        return Finding(columns, told, "the tracked body is turned against the IMU", line)
-    told = f"{words}, from the reference's axes, as turning and motion say"
-    if whole:
+    columns, words = (*GYRO, *ACCEL), "mirrored"
+    if np.linalg.det(axes) > 0.0:
+        turn = Rotation.from_matrix(axes)
+        words = f"by {_numbers(turn.as_rotvec(degrees=True))} deg about x, y, z"
+        if not _in_body(view, axes):
+            seen = f"{words}, from the tracked body's axes, as turning and motion say"
+            line = _turned_line("q_IM", turn)
+            return Finding(columns, seen, "the tracked body is turned against the IMU", line)
+    seen = f"{words}, from the reference's axes, as turning and motion say"
+    if np.array_equal(axes, np.round(axes)):
         match = AxesMatch.of(axes)
         line = "; ".join(_lines(kind, match) for kind in ("gyro", "accel"))
-        return Finding(columns, told, f"the IMU is turned in the body: {match.words}", line)
+        return Finding(columns, seen, f"the IMU is turned in the body: {match.words}", line)
     line = "[robot] imu_orientation, with [reference] q_IM; surefoot align finds it"
-    return Finding(columns, told, "the IMU is turned in the body", line)
+    return Finding(columns, seen, "the IMU is turned in the body", line)
 
 
 def _axes_of_imu(view: LogView) -> np.ndarray | None:
@@ -447,29 +400,30 @@ def _in_body(view: LogView, axes: np.ndarray) -> bool:
     return view.stance.turning_fits(gyro @ axes) > view.stance.turning_fits(gyro)
 
 
+@rule_named("gyro and legs", "t gyro contact", beside="q foot")
 def turning_of_legs(view: LogView) -> Iterator[Finding]:
-    """Check a gyro without a reference, by the rotation of lines between standing feet."""
+    """Check a gyro without a reference, by the rotation of lines between standing feet.
+
+    Compares: without a reference: the gyro with the turning of lines between standing feet.
+    Speaks from: another order or sign of axes that leaves {LEFT:.0%} of what is unexplained, or
+        less.
+    Because: feet that stand do not turn; other axes fit by chance only.
+    Remedy: order or sign of the axes.
+    """
     legs = view.stance
-    if legs is None or not view.log.has("imu") or view.log.has("reference"):
+    if legs is None or view.log.has("reference"):
         return
     gyro = view.gyro[legs.which]
     as_is = legs.turning_fits(gyro)
-    best = (as_is, (0, 1, 2), (1.0, 1.0, 1.0))
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            other = np.empty_like(gyro)
-            other[:, list(order)] = gyro * np.array(signs)
-            best = max(best, (legs.turning_fits(other), order, signs))
-    fits, order, signs = best
+    signed = product(permutations(np.eye(3)), product((1.0, -1.0), repeat=3))
+    ways = [np.diag(signs) @ rows for rows, signs in signed]
+    fits, best = max(((legs.turning_fits(gyro @ axes), k) for k, axes in enumerate(ways)))
     if 1.0 - fits**2 > LEFT * (1.0 - max(as_is, 0.0) ** 2):
         return
-    wrong = [i for i in range(3) if order[i] != i or signs[i] < 0]
-    columns = tuple(_AXES_GYRO[i] for i in wrong)
-    words = ", ".join(
-        f"{AXIS_NAMES[i]} is {'-' * (signs[i] < 0)}{AXIS_NAMES[order[i]]}" for i in wrong
-    )
-    told = f"correlation with the turning that standing feet see {as_is:.2f}, put right {fits:.2f}"
-    yield Finding(columns, told, words)
+    match = AxesMatch.of(ways[best])
+    columns = tuple(GYRO[i] for i in match.wrong)
+    seen = f"correlation with the turning that standing feet see {as_is:.2f}, put right {fits:.2f}"
+    yield Finding(columns, seen, match.words)
 
 
 def _of(match: AxesMatch, values: np.ndarray) -> str:
@@ -484,6 +438,12 @@ def _lines(kind: str, match: AxesMatch) -> str:
         column = f"their column of {kind}_{AXIS_NAMES[i]}"
         lines.append(f"{kind}_{AXIS_NAMES[match.order[i]]} = {{ column = <{column}>{sign} }}")
     return "; ".join(lines)
+
+
+def _turned_line(key: str, rotation: Rotation) -> str:
+    """Map line for a rotation of a reference."""
+    q = rotation.as_quat(canonical=True, scalar_first=True)
+    return f"[reference] {key} = [{', '.join(f'{x:.6f}' for x in q + 0.0)}]"
 
 
 def _numbers(values: np.ndarray) -> str:

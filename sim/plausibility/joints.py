@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.log.schema import JOINTS, LEGS
-from surefoot.sim.plausibility.finding import Finding
-from surefoot.sim.plausibility.noise import noise_of
+from surefoot.sim.plausibility import legs
+from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.units import in_another_unit, unit_line
 from surefoot.sim.plausibility.view import LogView
 
-_DEGREE = 180.0 / np.pi
 RATE_OFF = 0.1
 """Relative scale error of joint rates: 0.01 in clean walks, plus what the filters of drives take
 from a swing.
@@ -24,8 +24,6 @@ less.
 """
 BEYOND_SHARE = 0.02
 """Share of rows beyond the limits; touchdowns reach them for an instant."""
-TURNS = 2.0 * np.pi
-"""Angle that no joint of a leg reaches [rad]; in degrees, even a leg at rest exceeds it."""
 TOO_STRONG = 1.5
 """Ratio of the 99 % quantile to the model's largest torque; peak torques are rated for seconds."""
 ZERO_OFF = {"hip": 0.15, "thigh": 0.25, "calf": 0.25}
@@ -35,8 +33,6 @@ agrees to within half of it: turning, or crossing a slope, affects both pairs al
 """
 _SEVERAL = 6
 """Number of joints from which some torques are negative in any motion."""
-NOISY_RATE = 1.5
-"""Noise of a joint's rate between rows [rad/s]: one count of 12 bits in a row of 1 ms."""
 _ANOTHERS = 0.05
 """Least excess of a rate's correlation with the change of another joint over that with its own."""
 _MOVES, _STIRS = 0.2, 0.02
@@ -53,77 +49,70 @@ _TURNED, _ALWAYS = 0.1, 0.9
 """For a rate whose sign changes: least correlation before and after, and least sum of the two."""
 
 
+@rule_named("joint rates", "t q dq", when="comparable")
 def rates(view: LogView) -> Iterator[Finding]:
-    """Check that a joint's rate is the derivative of its angle."""
+    """Check that a joint's rate is the derivative of its angle.
+
+    Compares: means of dq with changes of q over 60 ms, joint by joint.
+    Speaks from: a factor off by {RATE_OFF:.0%}; correlation below {RATE_ALIKE:g}.
+    Because: equal by definition; clean walks agree to 1 %.
+    Remedy: unit, sign or order of the columns.
+    """
     log = view.log
-    if not (view.comparable and log.has("q") and log.has("dq")):
-        return
-    logged, moved = view.means(log.dq), view.changes(log.q)  # the same whatever moves, if right
+    # The same whatever moves, if right.
+    logged, moved = view.means(log.dq), view.changes(log.q)
     size = np.sqrt(np.mean(moved**2, axis=0))
     error = view.between_samples(log.dq, log.q)
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
     if not moves.size:
         return
-    # Centred, so that a bias does not look like another joint.
-    a, b = (x[:, moves] - x[:, moves].mean(axis=0) for x in (logged, moved))
-    a, b = (x / np.linalg.norm(x, axis=0) for x in (a, b))
-    alike = a.T @ b
-    own = np.diag(alike)
-    slope = logged[:, moves].std(axis=0) / moved[:, moves].std(axis=0)
     names = [log.joints[j] for j in moves]
+    logged, moved, error = logged[:, moves], moved[:, moves], error[moves]
     slow = size[moves] < _MOVES
-    said: set[int] = set()
-    for i, j in enumerate(moves):
-        when = sign_change(view.at, logged[:, j], moved[:, j])
-        if when is not None:
-            said.add(i)
-            told = f"from {when:.2f} s on minus the change of q_{names[i]}, before it is that, or"
-            cause = "its sign, or its angle's, changes on the way"
-            yield Finding((f"dq_{names[i]}",), f"{told} the other way round", cause)
-    bad = [i for i in np.flatnonzero(own < RATE_ALIKE).tolist() if i not in said]
-    others = np.abs(alike - np.diag(own)).argmax(axis=1)
-    swapped = [
-        i
-        for i in range(len(moves))
-        if not slow[i]
-        and others[others[i]] == i
-        and min(_excess(alike, i, others[i]), _excess(alike, others[i], i)) > _ANOTHERS
-    ]
-    bad = [*dict.fromkeys([*bad, *(i for i in swapped if i not in said)])]
-    flipped = [i for i in bad if own[i] < -(0.8 if slow[i] else RATE_ALIKE) and i not in swapped]
-    bad = [i for i in bad if not slow[i]]
-    scale = float(np.median(slope[np.abs(own) > RATE_ALIKE])) if flipped else 1.0
-    for i in [i for i in flipped if slope[i] < _INVERTED * scale]:
-        flipped.remove(i)
-        said.add(i)
-        told = f"correlation with the change of q {own[i]:.2f}, at {slope[i]:.2g} of its size"
-        yield Finding((f"dq_{names[i]}",), told, "a slow filter, which inverts a vibration")
-    if flipped:
-        said |= set(flipped)
-        columns = tuple(f"dq_{names[i]}" for i in flipped)
-        told = f"correlation with the change of q {own[flipped].max():.2f} at best"
-        cause = "wrong sign" if len(flipped) < len(names) else "wrong sign, or time runs backwards"
-        line = f"{', '.join(columns)} = {{ ..., sign = -1 }}"
-        yield Finding(columns, told, cause, line)
-    for i in bad:
-        other = int(np.argmax(np.abs(alike[i])))
-        if i in said:
+    alike = np.corrcoef(logged, moved, rowvar=False)[: len(names), len(names) :]
+    own = np.diag(alike)
+    slope = logged.std(axis=0) / moved.std(axis=0)
+    when = [sign_change(view.at, a, b) for a, b in zip(logged.T, moved.T, strict=True)]
+    steady = np.array([one is None for one in when])
+    other = np.abs(alike - np.diag(own)).argmax(axis=1)
+    excess = np.abs(alike[range(len(own)), other]) - np.abs(own)
+    exchanged = (other[other] == np.arange(len(own))) & ~slow
+    exchanged &= np.minimum(excess, excess[other]) > _ANOTHERS
+    opposite = steady & ~exchanged & (own < np.where(slow, -0.8, -RATE_ALIKE))
+    strange = steady & ~opposite & ~slow & ((own < RATE_ALIKE) | exchanged)
+    usual = float(np.median(slope[np.abs(own) > RATE_ALIKE])) if opposite.any() else 1.0
+    inverted = opposite & (slope < _INVERTED * usual)
+    for name, since in zip(names, when, strict=True):
+        if since is not None:
+            yield turned_round(f"dq_{name}", since, f"the change of q_{name}")
+    for i in np.flatnonzero(inverted):
+        seen = f"correlation with the change of q {own[i]:.2f}, at {slope[i]:.2g} of its size"
+        yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
+    flipped = opposite & ~inverted
+    by_legs = legs.opposite_angles(view) if flipped.any() else set()
+    of_angle = np.array([f"q_{name}" in by_legs for name in names])
+    for kind, which in (("q", flipped & of_angle), ("dq", flipped & ~of_angle)):
+        if not which.any():
             continue
-        told = f"correlation with the change of q_{names[i]} {own[i]:.2f}"
-        if alike[i, other] > 0.8:
-            told += f", of q_{names[other]} {alike[i, other]:.2f}"
-            cause = f"it is the rate of {names[other]}: swapped"
-            line = f"dq_{names[other]} = <their column of dq_{names[i]}>"
-            yield Finding((f"dq_{names[i]}",), told, cause, line)
-        else:
-            cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-            yield Finding((f"dq_{names[i]}",), told, cause)
+        columns = tuple(f"{kind}_{names[i]}" for i in np.flatnonzero(which))
+        seen = f"correlation of dq with the change of q {own[which].max():.2f} at best"
+        cause = "wrong sign" if not which.all() else "wrong sign, or time runs backwards"
+        line = f"{', '.join(columns)} = {{ ..., sign = -1 }}"
+        yield Finding(columns, seen, cause, line)
+    for i in np.flatnonzero(strange):
+        seen = f"correlation with the change of q_{names[i]} {own[i]:.2f}"
+        cause, line = "no rate of this joint: shuffled rows, another clock, or a broken sensor", ""
+        if alike[i, other[i]] > 0.8:
+            its = names[other[i]]
+            seen += f", of q_{its} {alike[i, other[i]]:.2f}"
+            cause = f"it is the rate of {its}: swapped"
+            line = f"dq_{its} = {{ column = <their column of dq_{names[i]}> }}"
+        yield Finding((f"dq_{names[i]}",), seen, cause, line)
     good = own > np.where(slow, _SURELY, 0.8)
     if not good.any():
         return
     typical = float(np.median(slope[good]))
     together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)
-    error = error[moves]
     # What lies between samples makes rates smaller, never larger.
     scaled = not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
     if scaled and 2 * together.sum() > good.sum():
@@ -132,19 +121,9 @@ def rates(view: LogView) -> Iterator[Finding]:
     else:
         typical = 1.0
     for i in np.flatnonzero(good & (np.abs(slope / typical - 1.0) > 2.0 * RATE_OFF + error)):
-        told = f"{slope[i]:.3g} times the change of q_{names[i]}"
+        seen = f"{slope[i]:.3g} times the change of q_{names[i]}"
         line = f"dq_{names[i]} = {{ ..., gain = {typical / slope[i]:.4g} }}"
-        yield Finding((f"dq_{names[i]}",), told, "scaled, or its angle is", line)
-
-
-def rate_noise(view: LogView) -> Iterator[Finding]:
-    """Check the noise of joint rates."""
-    log = view.log
-    if log.has("dq") and view.comparable:
-        ways = [log.dq, log.q] if log.has("q") else [log.dq]
-        shown = np.flatnonzero(np.isfinite(view.between_samples(*ways)))
-        names = [f"dq_{log.joints[j]}" for j in shown]
-        yield from noise_of(log.dq[:, shown], names, NOISY_RATE, "rad/s")
+        yield Finding((f"dq_{names[i]}",), seen, "scaled, or its angle is", line)
 
 
 def sign_change(
@@ -171,46 +150,62 @@ def sign_change(
     return float(at[k])
 
 
-def _excess(alike: np.ndarray, i: int, other: int) -> float:
-    """How much better rate i correlates with another joint's change than with its own, of either
-    sign; alike (J, J).
-    """
-    return float(abs(alike[i, other]) - abs(alike[i, i]))
+def turned_round(column: str, since: float, expected: str) -> Finding:
+    """The finding for a stream with another sign `since` some time [s]."""
+    seen = f"from {since:.2f} s on minus {expected}, before it is that, or the other way round"
+    return Finding((column,), seen, "its sign, or its angle's, changes on the way")
 
 
-def _scaled_rates(columns: tuple[str, ...], typical: float, told: str) -> Finding:
-    angles = tuple(f"q_{c[3:]}" for c in columns)
-    for factor, unit in ((_DEGREE, "deg/s"), (60.0 / (2.0 * np.pi), "rpm")):
-        if abs(typical / factor - 1.0) < 0.2:
-            line = f'{columns[0]}, ... = {{ ..., unit = "{unit}" }}'
-            return Finding(columns, told, f"in {unit}, not rad/s", line)
-    if abs(typical * _DEGREE - 1.0) < 0.2:
-        line = f'{angles[0]}, ... = {{ ..., unit = "deg" }}'
-        return Finding(angles, told, "angles in deg, not rad", line)
-    return Finding(columns, told, "scaled, or stamps at a wrong rate")
+def _scaled_rates(columns: tuple[str, ...], typical: float, seen: str) -> Finding:
+    if abs(np.degrees(typical) - 1.0) < 0.2:
+        angles = tuple(f"q_{c[3:]}" for c in columns)
+        return Finding(angles, seen, "angles in deg, not rad", unit_line(angles, "deg"))
+    otherwise = "scaled, or stamps at a wrong rate"
+    return Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
 
 
+@rule_named("joints' unit", "q")
 def units(view: LogView) -> Iterator[Finding]:
-    """Check that angles of legs are in radians."""
+    """Check that angles of legs are in radians, and rates that are their change.
+
+    Compares: the size of a leg's angles.
+    Speaks from: median above 2 pi rad.
+    Because: joints of legs do not turn about.
+    Remedy: unit = "deg".
+    """
     log = view.log
-    if not log.has("q") or view.robot is None:
+    if view.robot is None:
         return
     q = log.q
-    turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > TURNS]
+    turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > 2.0 * np.pi]
     if 2 * len(turned) > len(log.joints):
         turned = list(log.joints)  # hips may stay below
     if turned:
         worst = float(np.abs(q).max())
         columns = tuple(f"q_{j}" for j in turned)
-        line = f'{columns[0]}, ... = {{ ..., unit = "deg" }}'
-        told = f"up to {worst:.4g} rad"
-        yield Finding(columns, told, "in deg, not rad, or not unwrapped", line)
+        seen = f"up to {worst:.4g} rad"
+        cause, line = "in deg, not rad, or not unwrapped", unit_line(columns, "deg")
+        if log.has("dq") and view.comparable:
+            size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
+            if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * RATE_OFF:
+                rates_too = tuple(f"dq_{j}" for j in turned)
+                line += f"; {unit_line(rates_too, 'deg/s')}"
+                columns += rates_too
+        yield Finding(columns, seen, cause, line)
 
 
+@rule_named("joint range", "q")
 def stops(view: LogView) -> Iterator[Finding]:
-    """Check that angles are within the limits of the robot's joints."""
+    """Check that angles are within the limits of the robot's joints.
+
+    Compares: angles of legs with the robot's stops.
+    Speaks from: {BEYOND:g} rad beyond in {BEYOND_SHARE:.0%} of the rows.
+    Because: zeros are set to some degrees, links bend by less; landings touch stops for an
+        instant.
+    Remedy: joint_sign, joint_offset, the order of the columns, the robot's name.
+    """
     log = view.log
-    if not log.has("q") or view.robot is None:
+    if view.robot is None:
         return
     q = log.q
     low, high = view.robot.joint_range.T
@@ -220,54 +215,73 @@ def stops(view: LogView) -> Iterator[Finding]:
     if not over.size:
         return
     worst = over[np.argmax(share[over])]
-    told = (
-        f"{log.joints[worst]} is beyond {low[worst]:.2f} to {high[worst]:.2f} rad of "
-        f"{view.robot.name} in {100 * share[worst]:.0f} % of rows, median "
-        f"{np.median(q[:, worst]):.2f} rad"
-    )
+    limits = f"{low[worst]:.2f} to {high[worst]:.2f} rad of {view.robot.name}"
+    seen = f"{log.joints[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
+    seen += f" {np.median(q[:, worst]):.2f} rad"
     within = np.mean(np.maximum(low + q, -q - high) > BEYOND, axis=0) < BEYOND_SHARE
     names = [log.joints[j] for j in over]
     cause, line = "wrong zero, swapped joints, or another robot", ""
     if within[over].all():
         cause = "wrong sign, swapped joints, or another robot"
         line = "; ".join(f"[robot.joint_sign] {name} = -1" for name in names)
-    yield Finding(tuple(f"q_{name}" for name in names), told, cause, line)
+    yield Finding(tuple(f"q_{name}" for name in names), seen, cause, line)
 
 
+@rule_named("torque", "tau")
 def torques(view: LogView) -> Iterator[Finding]:
-    """Check that torques are within the limits of the robot's drives."""
-    if view.robot is None or not view.log.has("tau"):
+    """Check that torques are within the limits of the robot's drives.
+
+    Compares: torques with what the robot's drives can give.
+    Speaks from: {TOO_STRONG:g} times as much, one row in a hundred.
+    Because: drives give their peak for seconds at most, and no more.
+    Remedy: unit = "mN m"; the robot's name.
+    """
+    if view.robot is None:
         return
     limit = view.robot.torque_limit
     strong = np.quantile(np.abs(view.log.tau), 0.99, axis=0)
     over = np.flatnonzero(strong > TOO_STRONG * limit)
     if over.size:
         j = over[np.argmax(strong[over] / limit[over])]
-        told = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
+        seen = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
         columns = tuple(f"tau_{view.log.joints[k]}" for k in over)
         thousand = np.median(strong[over] / limit[over]) > 30.0
-        line = f'{columns[0]}, ... = {{ ..., unit = "mN m" }}' if thousand else ""
+        line = unit_line(columns, "mN m") if thousand else ""
         cause = "in mN m, not N m" if thousand else "another unit, or another robot"
-        yield Finding(columns, told, cause, line)
+        yield Finding(columns, seen, cause, line)
 
 
+@rule_named("magnitudes", "tau")
 def magnitudes(view: LogView) -> Iterator[Finding]:
-    """Check that torques have both signs."""
-    if not view.log.has("tau") or view.robot is None or len(view.log.joints) < _SEVERAL:
+    """Check that torques have both signs.
+
+    Compares: the signs of torques.
+    Speaks from: none negative.
+    Because: joints of legs push both ways.
+    Remedy: torques with their signs.
+    """
+    if view.robot is None or len(view.log.joints) < _SEVERAL:
         return
     tau = view.log.tau
     if tau.std(axis=0).min() > 0.0 and tau.min() >= 0.0:
         columns = tuple(f"tau_{j}" for j in view.log.joints)
-        told = f"no negative torque of {len(columns)} joints in any row"
-        yield Finding(columns, told, "magnitudes, without their sign")
+        seen = f"no negative torque of {len(columns)} joints in any row"
+        yield Finding(columns, seen, "magnitudes, without their sign")
 
 
+@rule_named("zeros", "q", when="comparable")
 def zeros(view: LogView) -> Iterator[Finding]:
     """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
+
+    Compares: a left joint with the right one of the same pair of legs.
+    Speaks from: {ZERO_OFF[hip]:g} rad (hips), {ZERO_OFF[thigh]:g} rad (others) between medians
+        (hips mirrored), while those of the other pair agree.
+    Because: legs of a pair are held alike; what holds them otherwise does so to both pairs.
+    Remedy: joint_offset.
     """
     log, robot = view.log, view.robot
-    if robot is None or log.joints != JOINTS or not log.has("q") or not view.comparable:
+    if robot is None or log.joints != JOINTS:
         return
     middle = np.median(log.q, axis=0)
     # Lateral velocity of a foot by its hip: if it has the same sign, angles of mirrored legs are
@@ -281,19 +295,23 @@ def zeros(view: LogView) -> Iterator[Finding]:
         for k, (kind, most) in enumerate(ZERO_OFF.items()):
             if abs(apart[pair, k]) > most and np.all(np.abs(apart[other]) < 0.5 * most):
                 names = tuple(f"q_{LEGS[2 * pair + side]}_{kind}" for side in (0, 1))
-                told = f"medians {apart[pair, k]:.2f} rad apart, the others {apart[other, k]:.2f}"
+                seen = f"medians {apart[pair, k]:.2f} rad apart, the others {apart[other, k]:.2f}"
                 line = f"[robot] joint_offset of {names[0][2:]} or {names[1][2:]}"
-                yield Finding(names, told, "one of them has a wrong zero", line)
+                yield Finding(names, seen, "one of them has a wrong zero", line)
 
 
+@rule_named("commands", "q q_des")
 def commands(view: LogView) -> Iterator[Finding]:
-    """Check that commanded angles are in the unit of the measured ones."""
+    """Check that commanded angles are in the unit of the measured ones.
+
+    Compares: the size of q_des with that of q.
+    Speaks from: 10 times.
+    Because: commands are followed.
+    Remedy: unit = "deg".
+    """
     log = view.log
-    if not (log.has("q") and log.has("q_des")):
-        return
     size = np.median(np.abs(log.q_des)) / max(float(np.median(np.abs(log.q))), 1e-6)
     if size > 10.0:
         columns = tuple(f"q_des_{j}" for j in log.joints)
-        line = f'{columns[0]}, ... = {{ ..., unit = "deg" }}'
-        told = f"{size:.3g} times the measured angles"
-        yield Finding(columns, told, "in deg, not rad", line)
+        seen = f"{size:.3g} times the measured angles"
+        yield Finding(columns, seen, "in deg, not rad", unit_line(columns, "deg"))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -75,13 +76,11 @@ class Stance:
 
     def turning_fits(self, gyro: np.ndarray) -> float:
         """Correlation of the rotation of lines between standing feet with that of a gyro (K, 3)."""
-        count = self.foot.shape[1]
         moved, by_gyro = [], []
-        for i in range(count):
-            for j in range(i):
-                on = self.contact[:, i] & self.contact[:, j]
-                moved.append(self.rate[on, i] - self.rate[on, j])
-                by_gyro.append(np.cross(self.foot[on, i] - self.foot[on, j], gyro[on]))
+        for i, j in combinations(range(self.foot.shape[1]), 2):
+            on = self.contact[:, i] & self.contact[:, j]
+            moved.append(self.rate[on, i] - self.rate[on, j])
+            by_gyro.append(np.cross(self.foot[on, i] - self.foot[on, j], gyro[on]))
         a, b = np.concatenate(moved), np.concatenate(by_gyro)
         if len(a) < 50:
             return 0.0
@@ -94,32 +93,27 @@ class Stance:
 
 def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
     """The feet of a log about the times `at` (M,) [s]; None where they are unknown."""
-    if log.has("foot"):
-        foot_I = log.foot_I
-
-        def feet(rows: np.ndarray) -> np.ndarray:
-            return foot_I[rows]
-    elif robot is not None and log.has("q"):
-        q = log.q
-
-        def feet(rows: np.ndarray) -> np.ndarray:
-            return robot.feet_I(q[rows])
-    else:
+    feet = feet_at(log, robot)
+    if feet is None:
         return None
     which = np.unique(np.linspace(0, len(at) - 1, min(len(at), MOST_TIMES)).astype(int))
-    t = log.t
-    times = at[which]
-    rows = np.stack(
-        [np.searchsorted(t, times + after) for after in (-0.5 * _WINDOW, 0.0, 0.5 * _WINDOW)]
-    )
-    rows = np.clip(rows, 0, len(t) - 1)
+    t, window = log.t, _WINDOW * np.array([[-0.5], [0.0], [0.5]])
+    rows = np.clip(np.searchsorted(t, at[which] + window), 0, len(t) - 1)
     span = t[rows[2]] - t[rows[0]]
-    keep = span > 0
-    which, rows, span = which[keep], rows[:, keep], span[keep]
-    foot = feet(rows[1])
-    return Stance(
-        which, rows, span, foot, foot_rates(feet, rows, span), log.contact[rows].all(axis=0)
-    )
+    which, rows, span = which[span > 0], rows[:, span > 0], span[span > 0]
+    rates = foot_rates(feet, rows, span)
+    return Stance(which, rows, span, feet(rows[1]), rates, log.contact[rows].all(axis=0))
+
+
+def feet_at(log: Log, robot: Robot | None) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Function that gives the feet (K, L, 3) [m] in I at some rows; None where they are unknown."""
+    if log.has("foot"):
+        foot_I = log.foot_I
+        return lambda rows: foot_I[rows]
+    if robot is not None and log.has("q"):
+        q = log.q
+        return lambda rows: robot.feet_I(q[rows])
+    return None
 
 
 def foot_rates(

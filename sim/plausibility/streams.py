@@ -2,17 +2,19 @@
 derived from another column.
 """
 
+import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from itertools import chain, combinations
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from surefoot.sim.importing.streams import LateStream, delay_between, held_streams, late_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.plausibility.attitude import LATE
-from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import MEAN, RESTS, LogView
 
 LATE_RATE = 4e-3
@@ -72,7 +74,6 @@ STRAIGHT = 0.6
 """Share of moving rows whose step equals the last one to a millionth; no sensor has such rows."""
 SLOWEST_REFERENCE = 20.0
 """Rate of a reference that is interpolated [Hz], ten samples per stride."""
-_READ = ("gyro", "accel", "q", "dq", "tau", "foot")
 SLOWER = 0.75
 """Ratio to the rows' rate below which a stream is held: a coarsely quantised one repeats itself by
 chance at a sixth of the rows.
@@ -85,179 +86,189 @@ _LEAST_DISTINCT = 20
 """Number of distinct values below which a column is a state or a command, not a reading."""
 
 
+@rule_named("frozen")
 def frozen(view: LogView) -> Iterator[Finding]:
-    """Check that a sensor changes while related ones do."""
+    """Check that a sensor changes while related ones do.
+
+    Compares: a sensor with its siblings: other axes, the joint's own rate, other joints.
+    Speaks from: no change for {FROZEN:g} s (torques {LIMITED:g} s) while they move.
+    Because: half a swing; every sensor has noise.
+    Remedy: leave the column out, or cut the log there.
+    """
     found: dict[str, list[str]] = defaultdict(list)
-    for kind, columns in _kinds(view, _SENSORS).items():
-        for name in columns:
-            least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
-            holds = stretches_without_change(view.t, view.log.frame[name].to_numpy(), least)
-            if not holds:
+    kinds = _kinds(view, _SENSORS)
+    for kind, columns in kinds.items():
+        least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
+        for name, x in columns.items():
+            stretches = stretches_without_change(view.t, x, least)
+            if not stretches:
                 continue
-            hangs = [one for one in holds if _turns_meanwhile(view, name, kind, *one)]
-            first, last = (hangs or holds)[0]
-            if not hangs and kind in ("q", "dq", "tau") and view.robot is None:
-                continue  # the joints of an arm do rest one by one
-            if not hangs and _rests(view, name, kind):
-                continue
-            if hangs or _others_move(view, name, kind, columns, first, last):
-                whole = last - first >= len(view.t) - 1
-                told = (
-                    "one value in every row"
-                    if whole
-                    else f"no change from {view.t[first]:.2f} to {view.t[last]:.2f} s"
-                )
-                found[told].append(name)
-    for told, names in found.items():
-        yield Finding(tuple(names), f"{told} while others move", "a sensor that hangs")
+            holds = [slice(first, last + 1) for first, last in stretches]
+            hangs = [rows for rows in holds if _turns_meanwhile(view, kind, name, rows)]
+            rows = (hangs or holds)[0]
+            # The joints of an arm do rest one by one.
+            of_arm = kind in ("q", "dq", "tau") and view.robot is None
+            rests = of_arm or _rests(view, kind, name)
+            if hangs or (not rests and _others_move(view, kinds, kind, name, rows)):
+                t = view.t[rows]
+                whole, seen = len(t) == len(x), f"no change from {t[0]:.2f} to {t[-1]:.2f} s"
+                found["one value in every row" if whole else seen].append(name)
+    for seen, names in found.items():
+        yield Finding(tuple(names), f"{seen} while others move", "a sensor that hangs")
+
+
+def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Angle and rate (N,) of the joint of a column; None for what the log lacks."""
+    joint, frame = name.removeprefix(f"{kind}_"), view.log.frame
+    q, dq = (frame[c].to_numpy() if c in frame else None for c in (f"q_{joint}", f"dq_{joint}"))
+    return q, dq
 
 
 def _others_move(
-    view: LogView, name: str, kind: str, siblings: list[str], first: int, last: int
+    view: LogView, kinds: dict[str, dict[str, np.ndarray]], kind: str, name: str, rows: slice
 ) -> bool:
-    """Whether related columns move between two rows: its rate or angle, and others of its kind.
+    """Whether streams related to a column move in some rows: its rate or angle, else others of its
+    kind, else gyro, angles and positions.
 
     Args:
         view: of the log.
+        kinds: columns (N,) by kind and name.
+        kind: of the column.
         name: of the column.
-        kind: of it and its siblings.
-        siblings: columns of that kind.
-        first: row.
-        last: row.
+        rows: consecutive ones.
     """
-    frame = view.log.frame
-    twin = {"q": f"dq_{name[2:]}", "dq": f"q_{name[3:]}"}.get(kind)
-    if twin in frame and np.ptp(frame[twin].to_numpy()[first : last + 1]) > 0.0:
-        rows = 2 * round(0.5 * MEAN * view.log.rate) + 1  # a mean, so that noise is no motion
-        return _moves(uniform_filter1d(frame[twin].to_numpy(), rows), first, last)
-    others = [s for s in siblings if s != name]
-    moving = [s for s in others if _moves(frame[s].to_numpy(), first, last)]
-    if len(moving) >= max(1, 0.5 * len(others)):
+    q, dq = _of_joint(view, kind, name)
+    twin = {"q": dq, "dq": q}.get(kind)
+    if twin is not None and np.ptp(twin[rows]) > 0.0:
+        width = 2 * round(0.5 * MEAN * view.log.rate) + 1  # a mean, so that noise is no motion
+        return _moves(uniform_filter1d(twin, width), rows)
+    siblings = [_moves(x, rows) for other, x in kinds[kind].items() if other != name]
+    if sum(siblings) >= max(1, 0.5 * len(siblings)):
         return True
-    elsewhere = [s for k, c in _kinds(view, ("gyro", "q", "ref_p")).items() if k != kind for s in c]
-    moving = [s for s in elsewhere if _moves(frame[s].to_numpy(), first, last)]
-    return len(elsewhere) > 2 and len(moving) > 0.7 * len(elsewhere)
+    others = [k for k in ("gyro", "q", "ref_p") if k != kind and k in kinds]
+    elsewhere = [_moves(x, rows) for k in others for x in kinds[k].values()]
+    return len(elsewhere) > 2 and sum(elsewhere) > 0.7 * len(elsewhere)
 
 
-def _turns_meanwhile(view: LogView, name: str, kind: str, first: int, last: int) -> bool:
-    """Whether a joint's rate and angle contradict each other between two rows at which one is
-    constant.
+def _turns_meanwhile(view: LogView, kind: str, name: str, rows: slice) -> bool:
+    """Whether a joint's rate and angle contradict each other in rows in which one is constant.
 
     Either the rate shows motion while the angle is constant, or the angle moves at a rate different
     from the constant one.
-
-    Args:
-        view: of the log.
-        name: of the column.
-        kind: of it.
-        first: row.
-        last: row.
     """
-    frame = view.log.frame
-    joint = name.removeprefix(f"{kind}_")
-    twin = {"q": f"dq_{joint}", "dq": f"q_{joint}"}.get(kind)
+    q, dq = _of_joint(view, kind, name)
     derived = any(d.startswith("dq") for d in view.log.meta.derived)
-    if twin not in frame or derived or not view.comparable:
+    if kind not in ("q", "dq") or q is None or dq is None or derived or not view.comparable:
         return False
-    rows = slice(first, last + 1)
+    rate, change = view.means(dq[:, None]).std(), view.changes(q[:, None]).std()
+    if np.ptp(q) > _WHOLE_TURN or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
+        return False  # another unit
     # A median, so that a spike of the other stream is no motion.
-    t, x, other = view.t[rows], frame[name].to_numpy(), _median5(frame[twin].to_numpy())
+    t = view.t[rows] - view.t[rows][0]
+    x, other = (q, _median5(dq)) if kind == "q" else (dq, _median5(q))
     steps = np.abs(np.diff(x))
     count = float(steps[steps > 0.0].min(initial=np.inf))
-    rate, change = (
-        move(frame[[f"{one}_{joint}"]].to_numpy()).std()
-        for one, move in (("dq", view.means), ("q", view.changes))
-    )
-    in_degrees = float(np.ptp(frame[f"q_{joint}"].to_numpy())) > _WHOLE_TURN
-    if in_degrees or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
-        return False
-    if kind == "q":
-        # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
-        turned = min(
-            float(np.ptp(np.cumsum((other - offset)[rows] * np.gradient(t))))
-            for offset in (0.0, other.mean())
-        )
-        return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1] - t[0])
-    seconds = t - t[0]
-    return float(np.ptp(other[rows] - x[first] * seconds)) > max(RESTS, 3.0 * count * seconds[-1])
+    if kind == "dq":
+        strays = float(np.ptp(other[rows] - x[rows][0] * t))
+        return strays > max(RESTS, 3.0 * count * t[-1])
+    # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
+    ways = ((other - offset)[rows] * np.gradient(t) for offset in (0.0, other.mean()))
+    turned = min(float(np.ptp(np.cumsum(steps))) for steps in ways)
+    return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
 
 
-def _rests(view: LogView, name: str, kind: str) -> bool:
+def _rests(view: LogView, kind: str, name: str) -> bool:
     """Whether a column is of a joint that rests throughout, by angle and rate.
 
     An angle that never changes and has no rate beside it may also be a dead sensor.
     """
     if kind not in ("q", "dq"):
         return False
-    frame, joint = view.log.frame, name.removeprefix(f"{kind}_")
-    turned = []
-    if (angle := f"q_{joint}") in frame:
-        turned.append(float(np.ptp(frame[angle].to_numpy())))
-    if (rate := f"dq_{joint}") in frame:
+    q, dq = _of_joint(view, kind, name)
+    turned = [] if q is None else [float(np.ptp(q))]
+    if dq is not None:
         # Without its mean, since rates of a joint at rest may have an offset.
-        dq = frame[rate].to_numpy() - frame[rate].to_numpy().mean()
-        turned.append(float(np.ptp(np.cumsum(dq * np.gradient(view.t)))))
+        turned.append(float(np.ptp(np.cumsum((dq - dq.mean()) * np.gradient(view.t)))))
     return max(turned) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
 
 
-def _moves(x: np.ndarray, first: int, last: int) -> bool:
-    """Whether a column moves in both halves of the section between two rows."""
+def _moves(x: np.ndarray, rows: slice) -> bool:
+    """Whether a column moves in both halves of some rows."""
     low, high = np.quantile(x, (0.05, 0.95))
-    middle = (first + last) // 2
-    least = min(np.ptp(x[first : middle + 1]), np.ptp(x[middle : last + 1]))
+    part = x[rows]
+    half = (len(part) - 1) // 2
+    least = min(np.ptp(part[: half + 1]), np.ptp(part[half:]))
     return bool(high > low) and float(least) > _ALIVE * float(high - low)
 
 
+@rule_named("held", beside="t", minor=True)
 def held(view: LogView) -> Iterator[Finding]:
-    """Find columns that are sampled more slowly than the rows."""
+    """Find columns that are sampled more slowly than the rows.
+
+    Compares: rows of a sensor with the rows before.
+    Speaks from: repeated so often that it has {SLOWER:g} of the rate of the rows.
+    Because: a slower sensor; coarse readings repeat at a sixth of the rows by chance.
+    Remedy: nothing, if it is known: rates from differences are wrong, noise is less than it
+        seems.
+    """
     rate = view.log.rate
     slow = [one for one in held_streams(view.log) if one.rate < SLOWER * rate]
     slow = [one for one in slow if not one.columns[0].startswith(_COMMANDS)]
     if slow:
-        known = [str(name) for name in view.log.frame]
-        columns = sorted((c for one in slow for c in one.columns), key=known.index)
-        low, high = (pick(one.rate for one in slow) for pick in (min, max))
-        rates = f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
-        told = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
+        which = {c for one in slow for c in one.columns}
+        columns = tuple(c for c in map(str, view.log.frame) if c in which)
+        limits = (pick(one.rate for one in slow) for pick in (min, max))
+        rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
+        seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
-        kinds = dict.fromkeys(
-            kind for c in columns for kind in (*_SENSORS, "force") if c.startswith(f"{kind}_")
-        )
-        line = f"[even] held = {[*kinds]}".replace("'", '"')
-        yield Finding(tuple(columns), told, cause, line)
+        every = _kinds(view, (*_SENSORS, "force")).items()
+        line = f"[even] held = {json.dumps([kind for kind, c in every if which & c.keys()])}"
+        yield Finding(columns, seen, cause, line)
 
 
+@rule_named("interpolated", beside="t", minor=True)
 def interpolated(view: LogView) -> Iterator[Finding]:
-    """Find readings on straight lines between samples, which have been interpolated."""
+    """Find readings on straight lines between samples, which have been interpolated.
+
+    Compares: steps of a sensor from row to row.
+    Speaks from: {STRAIGHT:.0%} of them as the one before.
+    Because: every sensor has noise.
+    Remedy: nothing, if it is known: noise is less than it seems, and impacts are missing.
+    """
     known = " ".join(view.log.meta.derived)
-    for kind, columns in _kinds(view, (*_READ, "ref_p")).items():
-        share = {name: _straight(view.log.frame[name].to_numpy()) for name in columns}
+    for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "foot", "ref_p")).items():
+        share = {name: _straight(x) for name, x in columns.items()}
         found = [name for name in columns if share[name] > STRAIGHT]
         if not found or f"{kind} (between held readings)" in known:
             continue
         rate = view.log.rate * (1.0 - float(np.median([share[name] for name in found])))
         if kind != "ref_p" or rate < SLOWEST_REFERENCE:
-            told = f"on straight lines between readings at {rate:.0f} Hz"
-            yield Finding(
-                tuple(found), told, "a slower sensor, interpolated: its noise is not that"
-            )
+            seen = f"on straight lines between readings at {rate:.0f} Hz"
+            cause = "a slower sensor, interpolated: its noise is not that"
+            yield Finding(tuple(found), seen, cause)
 
 
+@rule_named("late", beside="t ref", minor=True)
 def late(view: LogView) -> Iterator[Finding]:
-    """Find columns that lag another measurement of the same quantity."""
+    """Find columns that lag another measurement of the same quantity.
+
+    Compares: dq with the change of q, ref_v with that of ref_p.
+    Speaks from: {LATE_RATE:g} s; {LATE:g} s.
+    Because: two samples; a filter's delay moves what filters and traces see.
+    Remedy: nothing, if it is known: trace has rate_delay.
+    """
     common = late_streams(view.log)
     for one in (*common, *_late_joints(view, common)):
         rates = one.columns[0].startswith("dq")
-        if abs(one.delay) < view.least_lag(LATE_RATE if rates else LATE) or not _explains(
-            view, one
-        ):
+        least = view.least_lag(LATE_RATE if rates else LATE)
+        if abs(one.delay) < least or not _explains(view, one):
             continue
-        told = f"{1e3 * abs(one.delay):.1f} ms {'late' if one.delay > 0 else 'early'}"
-        told += f" against {one.witness}"
+        when = "late" if one.delay > 0 else "early"
+        seen = f"{1e3 * abs(one.delay):.1f} ms {when} against {one.witness}"
         # A reference has a clock of its own.
         which = one.columns[0] if len(one.columns) < len(view.log.joints) else "dq"
         line = f"[even] late = {{ {which} = {one.delay:.4f} }}" if rates else ""
-        yield Finding(one.columns, told, "a filter, or stamps of another clock", line)
+        yield Finding(one.columns, seen, "a filter, or stamps of another clock", line)
 
 
 def _late_joints(view: LogView, common: Sequence[LateStream]) -> Iterator[LateStream]:
@@ -287,69 +298,93 @@ def _explains(view: LogView, late: LateStream) -> bool:
     return float(np.sum((shifted - witness) ** 2)) < 0.5 * float(np.sum((x - witness) ** 2))
 
 
+@rule_named("coarse", minor=True)
 def coarse(view: LogView) -> Iterator[Finding]:
-    """Check that readings resolve what they measure."""
+    """Check that readings resolve what they measure.
+
+    Compares: readings of gyro, accelerometer and angles with each other.
+    Speaks from: nothing between readings that are {COARSE[gyro]:g} rad/s, {COARSE[accel]:g}
+        m/s², {COARSE[q]:g} rad apart.
+    Because: fifty times what sensors of 16 bits and encoders of 12 bits have.
+    Remedy: record more digits.
+    """
     for kind, columns in _kinds(view, tuple(COARSE)).items():
-        readings = [np.unique(view.log.frame[name].to_numpy()) for name in columns]
-        least = [float(np.diff(x).min(initial=np.inf)) for x in readings]
-        found = [n for n, x in zip(columns, least, strict=True) if COARSE[kind] < x < np.inf]
+        least = {n: float(np.diff(np.unique(x)).min(initial=np.inf)) for n, x in columns.items()}
+        found = {name: x for name, x in least.items() if COARSE[kind] < x < np.inf}
         if found:
-            told = f"readings are {min(x for x in least if x > COARSE[kind]):.3g} apart or more"
-            yield Finding(tuple(found), told, "rounded, or the numbers of a sensor not converted")
+            seen = f"readings are {min(found.values()):.3g} apart or more"
+            cause = "rounded, or the numbers of a sensor not converted"
+            yield Finding(tuple(found), seen, cause)
 
 
+@rule_named("overflow")
 def overflows(view: LogView) -> Iterator[Finding]:
-    """Check that readings do not wrap around at the ends of their range."""
+    """Check that readings do not wrap around at the ends of their range.
+
+    Compares: steps of gyro and angles from row to row with the range of their readings.
+    Speaks from: {LEAST_OVERFLOWS} steps over {FROM_END_TO_END:.0%} of it, not back at once, of
+        {OVERFLOWS[gyro]:g} rad/s or {OVERFLOWS[q]:g} rad.
+    Because: what has mass passes the middle of a range on its way to the other end.
+    Remedy: a sensor of larger range, or wider numbers; wrap for angles.
+    """
     even = np.diff(view.t) < 2.0 * np.median(np.diff(view.t)) if len(view.t) > 2 else False
     for kind, columns in _kinds(view, tuple(OVERFLOWS)).items():
-        for name in columns:
-            x = view.log.frame[name].to_numpy()
+        for name, x in columns.items():
             steps, span = np.abs(np.diff(x)), float(np.ptp(x))
             over = even & (steps > max(FROM_END_TO_END * span, OVERFLOWS[kind]))
             over[1:-1] &= ~(over[:-2] | over[2:])  # a row there and back is a spike
             if np.sum(over) < LEAST_OVERFLOWS or not _varied(x):
                 continue
-            told = f"{np.sum(over)} steps from one end of its range to the other, {span:.3g} away"
+            seen = f"{np.sum(over)} steps from one end of its range to the other, {span:.3g} away"
             turns = kind == "q" and abs(span / _WHOLE_TURN - 1.0) < 0.05
             cause = "an angle that starts again after a turn" if turns else "numbers that overflow"
             line = f"{name} = {{ ..., wrap = {_WHOLE_TURN:.6g} }}" if turns else ""
-            yield Finding((name,), told, cause, line)
+            yield Finding((name,), seen, cause, line)
 
 
+@rule_named("saturated", minor=True)
 def saturated(view: LogView) -> Iterator[Finding]:
-    """Check that readings do not accumulate at their largest value."""
-    for columns in _kinds(view, ("gyro", "accel", "dq")).values():
-        for name in columns:
-            x = view.log.frame[name].to_numpy()
-            for side, y in (("largest", x), ("smallest", -x)):
-                top = float(y.max())
-                span = top - float(np.median(y))
-                at_top = int(np.sum(y == top))
-                # A coarse sensor may have no reading within 3 % of it.
-                next_to_it = float(y[y < top].max(initial=-np.inf))
-                near = max(0.03 * span, 1.5 * (top - next_to_it))
-                below = int(np.sum((y < top) & (y > top - near)))
-                # One row more below: a coarse reading's peak may leave out a step by chance.
-                times = int(np.sum(np.diff((y == top).astype(int)) > 0))
-                if (
-                    span > 0
-                    and at_top >= CLIPPED
-                    and times > 1
-                    and at_top > 3 * (below + 1)
-                    and _varied(x)
-                ):
-                    told = f"{at_top} rows at exactly {x[np.argmax(y)]:.4g}, its {side}"
-                    yield Finding((name,), told, "the sensor's range, or a clip")
+    """Check that readings do not accumulate at their largest value.
+
+    Compares: readings of IMU and joint rates with their largest.
+    Speaks from: {CLIPPED} rows at exactly it, and three times as many as near it.
+    Because: a sensor's noise spreads what does not clip.
+    Remedy: a sensor of larger range; filters take clipped readings for true ones.
+    """
+    kinds = _kinds(view, ("gyro", "accel", "dq"))
+    for name, x in chain.from_iterable(columns.items() for columns in kinds.values()):
+        for side, y in (("largest", x), ("smallest", -x)):
+            top = float(y.max())
+            span = top - float(np.median(y))
+            at_top = int(np.sum(y == top))
+            # A coarse sensor may have no reading within 3 % of it.
+            next_to_it = float(y[y < top].max(initial=-np.inf))
+            near = max(0.03 * span, 1.5 * (top - next_to_it))
+            # One row more below: a coarse reading's peak may leave out a step by chance.
+            below = int(np.sum((y < top) & (y > top - near))) + 1
+            times = int(np.sum(np.diff((y == top).astype(int)) > 0))
+            clips = at_top >= CLIPPED and times > 1 and at_top > 3 * below
+            if span > 0 and clips and _varied(x):
+                seen = f"{at_top} rows at exactly {x[np.argmax(y)]:.4g}, its {side}"
+                yield Finding((name,), seen, "the sensor's range, or a clip")
 
 
+@rule_named("spikes", beside="t q dq tau gyro")
 def spikes(view: LogView) -> Iterator[Finding]:
-    """Check that no stream jumps for a row and back."""
+    """Check that no stream jumps for a row and back.
+
+    Compares: each row with the median of five.
+    Speaks from: {SPIKE:g} times what one row in a hundred has, and 2 rad/s, 0.15 rad ...;
+        {DROPS} rows of exactly 0 between others.
+    Because: nothing with mass leaps for a few milliseconds and back; chatter shows in angles
+        too.
+    Remedy: leave such rows out before the import.
+    """
     for kind, columns in _kinds(view, tuple(SPIKES)).items():
         if kind == "tau" and not view.on_fixed_base:
             continue  # a leg that lands asks for any torque
         dropped, leaping, most, first = [], [], 0.0, len(view.t)
-        for name in columns:
-            x = view.log.frame[name].to_numpy()
+        for name, x in columns.items():
             if len(x) < 50 or not np.ptp(x):
                 continue
             off = np.abs(x - _median5(x))
@@ -369,12 +404,12 @@ def spikes(view: LogView) -> Iterator[Finding]:
                 leaping.append(name)
                 most, first = max(most, float(off[rows].max())), min(first, int(rows[0]))
         if dropped:
-            told = f"{max(n for _, n in dropped)} rows read exactly 0 between rows that do not"
+            seen = f"{max(n for _, n in dropped)} rows read exactly 0 between rows that do not"
             names = tuple(name for name, _ in dropped)
-            yield Finding(names, told, "drop-outs filled with zeros")
+            yield Finding(names, seen, "drop-outs filled with zeros")
         if leaping:
-            told = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
-            yield Finding(tuple(leaping), told, "readings garbled on their way")
+            seen = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
+            yield Finding(tuple(leaping), seen, "readings garbled on their way")
 
 
 def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> np.ndarray:
@@ -395,30 +430,36 @@ def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> n
     return np.abs(beside - frame[name].to_numpy()[rows]).min(axis=0) < within
 
 
+@rule_named("copied")
 def copies(view: LogView) -> Iterator[Finding]:
-    """Check that no two sensors read exactly the same."""
+    """Check that no two sensors read exactly the same.
+
+    Compares: columns of one kind with each other.
+    Speaks from: equal, or of opposite sign, to 1e-9 of their mean square.
+    Because: two sensors have noise of their own.
+    Remedy: one of two columns of the map names the wrong one of theirs.
+    """
     for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot")).items():
-        varied = [c for c in columns if _varied(view.log.frame[c].to_numpy())]
-        if len(varied) < 2:
-            continue
-        x = np.column_stack([view.log.frame[c].to_numpy() for c in varied])
-        x = x - x.mean(axis=0)
-        x = x / np.linalg.norm(x, axis=0)
-        alike = x.T @ x
-        for i in range(len(varied)):
-            for j in range(i):
-                missed = float(np.sum((x[:, i] - np.sign(alike[i, j]) * x[:, j]) ** 2))
-                if abs(alike[i, j]) > 0.999 and missed < _SAME:
-                    told = f"{varied[i]} is {varied[j]} to 1 part in 1e9 of its mean square"
-                    cause = f"one of two {kind} columns was read twice"
-                    yield Finding((varied[j], varied[i]), told, cause)
+        units = {}
+        for name, x in columns.items():
+            if _varied(x):
+                units[name] = (x - x.mean()) / np.linalg.norm(x - x.mean())
+        for (a, x), (b, y) in combinations(units.items(), 2):
+            if 2.0 - 2.0 * abs(x @ y) < _SAME:
+                seen = f"{b} is {a} to 1 part in 1e9 of its mean square"
+                yield Finding((a, b), seen, f"one of two {kind} columns was read twice")
 
 
+@rule_named("derived", when="comparable")
 def derived(view: LogView) -> Iterator[Finding]:
-    """Find columns that follow exactly from others and are no measurement."""
+    """Find columns that follow exactly from others and are no measurement.
+
+    Compares: dq with the difference of q, tau with the motor law.
+    Speaks from: equal to 1e-8 of the mean square.
+    Because: what follows from others is no measurement, and has their errors.
+    Remedy: leave the column out: surefoot derives it, and says so.
+    """
     log = view.log
-    if not view.comparable:
-        return
     if log.has("q") and log.has("dq") and not any(d.startswith("dq") for d in log.meta.derived):
         dq, step = log.dq, np.diff(view.t)[:, None]
         change = np.diff(log.q, axis=0) / step
@@ -427,27 +468,27 @@ def derived(view: LogView) -> Iterator[Finding]:
         for one, rows in ((change, dq[1:]), (change, dq[:-1]), (central, dq)):
             made |= np.sum((one - rows) ** 2, axis=0) < 1e-8 * np.sum(dq**2, axis=0)
         if made.any():
-            told = "the difference of q from row to row, to 1e-4 of its size"
+            seen = "the difference of q from row to row, to 1e-4 of its size"
             columns = tuple(f"dq_{j}" for j, m in zip(log.joints, made, strict=True) if m)
-            yield Finding(columns, told, "computed from q, not measured")
+            yield Finding(columns, seen, "computed from q, not measured")
     law = log.meta.motor_law
     if law and log.has("tau") and log.has("q") and log.has("q_des") and log.has("dq"):
         commanded = np.asarray(law["kp"]) * (log.q_des - log.q) - np.asarray(law["kd"]) * log.dq
         if np.any(log.tau) and np.sum((commanded - log.tau) ** 2) < 1e-8 * np.sum(log.tau**2):
             columns = tuple(f"tau_{j}" for j in log.joints)
-            told = "the motor law of q_des, q and dq, to 1e-4 of its size"
-            yield Finding(columns, told, "commanded, not measured")
+            seen = "the motor law of q_des, q and dq, to 1e-4 of its size"
+            yield Finding(columns, seen, "commanded, not measured")
 
 
-def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, list[str]]:
-    """Columns of a log by kind: gyro, accel, q, dq, tau, force, foot, ref_p, ref_q."""
-    found: dict[str, list[str]] = {}
+def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
+    """Columns (N,) of a log by kind, such as gyro, accel, q, foot, ref_p or ref_q, and name."""
+    found: dict[str, dict[str, np.ndarray]] = {}
     for name in map(str, view.log.frame):
         prefix = joint_prefix(name)
         kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
         kind = kind.split("_")[0] if kind.startswith(("foot", "force")) else kind
         if kind in wanted:
-            found.setdefault(kind, []).append(name)
+            found.setdefault(kind, {})[name] = view.log.frame[name].to_numpy()
     return found
 
 
@@ -481,19 +522,12 @@ def _straight(x: np.ndarray) -> float:
 
 
 def _varied(x: np.ndarray) -> bool:
-    return len(np.unique(x[: 20 * _LEAST_DISTINCT])) > _LEAST_DISTINCT or (
-        len(np.unique(x)) > _LEAST_DISTINCT
-    )
+    return len(np.unique(x)) > _LEAST_DISTINCT
 
 
 def _median5(x: np.ndarray) -> np.ndarray:
-    """Median (N,) of each value of x (N,) and the two on either side, without sorting."""
-    padded = np.pad(x, 2, mode="edge")
-    a, b, c, d, e = (padded[i : i + len(x)] for i in range(5))
-    # Neither the least nor the largest of four is the median of five.
-    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
-    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
-    return np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e))
+    """Median (N,) of each value of x (N,) and the two on either side."""
+    return median_filter(x, 5, mode="nearest")
 
 
 def _drop_outs(x: np.ndarray, most: int | None = None) -> int:
@@ -505,8 +539,8 @@ def _drop_outs(x: np.ndarray, most: int | None = None) -> int:
     if np.mean(zero) > 0.5:
         return 0
     steps = np.abs(np.diff(x))
-    count = float(steps[steps > 0.0].min(initial=np.inf))
-    far = 3.0 * max(float(np.quantile(steps, 0.9)), count)
+    count, usual = float(steps[steps > 0.0].min(initial=np.inf)), float(np.quantile(steps, 0.9))
+    far = 3.0 * max(usual, count)
     edges = np.flatnonzero(np.diff(zero)) + 1
     edges = edges[1 if zero[0] else 0 :]
     first, last = edges[: len(edges) // 2 * 2].reshape(-1, 2).T
@@ -514,6 +548,5 @@ def _drop_outs(x: np.ndarray, most: int | None = None) -> int:
     if most is not None:
         leaps &= last - first <= most
     dropped = int(np.sum((last - first)[leaps]))
-    usual = np.quantile(steps, 0.9)
     nearly = (x != 0.0) & (np.abs(x) < usual) & (np.abs(_median5(x)) > 3.0 * usual)
     return dropped if dropped > np.sum(nearly) else 0

@@ -102,14 +102,11 @@ class LogView:
         of the steps of their integral x (N, D), whichever are smoother. Infinite where a period has
         less than four rows, or there is mostly noise.
         """
-
-        def missed(y: np.ndarray) -> np.ndarray:
-            bend = y[1:-1] - 0.5 * (y[2:] + y[:-2])
-            size = y.std(axis=0)
-            return np.sqrt(np.mean(bend**2, axis=0)) / np.where(size > 0.0, size, 1e-12)
-
-        ways = [rates] if x is None else [rates, np.diff(x, axis=0) / np.diff(self.t)[:, None]]
-        error = np.min([np.where(y.std(axis=0) > 0.0, missed(y), np.inf) for y in ways], axis=0)
+        error = np.full(rates.shape[1], np.inf)
+        for y in [rates] if x is None else [rates, np.diff(x, axis=0) / np.diff(self.t)[:, None]]:
+            bend, size = y[1:-1] - 0.5 * (y[2:] + y[:-2]), y.std(axis=0)
+            missed = np.sqrt(np.mean(bend**2, axis=0)) / np.where(size > 0.0, size, 1e-12)
+            error = np.minimum(error, np.where(size > 0.0, missed, np.inf))
         return np.where(error < 1.0, error / 6.0, np.inf)
 
     @cached_property
@@ -128,9 +125,10 @@ class LogView:
 
     def changes(self, x: np.ndarray) -> np.ndarray:
         """Derivatives (M, D) of x (N, D) over MEAN seconds about the times `at`."""
-        return (self._after(x, 0.5 * MEAN) - self._after(x, -0.5 * MEAN)) / MEAN
+        return (self.after(x, 0.5 * MEAN) - self.after(x, -0.5 * MEAN)) / MEAN
 
-    def _after(self, x: np.ndarray, seconds: float) -> np.ndarray:
+    def after(self, x: np.ndarray, seconds: float) -> np.ndarray:
+        """Values (M, D) of x (N, D) some seconds after the times `at`."""
         return np.column_stack([np.interp(self.at + seconds, self.t, one) for one in x.T])
 
     @cached_property
@@ -155,7 +153,7 @@ class LogView:
         q = self.log.ref_q
         # Choose the signs of neighbouring quaternions alike, so that they can be averaged.
         flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
-        mean = self._after(q * np.concatenate([[1.0], flips])[:, None], after)
+        mean = self.after(q * np.concatenate([[1.0], flips])[:, None], after)
         return Rotation.from_quat(mean if where is None else mean[where], scalar_first=True)
 
     @cached_property

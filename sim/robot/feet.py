@@ -1,7 +1,7 @@
 """How the logs of a machine show its feet: by joint angles, or by the positions that they give."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,13 +33,6 @@ class LegFeet:
     p_BI: np.ndarray
     groups: ClassVar[tuple[str, ...]] = ("q", "dq")
     roll_unknown: ClassVar[bool] = False
-
-    @property
-    def geometry(self) -> tuple[Any, ...]:
-        """What their motion depends on beyond the readings, as objects that are identical until
-        they change.
-        """
-        return self.legs, self.radius, self.R_BI, self.p_BI
 
     def readings(self, log: Log) -> tuple[np.ndarray, np.ndarray]:
         """`place` and `rate` in a log's rows. Raises LogError where it lacks them."""
@@ -98,7 +91,6 @@ class PointFeet:
 
     groups: ClassVar[tuple[str, ...]] = ("foot",)
     roll_unknown: ClassVar[bool] = True
-    geometry: ClassVar[tuple[()]] = ()
 
     def readings(self, log: Log) -> tuple[np.ndarray, np.ndarray]:
         """As of `LegFeet`."""

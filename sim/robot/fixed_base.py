@@ -10,7 +10,7 @@ import mujoco
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
-from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.limbs import Limbs, refuse_foreign
 from surefoot.sim.robot.model_file import compiled_model
 from surefoot.sim.robot.robot import DeclaredExtras
 
@@ -57,12 +57,7 @@ class FixedBase:
             raise SurefootError(f"{log.name}: is of a machine with legs; {self.legless}")
         if not log.has("q"):
             raise SurefootError(f"{log.name}: the log has no joints")
-        for joint in log.joints:
-            if joint not in self.joint_names:
-                raise SurefootError(
-                    f"{log.name}: joint {joint} is not one of {self.name}'s: "
-                    f"{', '.join(self.joint_names)}"
-                )
+        refuse_foreign(log.joints, self.joint_names, f"{log.name}: joint", self.name)
         return FixedBase(self.name, self.file, log.joints)
 
     @property

@@ -1,9 +1,11 @@
 """A standing pose for a robot whose model has no home keyframe."""
 
+from itertools import product
+
 import numpy as np
 from scipy.optimize import least_squares
 
-from surefoot.sim.robot.kinematics import Legs, leg_forward
+from surefoot.sim.robot.kinematics import Legs, feet, leg_forward
 
 CROUCH = 0.76  # height of the thigh joint over the foot, as a share of the straight leg
 # Criteria of standing, as shares of the straight leg.
@@ -16,16 +18,12 @@ def stands(legs: Legs, q: np.ndarray) -> bool:
 
     The "home" keyframe of some published models only folds the legs, that of others is zero.
     """
-    foot, J, axes = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    drops = np.empty(4)
-    for leg in range(4):
-        leg_forward(legs, leg, q, foot, J, axes)
-        hip, straight = _thigh_joint(legs, leg), _straight(legs, leg)
-        drops[leg] = (hip[2] - foot[2]) / straight
-        reaches = LOWEST <= drops[leg] <= HIGHEST  # not of nan
-        if not reaches or abs(foot[0] - hip[0]) > ASKEW * straight:
-            return False
-    return bool(np.ptp(drops) < UNEVEN)
+    hips = np.array([_thigh_joint(legs, leg) for leg in range(4)])
+    straight = np.array([_straight(legs, leg) for leg in range(4)])
+    feet_B, _, _ = feet(legs, q[None], np.eye(3), np.zeros(3))
+    askew, _, drops = np.transpose((hips - feet_B[0]) / straight[:, None])
+    reach = (drops >= LOWEST) & (drops <= HIGHEST) & (np.abs(askew) <= ASKEW)  # not of nan
+    return bool(reach.all() and np.ptp(drops) < UNEVEN)
 
 
 def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
@@ -50,20 +48,17 @@ def standing_joints(legs: Legs, joint_range: np.ndarray) -> np.ndarray:
             return foot - target
 
         best, best_cost = middle, np.inf
-        for thigh_start in np.linspace(lower[1], upper[1], 5):
-            for knee_start in (
-                0.75 * lower[2] + 0.25 * middle[2],
-                0.75 * upper[2] + 0.25 * middle[2],
-            ):
-                start = np.clip([0.0, thigh_start, knee_start], lower + 1e-6, upper - 1e-6)
-                found = least_squares(miss, start, bounds=(lower, upper))
-                off_middle = np.abs((found.x - middle) / (upper - lower)).max()
-                miss(found.x)
-                knee_x = foot[0] - np.cross(J[:, 2], axes[:, 2])[0]
-                cost = off_middle + 1e3 * found.cost + np.abs(found.x[0])
-                cost += 0.01 * (knee_x > thigh[0])
-                if cost < best_cost:
-                    best, best_cost = found.x, cost
+        knees = 0.75 * lower[2] + 0.25 * middle[2], 0.75 * upper[2] + 0.25 * middle[2]
+        for thigh_start, knee_start in product(np.linspace(lower[1], upper[1], 5), knees):
+            start = np.clip([0.0, thigh_start, knee_start], lower + 1e-6, upper - 1e-6)
+            found = least_squares(miss, start, bounds=(lower, upper))
+            off_middle = np.abs((found.x - middle) / (upper - lower)).max()
+            miss(found.x)
+            knee_x = foot[0] - np.cross(J[:, 2], axes[:, 2])[0]
+            cost = off_middle + 1e3 * found.cost + np.abs(found.x[0])
+            cost += 0.01 * (knee_x > thigh[0])
+            if cost < best_cost:
+                best, best_cost = found.x, cost
         q_home[3 * leg : 3 * leg + 3] = best
     return q_home
 

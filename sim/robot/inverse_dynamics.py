@@ -76,11 +76,7 @@ class Dynamics:
     changes: BodyChanges = UNCHANGED_BODY
 
     def inverse(
-        self,
-        q: np.ndarray,
-        dq: np.ndarray,
-        ddq: np.ndarray,
-        base: np.ndarray | None = None,
+        self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, base: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrench on the base (N, 6) [N, N m] in B about its origin, and joint torques (N, J) [N m].
 
@@ -121,11 +117,7 @@ class Dynamics:
         return self.parted(out)
 
     def link_derivatives(
-        self,
-        q: np.ndarray,
-        dq: np.ndarray,
-        ddq: np.ndarray,
-        base: np.ndarray | None = None,
+        self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, base: np.ndarray | None = None
     ) -> np.ndarray:
         """Derivatives (5, J, nv, N) of the generalised forces by each link's mass, centre of mass
         (x, y, z) and inertia, as in a LinkChange; `parted` splits them.

@@ -10,12 +10,10 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.robot.kinematics import Legs
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
-
-__all__ = ["JOINTS", "LEGS", "LegTree", "find_legs", "outline_G"]
 
 STANDING = 0.3
 """Largest height of a foot in the model's home pose, relative to the base's; hands and heads are
@@ -31,13 +29,24 @@ ROUND = 0.1
 """Largest deviation of a wheel from a circle, or from its axle, as a share of its radius."""
 _SPHERE, _MESH = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_MESH)
 _BOX, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_CYLINDER, _ELLIPSOID = (
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
-)
+_CYLINDER, _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_CYLINDER), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _FLAT, _RODS = (_BOX, _MESH), (_CAPSULE, _CYLINDER)
 _FEET = (_SPHERE, *_FLAT, *_RODS, _ELLIPSOID)
 _CORNERS = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
+
+
+@dataclass(frozen=True)
+class Foot:
+    """What one leg stands on."""
+
+    body: int
+    place: np.ndarray  # (3,) m in that body: a sphere's centre, or the middle of a sole
+    radius: float = 0.0  # m, zero of flat feet
+    reach: float = 0.0  # m, from the place to what may touch the ground
+    sole: tuple[float, float] = (0.0, 0.0)
+    """Half lengths of a flat sole, fore and aft and sideways [m]; else zero."""
+    bottom: float = np.inf  # m, height of its lowest point in the home pose
+    rod: bool = False  # of capsules or cylinders, which also serve as shanks and arms
 
 
 @dataclass(frozen=True)
@@ -47,23 +56,13 @@ class LegTree:
     limbs: Limbs
     base_body: int
     joint_ids: np.ndarray  # (J,)
-    foot_bodies: np.ndarray  # (L,)
-    foot_places: np.ndarray  # (L, 3) m in that body: a sphere's centre, or the middle of a sole
-    foot_radius: np.ndarray  # (L,) m, zero of flat feet
-    foot_reach: np.ndarray  # (L,) m, from these places to what may touch the ground
-    sole: np.ndarray  # (L, 2) m, half lengths of a flat sole, fore and aft and sideways; else zero
+    feet: tuple[Foot, ...]
     constants: Legs
 
-
-@dataclass(frozen=True)
-class _Foot:
-    body: int
-    place: np.ndarray
-    radius: float = 0.0
-    reach: float = 0.0  # m, from the place to what may touch the ground
-    sole: tuple[float, float] = (0.0, 0.0)
-    bottom: float = np.inf  # m, height of its lowest point in the home pose
-    rod: bool = False  # of capsules or cylinders, which also serve as shanks and arms
+    @property
+    def foot_radius(self) -> np.ndarray:
+        """Radius of the feet (L,) [m]; zero of flat ones."""
+        return np.array([foot.radius for foot in self.feet])
 
 
 def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None = None) -> LegTree:
@@ -75,48 +74,32 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
         feet: name of each leg, and of the body or site that is its foot; by default every chain
             that ends in a shape to stand on is a leg, named after its position.
     """
-    try:
-        return _leg_tree(model, feet)
-    except SurefootError as error:
-        raise SurefootError(f"robot {name}: {error}") from None
-
-
-def _leg_tree(model: mujoco.MjModel, feet: Mapping[str, str] | None) -> LegTree:
-    """`find_legs`, with messages that do not name the robot."""
-    base = _floating_base(model)
-    data = _home_pose(model)
-    if feet:
-        found = [_named_foot(model, data, base, foot) for foot in feet.values()]
-        chains = [_chain_to(model, foot.body, base) for foot in found]
-        legs = tuple(feet)
-        for leg, chain in zip(legs, chains, strict=True):
-            if not chain:
-                raise SurefootError(f"no hinge between the base and foot {leg}")
-    else:
-        chains, found = _standing_chains(model, data, base)
-        order, legs = _named_by_place(model, base, chains)
-        chains, found = [chains[i] for i in order], [found[i] for i in order]
-    for chain, foot in zip(chains, found, strict=True):
-        _refuse_what_is_no_hinge(model, base, foot.body)
-        _refuse_wheel(model, data, chain[-1])
-    joints = [joint for chain in chains for joint in chain]
-    if shared := [joint for joint in dict.fromkeys(joints) if joints.count(joint) > 1]:
-        raise SurefootError(
-            f"legs share hinge {model.joint(shared[0]).name}, which must not be: put "
-            "the free joint on the body from which each leg hangs on its own"
+    with errors_in(f"robot {name}"):
+        base = _floating_base(model)
+        data = _posed(model, "home")
+        if feet:
+            legs, chains, found = _named_legs(model, data, base, feet)
+        else:
+            chains, found = _standing_chains(model, data, base)
+            order, legs = _named_by_place(model, base, chains)
+            chains, found = [chains[i] for i in order], [found[i] for i in order]
+        for chain, foot in zip(chains, found, strict=True):
+            _refuse_what_is_no_hinge(model, base, foot.body)
+            _refuse_wheel(model, data, chain[-1])
+        joints = [joint for chain in chains for joint in chain]
+        if shared := [joint for joint in dict.fromkeys(joints) if joints.count(joint) > 1]:
+            raise SurefootError(
+                f"legs share hinge {model.joint(shared[0]).name}, which must not be: put "
+                "the free joint on the body from which each leg hangs on its own"
+            )
+        joints += [joint for joint in _hinges(model) if joint not in joints]
+        return LegTree(
+            limbs=_limbs(model, legs, chains, joints, found),
+            base_body=base,
+            joint_ids=np.array(joints),
+            feet=tuple(found),
+            constants=_constants(model, base, chains, found),
         )
-    joints += [joint for joint in _hinges(model) if joint not in joints]
-    return LegTree(
-        limbs=_limbs(model, legs, chains, joints, found),
-        base_body=base,
-        joint_ids=np.array(joints),
-        foot_bodies=np.array([foot.body for foot in found]),
-        foot_places=np.array([foot.place for foot in found]),
-        foot_radius=np.array([foot.radius for foot in found]),
-        foot_reach=np.array([foot.reach for foot in found]),
-        sole=np.array([foot.sole for foot in found]),
-        constants=_constants(model, base, chains, found),
-    )
 
 
 def _floating_base(model: mujoco.MjModel) -> int:
@@ -129,18 +112,31 @@ def _floating_base(model: mujoco.MjModel) -> int:
     return int(model.jnt_bodyid[free[0]])
 
 
-def _home_pose(model: mujoco.MjModel) -> mujoco.MjData:
+def _posed(model: mujoco.MjModel, keyframe: str = "") -> mujoco.MjData:
+    """The poses of all parts in a keyframe or, where there is none, with all joints at zero."""
     data = mujoco.MjData(model)
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
     if key >= 0:
         data.qpos[:] = model.key_qpos[key]
     mujoco.mj_kinematics(model, data)
     return data
 
 
+def _named_legs(
+    model: mujoco.MjModel, data: mujoco.MjData, base: int, feet: Mapping[str, str]
+) -> tuple[tuple[str, ...], list[list[int]], list[Foot]]:
+    """The legs that a map names, their chains and feet."""
+    found = [_named_foot(model, data, base, foot) for foot in feet.values()]
+    chains = [_chain_to(model, foot.body, base) for foot in found]
+    for leg, chain in zip(feet, chains, strict=True):
+        if not chain:
+            raise SurefootError(f"no hinge between the base and foot {leg}")
+    return tuple(feet), chains, found
+
+
 def _standing_chains(
     model: mujoco.MjModel, data: mujoco.MjData, base: int
-) -> tuple[list[list[int]], list[_Foot]]:
+) -> tuple[list[list[int]], list[Foot]]:
     """The chains that end in a foot, and their feet."""
     chains = [_chain_to(model, int(model.jnt_bodyid[j]), base) for j in _last_hinges(model)]
     feet = [_foot_of(model, data, base, chain) for chain in chains]
@@ -258,7 +254,7 @@ def _hinges(model: mujoco.MjModel) -> list[int]:
 
 def _foot_of(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int]
-) -> _Foot | None:
+) -> Foot | None:
     """The foot on the last link of a chain; None if it has no shape to stand on.
 
     In legs that position a point, the shape that reaches farthest from the last hinge. In others,
@@ -291,7 +287,7 @@ def _foot_of(
 
 def _point_foot(
     model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int], shapes: list[int]
-) -> _Foot | None:
+) -> Foot | None:
     """The shape that reaches farthest from the last hinge, a sphere before others that reach about
     as far: as a ball in its end, or the underside of boxes. None without shapes.
 
@@ -331,13 +327,13 @@ def _point_foot(
     wide = float(np.linalg.norm(outline - np.outer(outline @ along, along), axis=1).max())
     bottom = float(hinge[2] + centre[2]) - radius
     rod = model.geom_type[last] != _MESH
-    return _Foot(body, place, radius, float(np.hypot(radius, wide)), bottom=bottom, rod=rod)
+    return Foot(body, place, radius, float(np.hypot(radius, wide)), bottom=bottom, rod=rod)
 
 
-def _sphere_foot(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> _Foot:
+def _sphere_foot(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Foot:
     place, radius = model.geom_pos[geom].copy(), float(model.geom_size[geom, 0])
     bottom = float(data.geom_xpos[geom, 2]) - radius
-    return _Foot(int(model.geom_bodyid[geom]), place, radius, radius, bottom=bottom)
+    return Foot(int(model.geom_bodyid[geom]), place, radius, radius, bottom=bottom)
 
 
 def _round_end(
@@ -398,7 +394,7 @@ def _tip(points: np.ndarray, axle: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius
 
 
-def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[int]) -> _Foot:
+def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[int]) -> Foot:
     """The underside of the lowest of some shapes of one link: that of their bounding box along the
     very lowest's axes.
     """
@@ -420,10 +416,10 @@ def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[in
     body = int(model.geom_bodyid[first])
     place = data.xmat[body].reshape(3, 3).T @ (axes_G @ middle - data.xpos[body])
     reach, bottom = float(np.linalg.norm(half)), float(points_G[:, 2].min())
-    return _Foot(body, place, 0.0, reach, (float(half[0]), float(half[1])), bottom)
+    return Foot(body, place, 0.0, reach, (float(half[0]), float(half[1])), bottom)
 
 
-def _named_foot(model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str) -> _Foot:
+def _named_foot(model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str) -> Foot:
     """The foot that a map names: a site's position, a body's shapes, or a bare body's origin.
 
     Args:
@@ -434,21 +430,21 @@ def _named_foot(model: mujoco.MjModel, data: mujoco.MjData, base: int, named: st
     """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, named)
     if site >= 0:
-        return _Foot(int(model.site_bodyid[site]), model.site_pos[site].copy())
+        return Foot(int(model.site_bodyid[site]), model.site_pos[site].copy())
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, named)
     if body < 0:
         raise SurefootError(f"has no body or site '{named}' for a foot")
     chain = _chain_to(model, body, base)
     ends = chain and _is_fixed_to(model, body, int(model.jnt_bodyid[chain[-1]]))
     shaped = _foot_of(model, data, base, chain) if ends else None
-    return shaped if shaped and shaped.body == body else _Foot(body, np.zeros(3))
+    return shaped if shaped and shaped.body == body else Foot(body, np.zeros(3))
 
 
-def _sole_frames(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Foot]:
+def _sole_frames(model: mujoco.MjModel, data: mujoco.MjData) -> list[Foot]:
     """Bodies named as a sole, such as `l_sole`, as in descriptions of humanoids."""
     names = [model.body(b).name for b in range(model.nbody)]
     soles = [b for b, one in enumerate(names) if one.lower().endswith("_sole")]
-    return [_Foot(b, np.zeros(3), bottom=float(data.xpos[b][2])) for b in soles]
+    return [Foot(b, np.zeros(3), bottom=float(data.xpos[b][2])) for b in soles]
 
 
 def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
@@ -511,8 +507,7 @@ def _named_by_place(
 
     Four are FL, FR, RL, RR, two left, right; others are named after their first body.
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = _posed(model)
     R = data.xmat[base].reshape(3, 3)
     hips = [data.xanchor[chain[min(1, len(chain) - 1)]] for chain in chains]
     places = np.array([R.T @ (hip - data.xpos[base]) for hip in hips])
@@ -554,7 +549,7 @@ def _limbs(
     legs: tuple[str, ...],
     chains: list[list[int]],
     joints: list[int],
-    feet: list[_Foot],
+    feet: list[Foot],
 ) -> Limbs:
     """Names and order of the joints: canonical for four legs of three hinges, else the model's.
 
@@ -565,9 +560,7 @@ def _limbs(
         joints: all of the robot's, those of the legs first.
         feet: of the legs.
     """
-    names = [model.joint(j).name for j in joints]
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    names, data = [model.joint(j).name for j in joints], _posed(model)
     if legs == LEGS and all(len(chain) == 3 for chain in chains):
         names[:12] = JOINTS
         if len(joints) == 12:
@@ -585,9 +578,7 @@ def _limbs(
     return Limbs(legs, tuple(names), chained, tuple(links))
 
 
-def _constants(
-    model: mujoco.MjModel, base: int, chains: list[list[int]], feet: list[_Foot]
-) -> Legs:
+def _constants(model: mujoco.MjModel, base: int, chains: list[list[int]], feet: list[Foot]) -> Legs:
     count, most = len(chains), max(len(chain) for chain in chains)
     offset, rotation = np.zeros((count, most, 3)), np.zeros((count, most, 3, 3))
     axis, anchor = np.zeros((count, most, 3)), np.zeros((count, most, 3))

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log.schema import JOINTS, LEGS
 
 
@@ -99,6 +100,20 @@ def _alike(chains: tuple[tuple[int, ...], ...]) -> Iterable[tuple[int, tuple[int
     for length in {len(chain): None for chain in chains}:
         same = [chain for chain in chains if len(chain) == length]
         yield from enumerate(zip(*same, strict=True), 1)
+
+
+def refuse_foreign(there: Iterable[str], known: tuple[str, ...], what: str, machine: str) -> None:
+    """Raise SurefootError for a joint or leg that a machine does not have.
+
+    Args:
+        there: names of joints or legs.
+        known: those of the machine.
+        what: "LOG: joint", say.
+        machine: its name.
+    """
+    for one in there:
+        if one not in known:
+            raise SurefootError(f"{what} {one} is not one of {machine}'s: {', '.join(known)}")
 
 
 def limbs_by_name(legs: tuple[str, ...], joints: tuple[str, ...]) -> Limbs:

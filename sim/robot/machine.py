@@ -6,17 +6,13 @@ from pathlib import Path
 import mujoco
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, is_file
 from surefoot.sim.log import Log
-from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.catalog import machine_file
 from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.given_feet import GivenFeet
 from surefoot.sim.robot.model_file import compiled_model
 from surefoot.sim.robot.model_of_log import robot_of_log
 from surefoot.sim.robot.robot import Robot
-
-BUNDLED_MACHINES = bundled("surefoot.sim.robot", "machines")
-
 
 Modelled = Robot | FixedBase
 """A machine with a model of its links."""
@@ -36,9 +32,8 @@ def load_machine(name_or_path: str | Path, feet: Mapping[str, str] | None = None
 
     Raises SurefootError. feet: as for `Robot.load`; with feet it is a robot with legs.
     """
-    bundled = BUNDLED_MACHINES / f"{name_or_path}.xml"
-    file = bundled if is_file(bundled) else robot_file(name_or_path)
-    model, legless = compiled_model(file), ""
+    file, legless = machine_file(name_or_path), ""
+    model = compiled_model(file)
     if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
         try:
             return Robot.load(name_or_path, feet)

@@ -32,8 +32,10 @@ _IMU_LINK = re.compile(r"(base_|trunk_|body_|pelvis_)?imu(_link|_frame|_sensor)?
 """Names, in lower case, of a URDF's link that carries the IMU."""
 
 
-def model_spec(file: Path) -> mujoco.MjSpec:
-    """A new MjSpec of an MJCF or URDF file. Raises SurefootError in one clear line.
+def read_model(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """A new MjSpec of an MJCF or URDF file, and how it differs from the file, in words.
+
+    Raises SurefootError in one clear line.
 
     MuJoCo welds the root link of a URDF to the world and omits its mass; here it floats, unless it
     is called `world`, which the file need not declare. Links that are fixed to others remain
@@ -42,24 +44,10 @@ def model_spec(file: Path) -> mujoco.MjSpec:
     Moments of inertia of a URDF that no body can have, and links that turn but have no mass, are
     corrected, since other readers of URDF accept them. A foot that is a mesh, at the end of a leg
     of at most three joints, is taken for a point at the origin of its link. Bodies and joints of an
-    MJCF without a name are numbered, and what else is in its scene is left out.
-    `changes_on_reading` lists these changes. Parts of the robot do not collide with each other. A
-    link that is fixed to the base and named as an IMU, such as `imu_link`, becomes the site of the
-    IMU.
+    MJCF without a name are numbered, and what else is in its scene is left out. Parts of the robot
+    do not collide with each other. A link that is fixed to the base and named as an IMU, such as
+    `imu_link`, becomes the site of the IMU.
     """
-    return _spec(file)[0]
-
-
-def changes_on_reading(file: Path) -> tuple[str, ...]:
-    """Differences between the model as read and its file, in words.
-
-    Raises SurefootError in one clear line.
-    """
-    return _spec(file)[1]
-
-
-def _spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The MjSpec of a file, and `changes_on_reading`."""
     check_model_file(file)
     try:
         if file.suffix == ".urdf":
@@ -75,7 +63,7 @@ def _spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
 
 def compiled_model(file: Path) -> mujoco.MjModel:
     """The compiled model of an MJCF or URDF file. Raises SurefootError in one clear line."""
-    spec = model_spec(file)
+    spec, _ = read_model(file)
     try:
         model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
@@ -123,8 +111,6 @@ def _has_effect(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
 
 
 def _unreadable(file: Path, error: Exception) -> SurefootError:
-    if isinstance(error, SurefootError):
-        return error
     reason = "; ".join(str(error).strip().splitlines()[:2]) or type(error).__name__
     return SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}")
 

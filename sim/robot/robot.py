@@ -20,8 +20,8 @@ from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
 from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
-from surefoot.sim.robot.limbs import Limbs
-from surefoot.sim.robot.model_file import compiled_model, model_spec
+from surefoot.sim.robot.limbs import Limbs, refuse_foreign
+from surefoot.sim.robot.model_file import compiled_model, read_model
 from surefoot.sim.robot.model_of_log import robot_of_log
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
@@ -91,17 +91,16 @@ class Robot:
         tree = find_legs(model, file.stem, feet)
         joints = tree.joint_ids
         imu = _imu_site(model, tree.base_body)
-        p_BI, R_BI = _imu_mounting(model, imu)
         return cls(
             name=str(name_or_path) if file.stem == str(name_or_path) else file.stem,
             file=file,
             mass=float(model.body_subtreemass[tree.base_body]),
             imu=model.site(imu).name if imu >= 0 else None,
-            p_BI=p_BI,
-            R_BI=R_BI,
+            p_BI=np.zeros(3) if imu < 0 else model.site_pos[imu].copy(),
+            R_BI=np.eye(3) if imu < 0 else matrix_from_quaternion(model.site_quat[imu]),
             foot_radius=tree.foot_radius,
-            foot_reach=tree.foot_reach,
-            sole=tree.sole,
+            foot_reach=np.array([foot.reach for foot in tree.feet]),
+            sole=np.array([foot.sole for foot in tree.feet]),
             joint_range=_ranges(model, joints),
             torque_limit=_torque_limits(model, joints),
             q_home=_home(model, joints, tree),
@@ -110,8 +109,8 @@ class Robot:
             drawn=tree.constants,
             base_name=model.body(tree.base_body).name,
             joint_names=tuple(model.joint(j).name for j in joints),
-            foot_bodies=tuple(model.body(b).name for b in tree.foot_bodies),
-            foot_places=tree.foot_places,
+            foot_bodies=tuple(model.body(foot.body).name for foot in tree.feet),
+            foot_places=np.array([foot.place for foot in tree.feet]),
         )
 
     @classmethod
@@ -132,16 +131,15 @@ class Robot:
         Raises SurefootError as `in_order_of`.
         """
         mapped, robot = log.meta.model, self.in_order_of(log)
+        given: dict[str, np.ndarray] = {}
         if "p_BI" in mapped:
-            robot = replace(robot, p_BI=np.array(mapped["p_BI"], dtype=float))
+            given["p_BI"] = np.array(mapped["p_BI"], dtype=float)
         if "q_BI" in mapped:
-            robot = replace(
-                robot, R_BI=matrix_from_quaternion(np.array(mapped["q_BI"], dtype=float))
-            )
+            given["R_BI"] = matrix_from_quaternion(np.array(mapped["q_BI"], dtype=float))
         if "foot_radius" in mapped:
-            radius = np.broadcast_to(mapped["foot_radius"], len(robot.foot_radius)).astype(float)
-            robot = replace(robot, foot_radius=radius)
-        return robot
+            radius = np.broadcast_to(mapped["foot_radius"], len(robot.foot_radius))
+            given["foot_radius"] = radius.astype(float)
+        return replace(robot, **given) if given else robot
 
     def in_order_of(self, log: Log) -> "Robot":
         """The robot with the joints and legs of a log, in its order.
@@ -151,12 +149,8 @@ class Robot:
         """
         own, joints = self.limbs, log.joints if log.has("q") else self.limbs.joints
         legs = log.legs or own.legs
-        for what, there, known in (("joint", joints, own.joints), ("leg", legs, own.legs)):
-            for one in there:
-                if one not in known:
-                    raise SurefootError(
-                        f"{log.name}: {what} {one} is not one of {self.name}'s: {', '.join(known)}"
-                    )
+        refuse_foreign(joints, own.joints, f"{log.name}: joint", self.name)
+        refuse_foreign(legs, own.legs, f"{log.name}: leg", self.name)
         needed = [own.joints[joint] for chain in own.chains for joint in chain]
         lacking = [f"q_{n}" for n in needed if n not in joints] or [
             f"contact_{leg}" for leg in own.legs if leg not in legs
@@ -215,7 +209,20 @@ class Robot:
 
     def spec(self) -> mujoco.MjSpec:
         """A new MjSpec of the file, for composition with a scene."""
-        return model_spec(self.file)
+        return read_model(self.file)[0]
+
+    @cached_property
+    def home_feet_B(self) -> np.ndarray:
+        """Feet (L, 3) in the home pose, in B [m]."""
+        return self.feet_I(self.q_home[None])[0] @ self.R_BI.T + self.p_BI
+
+    def at_home(self, model: mujoco.MjModel) -> mujoco.MjData:
+        """The home pose of a compiled model that has the robot's joints."""
+        data = mujoco.MjData(model)
+        for name, angle in zip(self.joint_names, self.q_home, strict=True):
+            data.qpos[model.joint(name).qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        return data
 
     @cached_property
     def leg_length(self) -> float:
@@ -271,11 +278,8 @@ def _body_changes(robot: Robot) -> BodyChanges:
 
 def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:
     model = robot.spec().compile()
-    data = mujoco.MjData(model)
-    base = model.body(robot.base_name).id
+    data, base = robot.at_home(model), model.body(robot.base_name).id
     data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
-    for name, angle in zip(robot.joint_names, robot.q_home, strict=True):
-        data.qpos[model.joint(name).qposadr[0]] = angle
     mujoco.mj_forward(model, data)
     M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
@@ -299,12 +303,6 @@ def _imu_site(model: mujoco.MjModel, base: int) -> int:
         if site >= 0 and model.site_bodyid[site] == base:
             return int(site)
     return -1
-
-
-def _imu_mounting(model: mujoco.MjModel, site: int) -> tuple[np.ndarray, np.ndarray]:
-    if site < 0:
-        return np.zeros(3), np.eye(3)
-    return model.site_pos[site].copy(), matrix_from_quaternion(model.site_quat[site])
 
 
 def _ranges(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:

@@ -148,8 +148,7 @@ def radar_over(
 
 def mounting(robot: Robot, sensor: RadarSensor) -> tuple[np.ndarray, np.ndarray]:
     """p_IR (3,) [m] and R_IR (3, 3) of the radar: x along its beam, y left, z up."""
-    feet_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T + robot.p_BI
-    p_BR = np.array([feet_B[:2, 0].mean(), 0.0, 0.0])
+    p_BR = np.array([robot.home_feet_B[:2, 0].mean(), 0.0, 0.0])
     c, s = np.cos(sensor.tilt), np.sin(sensor.tilt)
     R_BR = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     return robot.R_BI.T @ (p_BR - robot.p_BI), robot.R_BI.T @ R_BR

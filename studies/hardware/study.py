@@ -22,6 +22,7 @@ from studies.hardware import pendulum as pendulum
 from studies.hardware import walks_by_feet as feet
 from studies.hardware.impulses import window_rows
 from studies.hardware.stream_lags import lags
+from studies.measured import measured_folder
 from surefoot import Log, Robot, TraceOptions, import_log, load_machine, trace
 from surefoot.extend import SurefootError, known_robots
 from surefoot.scenarios.reporting.html import Picture, Section
@@ -30,7 +31,7 @@ from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.trace.words import summary
-from surefoot.sim.common.files import file_digest, measured_folder, refuse_overwrite
+from surefoot.sim.common.files import file_digest, refuse_overwrite
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.recording import read_recording
 

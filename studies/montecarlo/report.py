@@ -27,8 +27,9 @@ from studies.montecarlo.study import (
 from studies.montecarlo.update import iteration_table, update_illustration
 from surefoot.extend import SurefootError
 from surefoot.models.calibration.bias_model import BOUNDED_MEAN
-from surefoot.scenarios.reporting.html import Picture, Section, save_picture
+from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
+from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.sim.common.files import refuse_full, whole_folder
 from surefoot.sim.common.limits import check_limit
@@ -125,7 +126,7 @@ def write_study(
     }
     with whole_folder(out, force) as folder:
         for name, picture in pictures.items():
-            save_picture(picture, folder / "figures" / f"{name}.png")
+            save_png(picture.figure, folder / "figures" / f"{name}.png")
         return write_results(folder, _TITLE, sections, tables)
 
 

@@ -161,7 +161,7 @@ def walked(job: Job, progress: Callable[[float], None] | None = None) -> WalkRow
     if job.seed == 0:
         Replay.of([(made, motion)]).run()
     ended = thread_time()
-    found = walk_facts(log)
+    found = walk_facts([log])
     simulated = len(motion.tau) * TIMESTEP
     return WalkRow(
         robot=robot.name,

@@ -66,6 +66,7 @@ OPTIONS = [
     ("an empty filter", "estimate walk.parquet --filter=", "filter"),
     ("a filter of 5000 letters", f"estimate walk.parquet --filter {'f' * 5000}", "filter"),
     ("an unknown command", "obliterate walk.parquet", "obliterate"),
+    ("an option of control characters", "estimate walk.parquet --\x1b]0;t\x07", "control characters"),
     ("an unknown option", "estimate walk.parquet --filter imu --fast", "--fast"),
     ("logs of no number", "compare -o new", "log"),
     ("the same log twice", "compare walk.parquet walk.parquet -o new", "same name"),

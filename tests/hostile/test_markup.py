@@ -1,17 +1,20 @@
 """Names of logs, filters and scenarios are words of a report, never its code."""
 
+import csv
+import re
 import shutil
 import subprocess
 from html import escape
 from html.parser import HTMLParser
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from forked import copied
 
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.reporting.html import Section, html_report
-from surefoot.scenarios.reporting.tables import to_html
+from surefoot.scenarios.reporting.html import Section, html_report, markdown_report
+from surefoot.scenarios.reporting.tables import to_csv, to_html, to_markdown
 
 EVIL = (
     *("<script>alert(1)</script>", "<img src=x onerror=alert(1)>", '"><svg onload=alert(1)>'),
@@ -60,6 +63,57 @@ def test_no_word_is_code():
     assert hostile.attributes == plain.attributes
     assert "<script" not in page.lower()
     assert "<script" not in to_html(rows).lower()
+
+
+MARKUP = (
+    *EVIL,
+    *("[click](https://example.com)", "![](https://example.com/a.png)", "<https://example.com>"),
+    *("`code`", "a|b", "back\\slash", "\\`code`", "two\nlines", "\x1b[31mred", "x<img src=x>"),
+)
+
+
+@pytest.mark.parametrize("name", MARKUP)
+def test_no_name_is_markup_in_a_table_of_markdown(name):
+    text = to_markdown([{"log": name, name: 1.0}])
+    assert len(text.splitlines()) == 3
+    assert all(len(re.findall(r"(?<!\\)\|", line)) == 3 for line in text.splitlines())
+    shown = re.sub(r"\\[\\`|(]", "", text)  # without what is escaped
+    assert not re.search(r"<[A-Za-z/!?]|\]\(|`", shown)
+    assert all(c.isprintable() or c == "\n" for c in text)
+
+
+def test_what_is_no_markup_stays_as_it_is():
+    rows = [{"pi<gamma [%]": "a < b", "best": "**0.1**"}]
+    assert to_markdown(rows).splitlines()[2] == "| a < b        | **0.1** |"
+    assert "pi<gamma [%]" in to_markdown(rows)
+    assert "| [`x`](y) |" in to_markdown([{"code": "[`x`](y)"}], markup=True)
+    prose = markdown_report("a<b>", [Section("[h](x)", "see `pi<gamma`\n\n<img src=x>")])
+    assert prose == "# a&lt;b>\n\n## [h]\\(x)\n\nsee `pi<gamma`\n\n&lt;img src=x>\n"
+
+
+FORMULAS = (
+    "=1+1",
+    "+1+1",
+    "-1+1",
+    "@SUM(1)",
+    "=HYPERLINK(1)",
+    "\t=1",
+    "\r=1",
+    "-cmd|' /C calc'!A0",
+)
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_no_name_is_a_formula_in_csv(name):
+    header, row = csv.reader(StringIO(to_csv([{name: name}]), newline=""))
+    assert header == row
+    assert len(row) == 1
+    assert row[0][0] not in "=+-@\t\r"
+
+
+def test_numbers_and_other_texts_stay_as_they_are_in_csv():
+    rows = [{"x": -1.5, "n": -3, "text": "-0.2 ± 0.1", "ok": True, "none": None, "name": "a-b"}]
+    assert to_csv(rows) == "x,n,text,ok,none,name\n-1.5,-3,-0.2 ± 0.1,True,,a-b\n"
 
 
 @pytest.mark.long

@@ -4,12 +4,18 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
+from io import StringIO
 from types import SimpleNamespace
 
 import pytest
+from forked import copied, run_forked
 
 from surefoot.scenarios.demo import demo
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.progress import bar
+from surefoot.sim.common.terminal import printable, printing_plainly
+from surefoot.sim.log import Log
 
 SUREFOOT = [sys.executable, "-m", "surefoot"]
 
@@ -36,6 +42,67 @@ def test_help_on_a_terminal_of_one_column_ends():
     )
     assert done.returncode == 0
     assert b"--filter" in done.stdout
+
+
+CONTROLS = {
+    "colour": "\x1b[31mred",
+    "title": "\x1b]0;owned\x07",
+    "clipboard": "\x1b]52;c;cm0=\x1b\\",
+    "cleared": "\x1b[2J\x1b[H",
+    "start of the line": "\rsurefoot: all is well",
+    "line up": "\x1b[Aother",
+    "backspace": "wrong\b\b\b\b\bright",
+    "C1": "\x9b31mred",
+    "right to left": "log\u202e.exe",
+    "line separator": "a\u2028b",
+    "half a character": "a\udc80",
+    "null": "a\x00b",
+}
+"""What is not to reach a terminal."""
+
+
+@pytest.mark.parametrize("name", CONTROLS.values(), ids=CONTROLS)
+def test_what_controls_a_terminal_is_escaped(name, capsys):
+    with printing_plainly():
+        print(f"{name} 12 °\u00a0m ± 1", "日本", sep="\t")
+        print(f"warning: {name}", file=sys.stderr)
+    print("\x1b[0m", end="")
+    out, err = capsys.readouterr()
+    assert out.endswith("12 °\u00a0m ± 1\t日本\n\x1b[0m")
+    shown = out.removesuffix("\x1b[0m") + err
+    assert all(c.isprintable() or c in "\n\t\u00a0" for c in shown), ascii(shown)
+    assert printable(name) in shown
+
+
+def test_bars_are_drawn_on_a_terminal_with_plain_names(monkeypatch):
+    class Terminal(StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with printing_plainly():
+        for name in bar(["\x1b[31mred\rgreen"], desc="outer", position=1):
+            for _ in bar(range(2), desc=name, position=0):
+                pass
+    drawn = terminal.getvalue()
+    assert r"\x1b[31mred\rgreen" in drawn
+    assert "\router" in drawn
+    assert "\x1b[A" in drawn
+    assert "\x1b[31" not in drawn
+
+
+@pytest.mark.parametrize("command", ["export", "estimate"])
+def test_no_name_of_a_log_controls_a_terminal(command, good, tmp_path):
+    folder = copied(good, tmp_path / "case")
+    name = CONTROLS["colour"] + CONTROLS["title"] + ".parquet"
+    log = Log.read(folder / "walk.parquet")
+    Log(log.frame, replace(log.meta, robot=CONTROLS["C1"]), "walk").write(folder / name)
+    options = ["--filter", "imu"] if command == "estimate" else ["-o", f"{name}.csv"]
+    found = run_forked([command, name, *options], folder)
+    shown = found.out + found.err
+    assert r"\x1b[31mred" in shown
+    assert all(c.isprintable() or c in "\n\t" for c in shown), ascii(shown)
 
 
 def test_a_demo_that_does_not_fit_on_the_disk_does_not_begin(tmp_path, monkeypatch):

@@ -10,10 +10,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from studies.measured import measured_folder
 from surefoot.models.alignment.alignment import align, aligned_log
 from surefoot.models.alignment.least_squares import Placement, Readings, placement_residual
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground

@@ -15,7 +15,7 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.reporting.calibration_tables import CalibratedWalk, methods_table
+from surefoot.scenarios.reporting.calibration_report import CalibratedWalk, methods_table
 
 print(*CALIBRATORS)
 fit, log, test = (synthetic_walk(seed, 20, noise=0.1) for seed in range(3))

@@ -25,8 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.scenarios.trace.figures import residuals
-from surefoot.scenarios.trace.report import channel_rows
+from surefoot.scenarios.trace.report import residuals
 from surefoot.scenarios.trace.run import trace
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -49,7 +48,7 @@ slopes = [
     for one in data.X
 ]
 found = trace([log], robot, out)
-figure = residuals(channel_rows(found.channels))
+figure = residuals(found.channels)
 print(json.dumps({
     "unit": data.layout.columns[column].unit,
     "slopes": slopes,

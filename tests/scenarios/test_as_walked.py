@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surefoot.scenarios.experiments.as_walked import load_as_walked
-from surefoot.scenarios.experiments.file import Experiment, walk_to_make
+from surefoot.scenarios.experiments.file import Cell, Experiment
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.carry import carried, scale_of
@@ -49,7 +49,7 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     suite = Experiment.load("vision60")
     condition = next(c for c in suite.conditions if c.name == "as walked")
     slipped = next(s for s in suite.scenarios if s.name == "Slipped")
-    job = walk_to_make(slipped, "v60_class", condition, 1)
+    job = Cell(slipped, "v60_class", condition, 1).job
     assert condition.walked is not None
     assert job.scenario.gait == replace(condition.walked.gait, **condition.walked.on_sheets)
     mine = walked.scenario(slipped)
@@ -92,7 +92,7 @@ def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
     condition = next(c for c in suite.conditions if c.name == "as walked")
     whole = next(s for s in suite.scenarios if s.name == course)
     flight = replace(whole, segments=whole.segments[:3], laps=1)
-    walked = walk_job(walk_to_make(flight, "spot_class", condition, 0)).log
+    walked = walk_job(Cell(flight, "spot_class", condition, 0).job).log
     assert isinstance(walked, Log)
     # Ten steps of 12 cm.
     assert np.ptp(walked.ref_p[:, 2]) == pytest.approx(1.2, abs=0.15)

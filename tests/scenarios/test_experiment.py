@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.scenarios.experiments.cells import cell_inputs, cells_of
-from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.file import Experiment, cells_of
+from surefoot.scenarios.experiments.products import cell_inputs
 from surefoot.scenarios.experiments.report import experiment, falls
 from surefoot.scenarios.experiments.run import CellResult, Outcome
 from surefoot.scenarios.experiments.tables import (
@@ -221,7 +221,7 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
     [
         ("gammas = [0.8]", "gammas = [1.8]", "gammas[0] must be a number < 1"),
         ("gammas = [0.8]", "gammas = []", "gammas must be a list"),
-        ('"leg", "imu"', '"legs"', "unknown 'legs'"),
+        ('"leg", "imu"', '"legs"', "unknown filter 'legs'"),
         ("try.toml", "trial.toml", "trial.toml: No such file"),
         ("try.toml", "learn.toml", "each once"),
         ('name = "as built"', 'name = "as drawn"', "two conditions are named as drawn"),

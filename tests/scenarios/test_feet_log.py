@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from studies.measured import measured_folder
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import initial_state
@@ -22,9 +23,9 @@ from surefoot.scenarios.estimate.run import (
     run_filter,
     stepped,
 )
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log, read_recording
@@ -78,7 +79,7 @@ def feet(log, robot) -> Log:
 def test_foot_positions_say_what_joint_angles_do(name, log, feet, robot):
     """Where the error of a foot does not come from its joints, whose arms only the angles tell."""
     one = estimator_named(name)
-    values = tuned(None).of(one) | {"encoder": 1e-9}
+    values = FilterSettings(filters={name: tuned(None).of(one) | {"encoder": 1e-9}})
     plain = replace(log, meta=replace(log.meta, effects=()))
     by_joints = estimated(one, plain, robot, Learnt(), values)
     by_feet = estimated(one, feet, None, Learnt(), values)

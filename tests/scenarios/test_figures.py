@@ -11,14 +11,16 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from surefoot.estimator.evaluation.trajectory import reference
+from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.calibration.mixing import mixing
+from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
-from surefoot.scenarios.reporting import figures, observer_figures
+from surefoot.scenarios.reporting import figures, observer_errors
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
-from surefoot.scenarios.trace import figures as trace_figures
+from surefoot.scenarios.trace.report import candidate_gains, residuals
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -42,18 +44,18 @@ def errors(walk):
 def drawn(walk, errors) -> dict[str, Figure]:
     rng = np.random.default_rng(1)
     train, test = rng.normal(0, 0.02, (2000, 3)), rng.normal(0.02, 0.03, (2000, 3))
-    channel = {"before": 0.3, "after": 0.1, "noise_floor": 0.08, "unit": "m/s"}
+    level = ChannelLevel(0.3, 0.1, 0.08, "m/s")
     return {
         "trajectories": figures.trajectories(walk.log, errors, walk.patches),
         "height": figures.height_figure(walk.log, errors),
         "velocity": figures.velocity_figure(walk.log, walk.prediction, walk.bounds.epsilon),
         "error": figures.position_error(errors),
-        "distributions": observer_figures.error_distributions(
+        "distributions": observer_errors.error_distributions(
             train, test, walk.bounds.epsilon, walk.bounds.gamma
         ),
-        "mixing": observer_figures.mixing_curve(mixing(train)),
-        "residuals": trace_figures.residuals({"leg_velocity": channel}),
-        "gains": trace_figures.candidate_gains({"a": 0.5, "b": (0.1, 0.0, 0.2)}, ["a"]),
+        "mixing": observer_errors.mixing_curve(mixing(train)),
+        "residuals": residuals({"leg_velocity": level}),
+        "gains": candidate_gains({"a": (0.5, 0.4, 0.6), "b": (0.1, 0.0, 0.2)}, ["a"]),
     }
 
 
@@ -121,8 +123,8 @@ def test_legends_stand_outside_the_curves(drawn):
 
 
 def test_a_noise_floor_does_not_strike_out_the_number_of_a_bar():
-    channel = {"before": 0.3, "after": 0.1, "noise_floor": 0.105, "unit": "m/s^2"}
-    (ax,) = trace_figures.residuals({"imu_accel": channel}).axes
+    level = ChannelLevel(0.3, 0.1, 0.105, "m/s^2")
+    (ax,) = residuals({"imu_accel": level}).axes
     (floor,) = ax.get_lines()
     assert ax.get_ylabel() == "RMS [m/s²]"
     assert len(ax.texts) == 2
@@ -179,10 +181,10 @@ def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
 
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
-    channel = {"before": 0.3, "after": None, "noise_floor": None, "unit": "rad"}
-    assert png(trace_figures.residuals({f"channel_{k}": channel for k in range(6)}))
-    assert png(trace_figures.residuals({}))
-    assert png(trace_figures.candidate_gains({}))
+    level = ChannelLevel(0.3, 0.1, None, "rad")
+    assert png(residuals(dict.fromkeys(list(channels())[:6], level)))
+    assert png(residuals({}))
+    assert png(candidate_gains({}))
     assert png(figures.trajectories(walk.log, {}))
     assert png(figures.position_error({}))
 
@@ -205,7 +207,7 @@ def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
 def test_the_mixing_figure_shows_the_curve_and_where_k_was_read_from_it():
     x = np.cumsum(np.random.default_rng(2).normal(size=(3000, 3)), axis=0) % 7.0
     curve = mixing(x)
-    ax = observer_figures.mixing_curve(curve).axes[0]
+    ax = observer_errors.mixing_curve(curve).axes[0]
     lines = {str(line.get_label()): np.asarray(line.get_xydata()) for line in ax.get_lines()}
     drawn = [line for line in lines.values() if len(line) == len(curve.lags)]
     for k in range(3):

@@ -2,9 +2,9 @@
 
 import pytest
 
+from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.run import trace_logs
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.scenarios.experiments.file import PLAIN, Experiment, walk_to_make
+from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
@@ -20,11 +20,11 @@ SUITES = bundled("surefoot.scenarios.experiments", "suites")
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
     suite = Experiment.load("vision60")
     _, built, _ = suite.conditions
-    jobs = [walk_to_make(s, "v60_class", built, 1) for s in suite.scenarios]
+    jobs = [Cell(s, "v60_class", built, 1).job for s in suite.scenarios]
     assert all(job.effects == jobs[0].effects for job in jobs)
     assert len({job.seed for job in jobs}) == len(jobs)
     assert not any(job.declared for job in jobs)
-    assert walk_to_make(suite.scenarios[0], "v60_class", built, 2).effects != jobs[0].effects
+    assert Cell(suite.scenarios[0], "v60_class", built, 2).job.effects != jobs[0].effects
     assert jobs[0].scenario.sensors.contact_delay == 0.005
 
 
@@ -73,7 +73,7 @@ def test_gears_as_stiff_as_real_ones_make_no_robot_fall_on_a_sheet(seed):
     course = next(s for s in suite.scenarios if s.name == "3CC3CCW")
     start = replace(course, segments=course.segments[:2], laps=1)
     gears = (effect("leg_compliance", "all", 1e-4),)
-    walked = walk_job(replace(walk_to_make(start, "v60_class", PLAIN, seed), effects=gears)).log
+    walked = walk_job(replace(Cell(start, "v60_class", PLAIN, seed).job, effects=gears)).log
     assert isinstance(walked, Log)
     slip = walked.frame[[f"slip_{leg}" for leg in walked.legs]].to_numpy()
     assert slip[walked.contact].max() > 0.2

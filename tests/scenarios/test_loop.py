@@ -13,10 +13,10 @@ from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace import gait_choice, training_walks
-from surefoot.scenarios.trace.gait_choice import choose_gait
+from surefoot.scenarios.trace import realism, training_walks
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
-from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, ErrorParts, split_errors
+from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, excess, split_errors
+from surefoot.scenarios.trace.realism import choose_gait
 from surefoot.scenarios.trace.training_walks import (
     TrainingPlan,
     TrainingWalks,
@@ -159,7 +159,7 @@ def test_errors_are_split_into_what_they_were_made_of():
 def test_what_measured_errors_have_beyond_simulated_ones_is_shared_by_squares():
     still = {name: [0.01, 0.02, 0.01] for name in ERROR_PARTS}
     more = still | {"constant": [0.01, 0.04, 0.01], "fast": [0.05, 0.02, 0.01], "slow": [0.0] * 3}
-    shares = ErrorParts(still).excess(ErrorParts(more))
+    shares = excess(still, more)
     assert list(shares)[:2] == ["fast", "constant"]
     assert shares["fast"] == pytest.approx(2 * shares["constant"])
     assert sum(shares.values()) == pytest.approx(1.0)
@@ -174,7 +174,7 @@ def test_the_gait_that_is_more_like_the_logs_is_taken(robot, log, monkeypatch):
         rows = SimpleNamespace(counts={"like": like, "unlike": unlike}, rows=())
         return SimpleNamespace(words=simulating.words, card=rows)
 
-    monkeypatch.setattr(gait_choice, "compare_walks", compared)
+    monkeypatch.setattr(realism, "compare_walks", compared)
     choice = choose_gait(log, robot, (), 0)
     assert choice.gait == load_as_walked().gait
     assert "9 quantities like the log's and 17 unlike" in choice.words

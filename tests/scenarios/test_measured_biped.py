@@ -2,8 +2,8 @@
 
 import pytest
 
+from studies.measured import measured_folder
 from surefoot.scenarios.estimate.run import run_filter
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import COMMANDS, main
-from surefoot.sim.common.files import measured_folder
 
 pytestmark = pytest.mark.long
 

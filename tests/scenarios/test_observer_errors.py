@@ -5,8 +5,13 @@ import pytest
 from figure_numbers import assert_numbers_apart
 
 from surefoot.models.calibration.error_statistics import error_statistics
-from surefoot.scenarios.reporting.observer_errors import bound_words, error_section, error_words
-from surefoot.scenarios.reporting.observer_figures import error_bounds, error_distributions
+from surefoot.scenarios.reporting.observer_errors import (
+    bound_words,
+    error_bounds,
+    error_distributions,
+    error_section,
+    error_words,
+)
 from surefoot.scenarios.reporting.plotting import png
 
 EPSILON = np.array([0.1, 0.1, 0.1])

@@ -12,8 +12,13 @@ from surefoot.models.realism.card import tolerances
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.trace import realism as module
-from surefoot.scenarios.trace.realism import SimulatedRobot, compare_walks, seen_as
-from surefoot.scenarios.trace.walk_comparison import Drift, leg_drifts
+from surefoot.scenarios.trace.realism import (
+    Drift,
+    SimulatedRobot,
+    compare_walks,
+    leg_drifts,
+    seen_as,
+)
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import gait_for

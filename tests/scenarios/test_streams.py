@@ -2,11 +2,13 @@
 
 import tracemalloc
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import initial_state
 from surefoot.estimator.run import every_row
@@ -17,7 +19,7 @@ from surefoot.models.observer.training import train
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate import file
 from surefoot.scenarios.estimate import radar_velocity as radar
-from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream, samples
+from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream, check_sample, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.run import (
     estimated,
@@ -263,6 +265,18 @@ def test_samples_alone_give_the_numbers_of_a_log_without_reference(name, walks, 
     mine = [found[t][1] for t in whole.t[rows]]
     assert whole.covariance is not None
     assert_allclose(mine, whole.covariance[rows], rtol=1e-3, atol=1e-9)
+
+
+def test_readings_are_checked_once_and_stamps_each_time(log):
+    first, second = islice(samples(log), 2)
+    checked = check_sample(second, first.t)
+    assert check_sample(checked, first.t) is checked
+    with pytest.raises(SampleError, match="does not follow"):
+        check_sample(checked, second.t)
+    with pytest.raises(SampleError, match="lacks foot_I"):
+        check_sample(checked, first.t, needed=("foot_I",))
+    with pytest.raises(SampleError, match="not finite"):
+        check_sample(second._replace(gyro=np.full(3, np.nan)), first.t)
 
 
 def test_what_samples_lack_is_one_line(walks, robot):

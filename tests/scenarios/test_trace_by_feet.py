@@ -8,12 +8,12 @@ import pytest
 from given_feet import with_feet_for_joints
 
 from studies.hardware.walks_by_feet import aligned_walk
+from studies.measured import measured_folder
 from surefoot.models.attribution.noise_floor import POINT_FEET
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.recording import read_recording

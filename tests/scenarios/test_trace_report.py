@@ -6,9 +6,9 @@ from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.found import Found
 from surefoot.scenarios.demo import _loop_sections
 from surefoot.scenarios.reporting.tables import as_frame
-from surefoot.scenarios.trace.filters import DEAD_RECKONING
+from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED
 from surefoot.scenarios.trace.loop_report import _of_trace
-from surefoot.scenarios.trace.report import _METRICS, _note_lines, _sizes, sections
+from surefoot.scenarios.trace.report import _note_lines, _sizes, sections
 from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import effect
 
@@ -31,7 +31,7 @@ def test_an_interval_has_digits_that_tell_its_ends_apart():
 
 
 def test_a_trace_stands_below_the_loop_that_it_is_a_part_of():
-    filters = {"leg": {side: dict.fromkeys(_METRICS, 0.1) for side in ("before", "after")}}
+    filters = {"leg": {side: dict.fromkeys(REPORTED, 0.1) for side in ("before", "after")}}
     found = Trace(verdict="no_residual", channels={}, filters=filters)
     loop, *trace = _loop_sections(found, effect("gyro_scale", "x", 0.02))
     assert loop.level == 2
@@ -46,7 +46,7 @@ def test_a_trace_stands_below_the_loop_that_it_is_a_part_of():
 
 def test_dead_reckoning_has_no_attitude_of_its_own_to_judge():
     filters = {
-        name: {side: dict.fromkeys(_METRICS, 0.1) for side in ("before", "after")}
+        name: {side: dict.fromkeys(REPORTED, 0.1) for side in ("before", "after")}
         for name in ("leg", DEAD_RECKONING)
     }
     found = Trace(verdict="no_residual", channels={}, filters=filters)

@@ -308,3 +308,19 @@ def test_what_is_not_used_fits_on_ten_lines_with_its_reasons(tmp_path):
     lines = listed(draft).splitlines()
     assert len(lines) <= 10
     assert all(len(line) < 2000 for line in lines)
+
+
+def test_position_beside_a_quaternion_is_a_pose(tmp_path):
+    half = 0.5 * np.linspace(2.6, 4.0, N)  # a marker that points backwards
+    zero = np.zeros(N)
+    pose = {
+        "position": 1e3 * TRIPLE,
+        "quaternion": np.column_stack([np.cos(half), zero, zero, np.sin(half)]),
+    }
+    np.savez(tmp_path / "mocap.npz", t=T, **pose)
+    np.savez(tmp_path / "run.npz", t=T, gyro=GYRO, accel=ACCEL, joint_pos=ANGLES, joint_vel=RATES)
+    draft = guess_map([tmp_path / "run.npz", tmp_path / "mocap.npz"], "spot_class")
+    found = theirs(draft)
+    assert [found[f"ref_p_{axis}"] for axis in "xyz"] == [f"position[{k}]" for k in range(3)]
+    assert [found[f"ref_q_{axis}"] for axis in "wxyz"] == [f"quaternion[{k}]" for k in range(4)]
+    assert found["dq_RR_calf"] == "joint_vel[11]"

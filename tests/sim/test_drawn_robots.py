@@ -12,7 +12,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.machine import load_machine
-from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
+from surefoot.sim.robot.model_file import compiled_model, read_model
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import plan
 from surefoot.sim.walking.trial import why_not
@@ -110,7 +110,7 @@ def test_what_keeps_it_from_walking_is_said(tmp_path, text, words):
 def test_what_else_is_in_a_scene_is_left_out_and_named(tmp_path, text, left_out):
     robot = drawn(tmp_path, text)
     assert robot.base_name == "trunk"
-    assert changes_on_reading(robot.file)[-1].endswith(f": {left_out}")
+    assert read_model(robot.file)[1][-1].endswith(f": {left_out}")
     world = build_world(robot, Ground(0.8))
     assert world.model.nq == 7 + 12
     assert world.qpos_adr.min() == 7
@@ -146,7 +146,7 @@ def test_parts_need_no_names(tmp_path, parts):
         text = text.replace("range=", 'actuatorfrcrange="-40 40" range=')
     robot, named = drawn(tmp_path, text), quadruped_mjcf()
     assert why_not(robot) == ""
-    assert f" to {parts}_1" in changes_on_reading(robot.file)[0]
+    assert f" to {parts}_1" in read_model(robot.file)[1][0]
     np.testing.assert_array_equal(robot.legs.offset, drawn(tmp_path, named).legs.offset)
 
 
@@ -187,5 +187,5 @@ def test_effects_of_feet_need_spheres(tmp_path):
 def test_a_model_without_a_scene_is_compiled_as_it_is(tmp_path):
     path = tmp_path / "dog.xml"
     path.write_text(quadruped_mjcf(scene='<geom name="floor" type="plane" size="1 1 1"/>'))
-    assert changes_on_reading(path) == ()
+    assert read_model(path)[1] == ()
     assert compiled_model(path).geom("floor").bodyid[0] == 0

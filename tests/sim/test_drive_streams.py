@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pendulum import swung
 
-from surefoot.sim.common.files import measured_folder
+from studies.measured import measured_folder
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.plausibility import check_log
 from surefoot.sim.robot.machine import load_machine, machine_for_log

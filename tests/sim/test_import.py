@@ -10,8 +10,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
+from studies.measured import measured_folder
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, measured_folder
+from surefoot.sim.common.files import bundled
 from surefoot.sim.importing.assemble import _rate
 from surefoot.sim.importing.columns import UNITS, ColumnEntry, Entries, read_columns
 from surefoot.sim.importing.map import ImportMap

@@ -1,8 +1,13 @@
 """Advice on a map is followed by pasting its lines: all of it together, and nothing remains."""
 
 import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
+import numpy as np
+import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.advice import advised_lines
@@ -18,6 +23,9 @@ from surefoot.sim.walk import walk
 SENSORS = [f"{name}_{axis}" for name in ("gyro", "accel") for axis in "xyz"]
 POSE = [f"ref_p_{axis}" for axis in "xyz"] + [f"ref_q_{axis}" for axis in "wxyz"]
 JOINT_COLUMNS = [f"{kind}_{joint}" for kind in ("q", "dq") for joint in JOINTS]
+
+
+AS_IS = Rotation.identity()
 
 
 @pytest.fixture(scope="module")
@@ -54,24 +62,87 @@ def pasted(text: str, lines: tuple[str, ...]) -> str:
     return text
 
 
+def rotated(left: Rotation = AS_IS, right: Rotation = AS_IS):
+    """Poses in another world, `left` from z up, of a body whose axes are `right` from the IMU's."""
+
+    def change(mocap: pd.DataFrame) -> pd.DataFrame:
+        R_GI = Rotation.from_quat(mocap[POSE[3:]].to_numpy(copy=True), scalar_first=True)
+        made = mocap.copy()
+        made[POSE[:3]] = left.apply(mocap[POSE[:3]].to_numpy(copy=True))
+        made[POSE[3:]] = (left * R_GI * right).as_quat(scalar_first=True)
+        return made
+
+    return change
+
+
+def renamed(names: dict[str, str]):
+    """Poses whose columns have each other's names."""
+    return lambda mocap: mocap.rename(columns=names)
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A map that does not fit its recording: of readings in other units, of other poses.
+
+    Attributes:
+        factors: of the readings, by the log's column.
+        early: of the reference's clock [s].
+        mocap: change of the reference.
+        keys: of [reference].
+        entries: of the map's columns.
+        robot: keys of [robot].
+    """
+
+    factors: Mapping[str, float] = field(default_factory=dict)
+    early: float = 0.0
+    mocap: Callable[[pd.DataFrame], pd.DataFrame] = lambda mocap: mocap
+    keys: str = ""
+    entries: Mapping[str, str] = field(default_factory=dict)
+    robot: str = ""
+
+
+XYZW = dict(zip([*POSE[4:], POSE[3]], POSE[3:], strict=True))
+QUARTER = Rotation.from_euler("z", 90, degrees=True)
+TILTED = Rotation.from_euler("zx", [40, 25], degrees=True)
+DEGREES = dict.fromkeys(JOINT_COLUMNS, float(np.degrees(1.0)))
 WRONG = {
-    "the clock, half corrected": ({}, 2.6, "offset = 2.0", {}),
-    "offsets by recording": ({}, 0.4, "offset = { robot = -0.1, other = 2.0 }", {}),
-    "an axis of the accelerometer that counts against the map's sign": (
-        {}, 0.0, "", {"accel_x": "{ column = 'accel_x', sign = -1 }"},
+    "the clock, half corrected": Wrong(early=2.6, keys="offset = 2.0"),
+    "offsets by recording": Wrong(early=0.4, keys="offset = { robot = -0.1, other = 2.0 }"),
+    "an axis of the accelerometer that counts against the map's sign": Wrong(
+        entries={"accel_x": "{ column = 'accel_x', sign = -1 }"}
     ),
-    "a reference in millimetres": ({name: lambda x: 1e3 * x for name in POSE[:3]}, 0.0, "", {}),
-}  # fmt: skip
+    "a reference in millimetres": Wrong(dict.fromkeys(POSE[:3], 1e3)),
+    "joints in degrees": Wrong(DEGREES),
+    "joints in degrees, a clock half a second off": Wrong(DEGREES, early=0.5),
+    "a body turned further than the map says": Wrong(
+        mocap=rotated(right=TILTED), keys="q_IM = [0.7071068, 0.0, 0.0, 0.7071068]"
+    ),
+    "a base that is turned": Wrong(
+        mocap=rotated(right=QUARTER), keys="frame = 'base'", robot="imu_position = [0.0, 0.0, 0.0]"
+    ),
+    "a quaternion whose last number is w": Wrong(mocap=renamed(XYZW)),
+    "a quaternion whose first number is w": Wrong(mocap=renamed({w: x for x, w in XYZW.items()})),
+    "a world whose y is up": Wrong(mocap=rotated(Rotation.from_euler("x", -90, degrees=True))),
+    "a world that turns again": Wrong(
+        mocap=rotated(Rotation.from_euler("x", 180, degrees=True)),
+        keys="q_GW = [0.7071068, 0.0, 0.0, 0.7071068]",
+    ),
+    "a world that is not level": Wrong(mocap=rotated(Rotation.from_euler("y", 12, degrees=True))),
+    "a body whose axes are forward, right, down": Wrong(
+        mocap=rotated(right=Rotation.from_euler("x", 180, degrees=True))
+    ),
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
 def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
-    made, early, offset, entries = WRONG[case]
-    frame = walked.frame.assign(**{name: f(walked.frame[name]) for name, f in made.items()})
+    wrong = WRONG[case]
+    frame = walked.frame.assign(**{n: x * walked.frame[n] for n, x in wrong.factors.items()})
     frame.to_csv(tmp_path / "robot.csv", index=False)
-    mocap = frame[["t", *POSE]].iloc[::5]
-    mocap.assign(t=mocap["t"] - early).to_csv(tmp_path / "mocap.csv", index=False)
-    text = map_text(offset, **entries)
+    mocap = wrong.mocap(frame[["t", *POSE]].iloc[::5])
+    mocap.assign(t=mocap["t"] - wrong.early).to_csv(tmp_path / "mocap.csv", index=False)
+    text = map_text(wrong.keys, **wrong.entries) + wrong.robot + "\n"
+    said = []
     for _ in range(2):
         (tmp_path / "map.toml").write_text(text)
         recording = read_recording(tmp_path / "robot.csv", tmp_path / "map.toml")
@@ -79,22 +150,28 @@ def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
         found = check_log(log, machine_for_log(log))
         advice = [(one.streams, one.map_line) for one in found]
         lines = advised_lines(advice, recording.rules, recording.name)
+        said += [one.line for one in found]
         if not found:
             break
-        assert lines, [one.line for one in found]
+        assert lines, said
         text = pasted(text, lines)
-    assert [one.line for one in found] == []
+    assert [one.line for one in found] == [], said
 
 
 def test_advice_is_added_to_what_the_map_says(tmp_path):
     (tmp_path / "map.toml").write_text(
         "[columns]\nt = 't'\nq_knee = { column = 'a', unit = 'rad', sign = -1 }\ndq_knee = 'b'\n"
+        "q_ankle = { column = 'c', unit = 'deg' }\n"
         "accel_x = 'ax'\naccel_y = { column = 'ay', unit = 'g' }\n"
         "[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
         "[robot]\nname = 'hopper'\njoint_sign = { knee = -1 }\n"
     )
     advice = [
-        (("q_knee", "dq_knee"), 'q_knee, ... = { ..., unit = "deg" }'),
+        (
+            ("q_knee", "dq_knee"),
+            'q_knee, ... = { ..., unit = "deg" }; dq_knee, ... = { ..., unit = "deg/s" }',
+        ),
+        (("q_ankle",), "q_ankle = { ..., wrap = 6.283185307 }"),
         (("q_knee",), "q_knee = { ..., sign = -1 }"),
         (("dq_knee",), "[even] late = { dq = 0.0050 }"),
         (("dq_knee",), '[even] held = ["dq"]'),
@@ -107,7 +184,8 @@ def test_advice_is_added_to_what_the_map_says(tmp_path):
     assert found == {
         "columns": {
             "q_knee": {"column": "a", "unit": "deg"},
-            "dq_knee": {"column": "b", "unit": "deg"},
+            "dq_knee": {"column": "b", "unit": "deg/s"},
+            "q_ankle": {"column": "c", "unit": "deg", "wrap": pytest.approx(360.0)},
             "accel_x": {"column": "ay", "unit": "g", "sign": -1.0},
         },
         "even": {"late": {"dq": pytest.approx(0.015)}, "held": ["q", "dq"]},

@@ -12,8 +12,8 @@ import scipy.io
 from scipy.spatial.transform import Rotation
 
 import surefoot.sim.importing.recording as recording_module
+from studies.measured import measured_folder
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, rows_first
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.layout import _separator

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.export import export
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.draft import Draft
 from surefoot.sim.importing.guess import guess_map
@@ -619,7 +619,11 @@ def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
 
 @pytest.mark.parametrize(
     ("asked", "words"),
-    [(0, "no questions in it"), (1, "answer it, then"), (2, "answer them, then")],
+    [
+        (0, "no questions in it; import"),
+        (1, "1 question in it; answer"),
+        (2, "2 questions in it; answer"),
+    ],
 )
 def test_the_command_counts_the_questions_of_a_draft(tmp_path, capsys, monkeypatch, asked, words):
     (tmp_path / "run.csv").write_text("t,a\n0,1\n")

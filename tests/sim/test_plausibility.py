@@ -16,8 +16,10 @@ from surefoot.sim.common.series import low_pass
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.plausibility import RULES, check_log
+from surefoot.sim.log.schema import GROUPS
+from surefoot.sim.plausibility import RULES, check_log, rules_table
 from surefoot.sim.plausibility.axes import lag_of, match_axes
+from surefoot.sim.plausibility.finding import PARAGRAPHS
 from surefoot.sim.plausibility.streams import _drop_outs
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -51,6 +53,14 @@ def test_a_clean_walk_without_a_reference_is_plausible(log):
 def test_the_beginning_of_a_walk_is_plausible(log):
     """Its joints rest for a second, between two counts of their encoders."""
     assert found_in(log.rows(log.t < 1.5)) == []
+
+
+def test_dead_contacts_of_a_second_are_noticed(log):
+    second = log.rows((log.t >= 2.0) & (log.t < 3.0))
+    assert found_in(second) == []
+    (line,) = found_in(constant(0.0, "contact_")(second))
+    assert line.startswith("contacts: contact_FL")
+    assert "always 0" in line
 
 
 @pytest.mark.parametrize("rate", [5.0, 6.0, 8.0, 10.0, 12.5, 20.0, 25.0, 50.0])
@@ -548,7 +558,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         imu_turned(Rotation.from_euler("z", 30, degrees=True)), "gyro", "the IMU is turned"),
     "reference's world not level": (tilted_world, "accelerometer", "not level"),
     "reference that sinks": (sinking, "climbing", "sinks by 0.30 m/s"),
-    "gyro that is noise": (noisy_gyro, "gyro's noise", "gyro_x, gyro_y, gyro_z"),
+    "gyro that is noise": (noisy_gyro, "noise", "gyro_x, gyro_y, gyro_z"),
     "reference of a point before the IMU": (
         of_another_point(0.5, 0.0, 0.0), "reference's point", "of a point at (0.5"),
     "reference of a point above the IMU": (
@@ -578,8 +588,8 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "accelerometer in mg": (times(1e3 / 9.80665, "accel"), "gravity", 'unit = "mg"'),
     "accelerometer in ft/s^2": (times(1.0 / 0.3048, "accel"), "gravity", "in ft/s^2"),
     "accelerometer that is noise": (
-        noisy(4.0, "accel"), "accelerometer's noise", "accel_x, accel_y, accel_z"),
-    "a rate that is noise": (noisy(3.0, "dq_FL_calf"), "noise of rates", "dq_FL_calf"),
+        noisy(4.0, "accel"), "noise", "accel_x, accel_y, accel_z"),
+    "a rate that is noise": (noisy(3.0, "dq_FL_calf"), "noise", "dq_FL_calf"),
     "an angle within a turn": (within_a_turn, "overflow", "q_FL_calf = { ..., wrap = 6.28"),
     "a leg disconnected for a while": (disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
     "a contact late": (late(0.1, "contact_RR"), "legs", "contact_RR: late, unlike the other"),
@@ -640,6 +650,7 @@ ONE_CAUSE: dict[str, Callable[[Log], Log]] = {
     "accelerometer's z negated": times(-1, "accel_z"),
     "calves reversed": times(-1, "q_", "dq_", "tau_", ends="_calf"),
     "one thigh reversed": times(-1, "q_", "dq_", "tau_", ends="FR_thigh"),
+    "an angle reversed": times(-1, "q_FR_thigh"),
     "quaternions of the inverse": attitude(Rotation.inv),
 }
 """One defect each."""
@@ -844,5 +855,14 @@ def test_a_log_of_some_rows_has_nothing_to_compare(log, rows):
 
 def test_every_rule_says_why():
     assert len({rule.name for rule in RULES}) == len(RULES)
+    for row in rules_table():
+        assert [*row] == ["Rule", *PARAGRAPHS]
+        assert min(map(len, row.values())) > 2
+        assert "{" not in "".join(row.values())
+
+
+def test_rules_need_what_logs_have():
+    """What no log has would always be missing, and the rule would never speak."""
+    known = ["t", *(name for names in GROUPS.values() for name in names)]
     for rule in RULES:
-        assert min(map(len, (rule.compares, rule.threshold, rule.reason, rule.remedy))) > 5
+        assert all(any(c.startswith(need) for c in known) for need in (*rule.needs, *rule.beside))

@@ -4,8 +4,9 @@ import sys
 
 import pytest
 
+from surefoot.sim.common import plugins as plugins_module
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import Registry, load_plugin, plugins
+from surefoot.sim.common.plugins import Registry, load_plugin, naming_plugins, plugins
 
 GROUP = "surefoot.tests"
 
@@ -105,6 +106,60 @@ def test_a_file_of_any_wrong_form_is_one_line_that_names_it(tmp_path, text, word
         load_plugin(tmp_path / "mine.py")
     assert word in str(error.value)
     assert str(error.value).isprintable()
+
+
+FAULTS = {
+    "raises": (
+        "raise ValueError('no such leg')",
+        "failed (ValueError: no such leg; faults.py, line 4)",
+    ),
+    "exits": ("raise SystemExit(0)", "failed (SystemExit: 0; faults.py, line 4)"),
+    "divides by zero": ("return 1 / 0", "faults.py, line 4"),
+    "raises in a library": ("import json; json.loads('{')", "faults.py, line 4"),
+    "opens no file": ("open('/nowhere')", "FileNotFoundError"),
+    "returns nothing": ("return None", "may have returned something invalid (AttributeError"),
+    "returns text": ("return 'text'", "may have returned something invalid (AttributeError"),
+}
+
+
+@pytest.fixture
+def faulty(tmp_path, monkeypatch):
+    """A function that makes a gait of a plug-in file whose method does this."""
+    monkeypatch.setattr(plugins_module, "_LOADED", set())
+    monkeypatch.setattr(plugins_module, "_IN_USE", {})
+    monkeypatch.setattr(plugins_module, "_OF_FILES", {})
+    monkeypatch.setenv(plugins_module.FILES, "")
+
+    def make(does: str):
+        path = tmp_path / "faults.py"
+        lines = "class Mine:\n    label = 'mine'\n    def run(self):\n        {}\n"
+        path.write_text(f"{lines.format(does)}PLUGINS = {{'surefoot.gaits': {{'mine': Mine}}}}\n")
+        load_plugin(path)
+        return Registry("surefoot.gaits", {"root": "math:sqrt"})["mine"]()
+
+    yield make
+    plugins.cache_clear()
+
+
+@pytest.mark.parametrize(("does", "words"), FAULTS.values(), ids=FAULTS)
+def test_what_a_command_raises_in_a_plugin_or_by_it_names_it(faulty, does, words):
+    mine = faulty(does)
+    with pytest.raises(SurefootError, match="plugin mine = ") as error, naming_plugins():
+        mine.run().started()
+    assert words in str(error.value)
+    assert "faults.py, line " in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("x"), OSError("full"), SystemExit(3), BrokenPipeError()]
+)
+def test_what_no_plugin_caused_stays_as_it_is(faulty, error):
+    with pytest.raises(type(error)), naming_plugins():
+        raise error
+    faulty("pass")
+    if not isinstance(error, KeyError):
+        with pytest.raises(type(error)), naming_plugins():
+            raise error
 
 
 def test_what_a_member_raises_while_it_runs_names_it(package):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from surefoot.sim.common.files import measured_folder
+from studies.measured import measured_folder
 from surefoot.sim.robot import Robot
 
 MODELS = measured_folder().parent / "models"

@@ -7,8 +7,8 @@ from motions import attitude, motion, position
 from scipy.spatial.transform import Rotation
 
 import surefoot.sim.importing.reference_noise as reference_noise_module
+from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.reference_check import check_reference, jumps, without_jumps

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from motions import attitude, motion, position
 
-from surefoot.sim.common.files import measured_folder
+from studies.measured import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.importing.reference_contradictions import _closed, contradicted

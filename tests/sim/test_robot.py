@@ -20,7 +20,7 @@ from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
 from surefoot.sim.robot.machine import load_machine, machine_for_log
-from surefoot.sim.robot.model_file import changes_on_reading, compiled_model
+from surefoot.sim.robot.model_file import compiled_model, read_model
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
@@ -452,7 +452,7 @@ def test_inertias_of_a_urdf_that_no_body_has_are_mended_and_named(tmp_path):
     assert "taken for all three of base, arm" in card
     assert "links that move without a mass or a moment of inertia" in card
     file.write_text(URDF)
-    assert changes_on_reading(file) == ()
+    assert read_model(file)[1] == ()
 
 
 def quadruped_urdf(foot: str) -> str:
@@ -492,10 +492,10 @@ def test_a_foot_that_is_a_mesh_of_a_urdf_is_a_point(tmp_path):
     file.write_text(quadruped_urdf('<sphere radius="0.02"/>'))
     round_feet = Robot.load(file)
     feet = "LF_FOOT, RF_FOOT, LH_FOOT, RH_FOOT"
-    assert changes_on_reading(file) == (f"without <inertial>, these links have no mass: {feet}",)
+    assert read_model(file)[1] == (f"without <inertial>, these links have no mass: {feet}",)
     file.write_text(quadruped_urdf('<mesh filename="package://four/foot.dae"/>'))
     robot = Robot.load(file)
-    (said,) = changes_on_reading(file)
+    (said,) = read_model(file)[1]
     assert said.endswith(f"feet are points at {feet}")
     np.testing.assert_allclose(robot.foot_radius, 1e-3)
     np.testing.assert_allclose(
@@ -568,7 +568,7 @@ def test_an_inertia_that_is_not_positive_is_mended_and_named(tmp_path, given, mo
     file = tmp_path / "arm.urdf"
     file.write_text(arm_urdf(*given))
     np.testing.assert_allclose(np.sort(compiled_model(file).body("arm").inertia), moments)
-    (said, *_) = changes_on_reading(file)
+    (said, *_) = read_model(file)[1]
     assert words in said
     assert "milligram" in said or "of arm" in said
 

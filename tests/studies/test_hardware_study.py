@@ -17,10 +17,10 @@ from studies.hardware.study import (
     HardwareStudy,
     run_hardware,
 )
+from studies.measured import measured_folder
 from surefoot.scenarios.reporting.pages import read_origin
 from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import measured_folder
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
