@@ -86,8 +86,9 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
 def _read(file: Path, map: str | None) -> tuple[Log, Poses, float]:
     """The log, the poses of its reference, and the clock offset that its map adds to theirs [s]."""
     recording = read_recording(file, map) if map is not None else None
-    if recording is not None and recording.poses is not None and recording.rules.reference:
-        poses = tracked_poses(recording.poses, recording.rules.reference)
+    reference = recording.rules.sections.reference if recording is not None else None
+    if recording is not None and recording.poses is not None and reference is not None:
+        poses = tracked_poses(recording.poses, reference)
         about = reference_offset(recording.rules, recording.name)
         return recording.without_reference().log(), poses, about
     log = recording.log() if recording is not None else Log.read(file)

@@ -1,16 +1,16 @@
 """Lines of an import map that follow what the findings of a log advise, all of them together."""
 
-import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.importing.columns import ColumnEntry, kind_of, read_column
+from surefoot.sim.importing.columns import ColumnEntry, kind_of, map_line, read_column
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.sections import ReferenceTable
 
 _OF_COLUMNS = re.compile(
     r"([\w, ]+?)(, \.\.\.)? = \{ (?:\.\.\.|column = <their column of (\w+)>)(?:, (.+))? \}"
@@ -29,9 +29,9 @@ def advised_lines(
         rules: the map with which the log was imported.
         name: of the recording.
     """
-    own = {"columns": rules.entries}
-    if rules.reference is not None:
-        own["reference.columns"] = rules.reference.columns
+    own = {"columns": rules.sections.columns}
+    if rules.sections.reference is not None:
+        own["reference.columns"] = rules.sections.reference.columns
     changed: dict[str, dict[str, Any]] = {}
     for concerned, text in advice:
         for line in text.split("; "):
@@ -51,7 +51,7 @@ def advised_lines(
     for section, values in changed.items():
         lines += [
             f"[{section}]",
-            *(f"{_key(key)} = {_toml(value)}" for key, value in values.items()),
+            *(map_line(key, value) for key, value in values.items()),
         ]
     return tuple(lines)
 
@@ -89,55 +89,37 @@ def _add(
         values: advised ones.
     """
     if section == "robot.joint_sign":
-        signs = changed.setdefault("robot", {}).setdefault("joint_sign", dict(rules.joint_sign))
-        signs |= {joint: sign * rules.joint_sign.get(joint, 1.0) for joint, sign in values.items()}
+        own = rules.sections.robot.joint_sign if rules.sections.robot else {}
+        signs = changed.setdefault("robot", {}).setdefault("joint_sign", dict(own))
+        signs |= {joint: sign * own.get(joint, 1.0) for joint, sign in values.items()}
         return
-    if section == "reference" and rules.reference is not None:
-        values = _turned_further(values, rules)
+    reference, even = rules.sections.reference, rules.sections.even
     there = changed.setdefault(section, {})
-    if section == "reference" and rules.reference and isinstance(rules.reference.offset, dict):
-        values = {k: rules.reference.offset | {name: x} if k == "offset" else x
-                  for k, x in values.items()}  # fmt: skip
-    elif section == "even" and rules.even is not None:
-        late = rules.even.late
-        values = {
-            key: [*dict.fromkeys((*rules.even.held, *value))]
-            if key == "held"
-            else late | {kind: late.get(kind, 0.0) + delay for kind, delay in value.items()}
-            for key, value in values.items()
-        }
     there |= values
+    if section == "reference" and reference is not None:
+        there |= _turned_further(values, reference, rules.model)
+        if "offset" in values and isinstance(reference.offset, dict):
+            there["offset"] = reference.offset | {name: values["offset"]}
+    elif section == "even" and even is not None:
+        if "held" in values:
+            there["held"] = [*dict.fromkeys((*even.held, *values["held"]))]
+        if "late" in values:
+            more = {kind: even.late.get(kind, 0.0) + x for kind, x in values["late"].items()}
+            there["late"] = even.late | more
 
 
-def _turned_further(values: dict[str, Any], rules: ImportMap) -> dict[str, Any]:
+def _turned_further(
+    values: Mapping[str, Any], reference: ReferenceTable, model: Mapping[str, Any]
+) -> dict[str, Any]:
     """Advised rotations of a reference, together with those of the map, in the frame "imu"."""
-    assert rules.reference is not None
-    of_map = {"q_GW": rules.reference.q_GW, "q_IM": rules.reference.q_IM}
-    made = dict(values)
-    if "q_IM" in values and rules.reference.frame == "base":
-        R_IB = Rotation.from_quat(rules.model.get("q_BI", _NO_TURN), scalar_first=True).inv()
-        made |= {"frame": "imu", "p_IM": (-R_IB.apply(rules.model["p_BI"])).tolist()}
+    of_map = {"q_GW": reference.q_GW, "q_IM": reference.q_IM}
+    made = {}
+    if "q_IM" in values and reference.frame == "base":
+        R_IB = Rotation.from_quat(model.get("q_BI", _NO_TURN), scalar_first=True).inv()
+        made |= {"frame": "imu", "p_IM": (-R_IB.apply(model["p_BI"])).tolist()}
         of_map["q_IM"] = R_IB.as_quat(scalar_first=True)
     for key in values.keys() & of_map.keys():
         both = [Rotation.from_quat(q, scalar_first=True) for q in (values[key], of_map[key])]
         q = (both[0] * both[1]).as_quat(canonical=True, scalar_first=True)
         made[key] = (q.round(6) + 0.0).tolist()
     return made
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else json.dumps(key)
-
-
-def _toml(value: Any) -> str:
-    """A value of a map as TOML; an entry without the keys that have their default."""
-    if isinstance(value, ColumnEntry):
-        plain = asdict(ColumnEntry(value.column))
-        value = {k: x for k, x in asdict(value).items() if k == "column" or x != plain[k]}
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{_key(key)} = {_toml(one)}' for key, one in value.items())} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, float):
-        return f"{value:.9g}" if abs(value) < 1e6 else f"{value:.6f}"
-    return json.dumps(value, ensure_ascii=False)

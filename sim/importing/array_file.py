@@ -7,7 +7,6 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,8 @@ import numpy as np
 import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_unpacked
-from surefoot.sim.importing.table import RecordedTable
+from surefoot.sim.importing.table import RecordedTable, parsed_as
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element
@@ -31,7 +29,7 @@ _DEEPEST = 20
 
 def read_npz(path: Path) -> RecordedTable:
     """Read the arrays of a .npz, or that of a .npy as `array`. Raises SurefootError."""
-    with _one_line(path):
+    with parsed_as("a readable file of arrays", path):
         if path.suffix == ".npy":
             found = np.load(path, mmap_mode="r", allow_pickle=False)
             _bounded(path, found.size * found.dtype.itemsize)
@@ -46,7 +44,7 @@ def read_mat(path: Path) -> RecordedTable:
     """Read the arrays of a MATLAB file of any version; a field of a struct is `struct.field`."""
     if h5py.is_hdf5(path):
         return read_hdf5(path)
-    with _one_line(path):
+    with parsed_as("a readable file of arrays", path):
         _bound_inflated(path)
         found = scipy.io.loadmat(path, squeeze_me=True)
         return _table(path, {n: v for n, v in found.items() if not n.startswith("__")})
@@ -59,12 +57,11 @@ def read_hdf5(path: Path) -> RecordedTable:
     there is nothing but objects, whose numbers MATLAB stores in a form that it does not publish.
     """
     arrays: dict[str, np.ndarray] = {}
-    with _one_line(path), h5py.File(path, "r") as file:
-        found = [
-            (n, d) for n, d in _datasets(file, "", {file}) if d.shape and not n.startswith("#")
-        ]
-        objects = {n: d for n, d in found if "MATLAB_object_decode" in d.attrs}
-        found = [(n, d) for n, d in found if n not in objects]
+    with parsed_as("a readable file of arrays", path), h5py.File(path, "r") as file:
+        every = dict(_datasets(file, "", {file}))
+        found = {n: d for n, d in every.items() if d.shape and not n.startswith("#")}
+        objects = {n: d for n, d in found.items() if "MATLAB_object_decode" in d.attrs}
+        found = {n: d for n, d in found.items() if n not in objects}
         if objects and not found:
             name, node = next(iter(objects.items()))
             kind = np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
@@ -73,14 +70,14 @@ def read_hdf5(path: Path) -> RecordedTable:
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
                 f"arrays{remedy if kind == 'timeseries' else ''}"
             )
-        _bounded(path, sum(node.size * node.dtype.itemsize for _, node in found))
-        for name, node in found:
+        _bounded(path, sum(node.size * node.dtype.itemsize for node in found.values()))
+        for name, node in found.items():
             if node.is_virtual or node.external:
                 raise SurefootError(f"{path}: {name} lies in another file, which is not read")
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
-        return _table(path, arrays | _matlab_strings(file))
+        return _table(path, arrays | _matlab_strings(every))
 
 
 def _datasets(
@@ -98,16 +95,15 @@ def _datasets(
             yield from _datasets(node, f"{path}{name}/", seen)
 
 
-def _matlab_strings(file: h5py.File) -> dict[str, np.ndarray]:
-    """String arrays of a MATLAB 7.3 file.
+def _matlab_strings(every: Mapping[str, h5py.Dataset]) -> dict[str, np.ndarray]:
+    """String arrays among the datasets of a MATLAB 7.3 file.
 
     They are stored separately, in 64-bit words: version, number of dimensions, dimensions, length
     of each string, and the characters.
     """
-    every = list(_datasets(file, "", {file}))
-    kind = {name: node.attrs.get("MATLAB_class") for name, node in every}
-    named = [name for name, _ in every if kind[name] == b"string" and "/" not in name]
-    apart = [d for n, d in every if kind[n] == b"uint64" and n.startswith("#refs#/")]
+    kind = {name: node.attrs.get("MATLAB_class") for name, node in every.items()}
+    named = [name for name in every if kind[name] == b"string" and "/" not in name]
+    apart = [d for n, d in every.items() if kind[n] == b"uint64" and n.startswith("#refs#/")]
     if len(named) != 1 or len(apart) != 1:
         return {}
     words = apart[0][()].T.ravel()
@@ -134,7 +130,8 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
                 "save each to a file of its own"
             )
     cells, parameters = rows_first(cells)
-    return RecordedTable(path, cells, parameters=parameters)
+    skipped = dict.fromkeys(parameters, "parameters: not one for each row")
+    return RecordedTable(path, cells, skipped=skipped)
 
 
 def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
@@ -148,16 +145,13 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
     for name, one in arrays.items():
         rows = max(range(one.ndim), key=lambda k, shape=one.shape: shape[k] * shared[shape[k]])
         found[name] = np.moveaxis(one, rows, 0)
-    longest: dict[int, int] = {}
-    for one in found.values():
-        for width in one.shape[1:]:
-            longest[width] = max(longest.get(width, 0), len(one))
-    lasting = {
-        name: one
+    longest = dict(sorted((n, len(one)) for one in found.values() for n in one.shape[1:]))
+    parameters = tuple(
+        name
         for name, one in found.items()
-        if one.dtype.kind == "U" or longest.get(len(one), 0) <= len(one)
-    }
-    return lasting, tuple(name for name in found if name not in lasting)
+        if one.dtype.kind != "U" and longest.get(len(one), 0) > len(one)
+    )
+    return {n: one for n, one in found.items() if n not in parameters}, parameters
 
 
 def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
@@ -197,17 +191,3 @@ def _bound_inflated(path: Path) -> None:
 
 def _bounded(path: Path, size: float) -> None:
     check_unpacked(path.stat().st_size, size, f"{path}: bytes of arrays")
-
-
-@contextmanager
-def _one_line(path: Path) -> Iterator[None]:
-    """Convert any exception of the parsers to a one-line SurefootError."""
-    if not is_file(path):
-        raise SurefootError(f"{path}: no such file")
-    try:
-        yield
-    except SurefootError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split())[:120]
-        raise SurefootError(f"{path}: not readable ({type(error).__name__}: {reason})") from error

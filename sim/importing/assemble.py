@@ -1,7 +1,7 @@
 """Assemble a Log from the columns of a recording, by an import map (`sim.importing.map`)."""
 
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from surefoot.sim.importing.clock import (
     evened,
     without_holds,
 )
-from surefoot.sim.importing.contacts import feet_that_stand
+from surefoot.sim.importing.contacts import contacts_from_loads, feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import (
     REFERENCE_OFFSET,
@@ -26,13 +26,12 @@ from surefoot.sim.importing.reference import (
     with_reference,
 )
 from surefoot.sim.importing.reference_contradictions import contradicted
-from surefoot.sim.importing.sections import EvenTable
+from surefoot.sim.importing.sections import EvenTable, by_name
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix, leg_names
 from surefoot.sim.robot.catalog import SUFFIXES
 from surefoot.sim.robot.model_of_log import model_metadata
-from surefoot.sim.sensors.contact import contact_from_force
 
 _UNIT_TOLERANCE = 1e-2
 
@@ -77,7 +76,9 @@ class RawRecording:
 
     def without_reference(self) -> "RawRecording":
         """The recording with all its rows, but without its reference."""
-        return replace(self, poses=None, rules=replace(self.rules, reference=None))
+        sections = replace(self.rules.sections, reference=None)
+        rules = replace(self.rules, sections=sections, reference_columns={})
+        return replace(self, poses=None, rules=rules)
 
     def log(self) -> Log:
         """Assemble the log and check every column. Raises LogError naming path and map."""
@@ -95,17 +96,16 @@ class RawRecording:
 
 
 def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, name: str) -> Log:
-    main, derived = dict(main), []
-    _apply_joints(main, rules)
-    if rules.even is not None:
-        main, said = _made_even(main, rules.even)
+    sections, derived = rules.sections, []
+    main = _with_joint_signs(main, rules)
+    if sections.even is not None:
+        main, said = _made_even(main, sections.even)
         derived += said
-    if rules.contact is not None and rules.contact.of == "force":
+    contact = sections.contact
+    if contact is not None and contact.of == "force":
         derived.append("contact from force")
-        for leg, (offset, on, off) in rules.contact.by_leg(leg_names(main)).items():
-            main[f"contact_{leg}"] = contact_from_force(
-                main["t"], main[f"force_{leg}"] - offset, on, off, rules.contact.debounce
-            ).astype(float)
+        loads = {leg: main[f"force_{leg}"] for leg in leg_names(main)}
+        main |= contacts_from_loads(main["t"], loads, contact)
     if reference is not None:
         main = with_reference(main, reference, str(rules.path))
     joints = joint_names(main)
@@ -116,18 +116,18 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         derived.append("tau (motor law)")
     frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
     meta = Meta(
-        rate=rules.source.rate or _rate(main["t"]),
+        rate=sections.source.rate or _rate(main["t"]),
         robot=rules.robot,
         motor_law=law,
         derived=tuple(derived),
-        versions=_versions(),
+        versions={"surefoot": version("surefoot")},
         model=rules.model
         | _robot_file(rules.robot)
         | ({REFERENCE_OFFSET: offset} if offset else {}),
     )
     log = Log(frame, meta, name)
-    if rules.contact is not None and rules.contact.of != "force":
-        return feet_that_stand(log, rules.contact)
+    if contact is not None and contact.of != "force":
+        return feet_that_stand(log, contact)
     return log
 
 
@@ -181,31 +181,34 @@ def unit_quaternions(
         table[f"ref_q_{axis}"] = q[:, i] / norm
 
 
-def _apply_joints(main: Columns, rules: ImportMap) -> None:
+def _with_joint_signs(main: Columns, rules: ImportMap) -> Columns:
+    """The columns with the signs and offsets of [robot]."""
+    main, robot = dict(main), rules.sections.robot
+    if robot is None:
+        return main
     joints = joint_names(main)
-    for joint in (*rules.joint_sign, *rules.joint_offset):
+    for joint in (*robot.joint_sign, *robot.joint_offset):
         if joint not in joints:
             raise SurefootError(f"{rules.path}: [robot] joint {joint!r} has no column q_{joint}")
     for column in main:
         prefix = joint_prefix(column)
         if prefix is not None:
             joint = column.removeprefix(prefix)
-            main[column] = rules.joint_sign.get(joint, 1.0) * main[column]
+            main[column] = robot.joint_sign.get(joint, 1.0) * main[column]
             if prefix in ("q_", "q_des_"):
-                main[column] = main[column] + rules.joint_offset.get(joint, 0.0)
+                main[column] = main[column] + robot.joint_offset.get(joint, 0.0)
+    return main
 
 
 def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[float]] | None:
-    if rules.motor_law is None:
+    given = rules.sections.motor_law
+    if given is None:
         return None
-    law: dict[str, list[float]] = {}
-    for key, given in rules.motor_law.items():
-        gains = given if isinstance(given, dict) else dict.fromkeys(joints, given)
-        for joint in sorted(set(gains) ^ set(joints)):
-            what = "has no gain" if joint in joints else "is not in the log"
-            raise SurefootError(f"{rules.path}: [motor_law] {key}: joint {joint!r} {what}")
-        law[key] = [gains[joint] for joint in joints]
-    return law
+    try:
+        gains = {key: by_name(f"motor_law.{key}", one, joints) for key, one in vars(given).items()}
+    except SurefootError as error:
+        raise SurefootError(f"{rules.path}: {error}") from None
+    return {key: [by_joint[joint] for joint in joints] for key, by_joint in gains.items()}
 
 
 def _torques_by_law(
@@ -234,10 +237,3 @@ def _column_order(column: str) -> int:
     prefix = joint_prefix(column) or column
     matches = [i for i, start in enumerate(_ORDER) if prefix.startswith(start)]
     return 0 if column == "t" else max(matches, default=len(_ORDER))
-
-
-def _versions() -> dict[str, str]:
-    try:
-        return {"surefoot": version("surefoot")}
-    except PackageNotFoundError:
-        return {"surefoot": "source"}

@@ -18,7 +18,7 @@ from typing import Any
 import apsw
 import lz4.frame
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import reader as ros1
 from rosbags.rosbag2 import reader as ros2
 from rosbags.rosbag2 import storage_mcap as mcap
@@ -36,8 +36,11 @@ from surefoot.sim.common.limits import (
     unpacked,
 )
 from surefoot.sim.importing.clock import Stamped
+from surefoot.sim.importing.table import parsed_as
 
 RECEIVED = "received"
+UNREADABLE = "NaN, text, empty or too long"
+"""Why a column of a recording cannot be used."""
 _MOST_PLACES = 64
 """Largest array in a message whose elements may be columns; longer ones are images or scans."""
 BAGS = (".bag", ".mcap", ".db3")
@@ -102,20 +105,13 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
         names = ", ".join(one.name for one in files)
         raise SurefootError(f"{path}: has several bags, name one of them: {names}")
-    try:
-        with AnyReader(
+    with (
+        parsed_as("a readable bag", path, _remedy(files)),
+        AnyReader(
             [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
-        ) as bag:
-            yield bag
-    except SurefootError as error:
-        named = str(path) in str(error)
-        raise SurefootError(str(error) if named else f"{path}: {error}") from None
-    except (AnyReaderError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise SurefootError(f"{path}: {reason}{_remedy(files)}") from None
-    except Exception as error:  # the parsers of broken bags raise whatever they stumble on
-        reason = type(error).__name__
-        raise SurefootError(f"{path}: not a readable bag ({reason}){_remedy(files)}") from error
+        ) as bag,
+    ):
+        yield bag
 
 
 def is_bag(path: Path) -> bool:
@@ -164,7 +160,7 @@ def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
                     )
                 break
             else:
-                skipped[connection.topic] = "NaN, text, empty or too long"
+                skipped[connection.topic] = UNREADABLE
     check_limit("columns", len(found), f"{path}: fields of its messages")
     return list(dict.fromkeys(found)), skipped
 
@@ -223,10 +219,11 @@ def _read(bag: AnyReader, path: Path, wanted: dict[str, list[str]]) -> dict[str,
 
 
 def _getter(column: str, path: Path) -> Callable[[Any, int, int], float]:
-    field = column.partition(":")[2]
+    """Function of a message, its time of reception and the bag's start, both [ns], to a value."""
+    where, field = f"{path}: column {column!r}", column.partition(":")[2]
     parts = [_PART.match(part) for part in field.split(".")]
     if not all(parts):
-        raise SurefootError(f"{path}: column {column!r}: cannot read the path {field!r}")
+        raise SurefootError(f"{where}: cannot read the path {field!r}")
     steps = [(part[1], part[2]) for part in parts if part]
 
     def get(message: Any, received: int, begin: int) -> float:
@@ -238,27 +235,22 @@ def _getter(column: str, path: Path) -> Callable[[Any, int, int], float]:
             if value is not None and index is not None:
                 value = _item(parent, value, index)
             if value is None:
-                raise SurefootError(f"{path}: column {column!r}: the messages have no such field")
+                raise SurefootError(f"{where}: the messages have no such field")
         stamp = _nanoseconds(value)
-        if stamp is not None:
-            return 1e-9 * (stamp - begin)
         try:
-            return float(value)
+            return float(value) if stamp is None else 1e-9 * (stamp - begin)
         except (TypeError, ValueError):
-            raise SurefootError(f"{path}: column {column!r}: is not a number") from None
+            raise SurefootError(f"{where}: is not a number") from None
 
     return get
 
 
 def _item(parent: Any, values: Any, index: str) -> Any:
     """The element at an index, or at that of `index` in the message's `name`."""
-    names = getattr(parent, "name", None)
-    if index.isdigit():
-        place = int(index)
-    elif names is not None and index in list(names):
-        place = list(names).index(index)
-    else:
+    names = list(getattr(parent, "name", None) or ())
+    if not index.isdigit() and index not in names:
         return None
+    place = int(index) if index.isdigit() else names.index(index)
     return values[place] if place < len(values) else None
 
 

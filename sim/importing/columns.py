@@ -1,7 +1,11 @@
 """Source of each column of the log, and its conversion to SI."""
 
-from dataclasses import dataclass
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from math import pi
+from typing import Any
 
 import numpy as np
 
@@ -139,3 +143,23 @@ def check_sign(key: str, value: float) -> None:
     """Raise SurefootError unless it is 1 or -1."""
     if value not in (1.0, -1.0):
         raise SurefootError(f"{key} is {value:g}, not 1 or -1")
+
+
+def map_line(key: str, value: Any) -> str:
+    """A key and its value as a line of a map (TOML)."""
+    plain = re.fullmatch(r"[\w-]+", key, re.ASCII)
+    return f"{key if plain else _map_value(key)} = {_map_value(value)}"
+
+
+def _map_value(value: Any) -> str:
+    """A value of a map as TOML; an entry without the keys that have their default."""
+    if isinstance(value, ColumnEntry):
+        default = asdict(ColumnEntry(value.column))
+        value = {k: x for k, x in asdict(value).items() if k == "column" or x != default[k]}
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(map_line(key, one) for key, one in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_map_value, value))}]"
+    if isinstance(value, float):
+        return f"{value:.9g}" if abs(value) < 1e6 else f"{value:.6f}"
+    return json.dumps(value, ensure_ascii=False)

@@ -1,5 +1,6 @@
 """Contacts for a log without them, from joint torques, kinematics or the gait."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -32,30 +33,39 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
     Raises SurefootError where the log lacks what the rule needs.
     """
     given = rule.of != "torque" and log.has("foot")
+    needed = ("q", "tau") if rule.of == "torque" else ("foot" if given else "q",)
     try:
-        log.require("imu", *(() if given else ("q",)), *(("tau",) if rule.of == "torque" else ()))
+        log.require("imu", *needed)
         robot = None if given else Robot.for_log(log)
     except SurefootError as error:
         raise SurefootError(f"[contact] of {rule.of}: {error}") from None
     legs = log.legs if robot is None else robot.limbs.legs
+    feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
     up = up_in_imu(log.t, log.gyro, log.accel)
-    if rule.of == "torque":
-        assert robot is not None
+    if rule.of == "torque" and robot is not None:
         load = upward_forces(log, robot, up)
+    elif rule.of == "kinematics":
+        load = -speeds_beside_lowest(log.t, feet_I, log.gyro, up)
     else:
-        feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
-        if rule.of == "kinematics":
-            load = -speeds_beside_lowest(log.t, feet_I, log.gyro, up)
-        else:
-            up = up_by_feet(log.t, log.gyro, log.accel, feet_I)
-            load = -heights_beside_others(log.t, feet_I, up)
-    stands = {}
-    for leg, (offset, on, off) in rule.by_leg(legs).items():
-        own = load[:, legs.index(leg)] - offset
-        standing = contact_from_force(log.t, own, on, off, rule.debounce)
-        stands[f"contact_{leg}"] = standing.astype(float)
+        up = up_by_feet(log.t, log.gyro, log.accel, feet_I)
+        load = -heights_beside_others(log.t, feet_I, up)
+    stands = contacts_from_loads(log.t, dict(zip(legs, load.T, strict=True)), rule)
     meta = replace(log.meta, derived=(*log.meta.derived, f"contact from {rule.of}"))
     return replace(log, meta=meta).with_columns(stands)
+
+
+def contacts_from_loads(
+    t: np.ndarray, loads: Mapping[str, np.ndarray], rule: ContactTable
+) -> dict[str, np.ndarray]:
+    """Columns contact_<leg>, 1 where a load by leg, each (N,) at t (N,) [s], stays beyond the
+    rule's thresholds.
+    """
+    return {
+        f"contact_{leg}": contact_from_force(t, loads[leg] - offset, on, off, rule.debounce).astype(
+            float
+        )
+        for leg, (offset, on, off) in rule.by_leg(tuple(loads)).items()
+    }
 
 
 def speeds_beside_lowest(
@@ -70,10 +80,15 @@ def speeds_beside_lowest(
         up: (N, 3) upward direction in I.
     """
     rows = np.arange(len(t))
-    v_I = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
-    v_I = v_I.reshape(feet_I.shape) + np.cross(gyro[:, None], feet_I)
+    v_I = _velocities(t, feet_I) + np.cross(gyro[:, None], feet_I)
     lowest = np.einsum("nli,ni->nl", feet_I, up).argmin(axis=1)
     return np.linalg.norm(v_I - v_I[rows, lowest][:, None], axis=2)
+
+
+def _velocities(t: np.ndarray, feet_I: np.ndarray) -> np.ndarray:
+    """Derivatives (N, L, 3) [m/s] of positions (N, L, 3) [m] at t (N,) [s]."""
+    v = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
+    return v.reshape(feet_I.shape)
 
 
 def heights_beside_others(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -110,8 +125,7 @@ def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[lis
         feet_I: (N, L, 3) [m].
         up: (N, 3) upward direction in I.
     """
-    v = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
-    v = v.reshape(feet_I.shape)
+    v = _velocities(t, feet_I)
     v = v - np.einsum("nli,ni->nl", v, up)[..., None] * up[:, None]
     along = v[:, :, int(np.argmax(np.var(v, axis=0).sum(axis=0)))]
     alike = np.corrcoef(along.T) > _IN_PHASE

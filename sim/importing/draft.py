@@ -3,12 +3,11 @@
 `sim.importing.guess` creates drafts from the files of a recording.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from surefoot.sim.importing.columns import UNITS, kind_of
+from surefoot.sim.importing.columns import UNITS, ColumnEntry, kind_of, map_line
 
 _LISTED = 20
 """Largest number of unused columns that are listed for a reason."""
@@ -77,31 +76,23 @@ class Draft:
             *(f"# ? {' '.join(note.split())}" for note in self.notes),
             "",
             "[source]",
-            f"file = {_text(self.files[0].name)}",
+            *self._file(self.files[0]),
         ]
-        lines += self._layout(self.files[0])
         lines += [f"rate = {self.rate:.6g} # ? no times found"] if self.rate else []
         for name, (path, clock) in self.sources.items():
-            lines += [
-                "",
-                f"[sources.{name}]",
-                f"file = {_text(path.name)}",
-                *self._layout(path),
-                _line(replace(clock, name="t")),
-            ]
+            lines += ["", f"[sources.{name}]", *self._file(path), _line(replace(clock, name="t"))]
         lines += ["", "[columns]", *_lines(self.main)]
         if self.reference:
             lines += ["", "[reference]"]
             if self.reference_file is not None and self.reference_file != self.files[0]:
-                lines.append(f"file = {_text(self.reference_file.name)}")
-                lines += self._layout(self.reference_file)
+                lines += self._file(self.reference_file)
             lines += [
                 'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align',
                 "",
                 "[reference.columns]",
                 *_lines(self.reference),
             ]
-        lines += ["", "[robot]", f"name = {_text(self.robot)}"] if self.robot else []
+        lines += ["", "[robot]", map_line("name", self.robot)] if self.robot else []
         if self.contact:
             on, off = self.contact
             lines += ["", "[contact] # ? half way between swing and stance", f"on = {on:.4g}"]
@@ -112,8 +103,10 @@ class Draft:
             lines.append(f"# not used ({reason}): {' '.join(listed.split())}")
         return "\n".join(lines) + "\n"
 
-    def _layout(self, path: Path) -> list[str]:
-        return [f"{key} = {json.dumps(one)}" for key, one in self.layouts.get(path, {}).items()]
+    def _file(self, path: Path) -> list[str]:
+        """Lines that name a file and its layout."""
+        keys = {"file": path.name} | {**self.layouts.get(path, {})}
+        return [map_line(key, value) for key, value in keys.items()]
 
 
 def _lines(entries: Sequence[Entry]) -> list[str]:
@@ -130,14 +123,5 @@ def _lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def _line(entry: Entry) -> str:
-    keys = [f"column = {_text(entry.theirs)}"]
-    keys += [f'unit = "{entry.unit}"'] if entry.unit else []
-    keys += [f"gain = {entry.gain:g}"] if entry.gain != 1.0 else []
-    plain = all(c.isalnum() or c in "_-" for c in entry.name)
-    name = entry.name if plain else _text(entry.name)
-    return f"{name} = {{ {', '.join(keys)} }}" + (" # ?" if entry.doubt else "")
-
-
-def _text(text: str) -> str:
-    """A text as a TOML basic string, whose escapes are those of JSON."""
-    return json.dumps(text, ensure_ascii=False)
+    column = ColumnEntry(entry.theirs, entry.unit, gain=entry.gain)
+    return map_line(entry.name, column) + " # ?" * bool(entry.doubt)

@@ -64,10 +64,10 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     for one in (one for one in others if one not in poses):
         label, there = one.label, {"t", *(entry.name for entry in entries)}
         added = guess_columns(one, machine, commands=read_name(label).commanded).entries
-        added = [e for e in added if e.name not in there]
+        added = [replace(e, theirs=f"{label}:{e.theirs}") for e in added if e.name not in there]
         if added and one.t is not None:
             sources[label] = (one.path, one.t)
-            entries += [replace(e, theirs=f"{label}:{e.theirs}") for e in added]
+            entries += added
         else:
             columns = ", ".join([*one.columns][:_FEW])
             what = one.path.name if one.path != main.path else f"{label} in {one.path.name}"
@@ -76,8 +76,9 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     notes += [*found.notes, *dropped]
     at = poses[0] if poses else main
     reference = _reference(at)
-    if reference and at is not main:
-        notes += _overlap(main, at)
+    if reference and main.seconds is not None and at.seconds is not None:
+        apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
+        notes += ["the reference's clock is another: which [reference] offset?"] * bool(apart)
     notes += _missing(main, entries, found.rate, machine)
     # Columns of other files are named as in a map.
     labels = {"": main} | {f"{one.label}:": one for one in others}
@@ -141,18 +142,13 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
     unit = said.pop() if len(said) == 1 else "m" if most < 50.0 else "mm"
     why = "an estimate, no measurement: compare with it?" if own[p[0]].source == "estimate" else ""
     found = [Entry(f"ref_p_{a}", n, unit, doubt=why) for a, n in zip("xyz", p, strict=True)]
-    turned = {
-        n: x
-        for n, x in own.items()
-        if x.kind in ("ref_q", "euler") and x.source == own[p[0]].source
-    }
+    turned = {n: x for n, x in own.items() if x.kind in ("ref_q", "euler")}
+    turned = {n: x for n, x in turned.items() if x.source == own[p[0]].source}
     # That of the most words in common with the position.
     words = set(own[p[0]].stem.split())
-    stems = sorted(
-        lists_of(turned, "stem").items(), key=lambda of: -len(words & {*of[0][0].split()})
-    )
-    for _, attitude in stems:
-        if entries := _attitude(one, attitude):
+    by_stem = lists_of(turned, "stem")
+    for stem in sorted(by_stem, key=lambda stem: -len(words & {*stem[0].split()})):
+        if entries := _attitude(one, by_stem[stem]):
             return (one.t, *found, *entries)
     return ()
 
@@ -215,9 +211,8 @@ def _missing(
         found.append("no name says what a column is: which of those not used below is what?")
     if main.seconds is None and rate is None:
         found.append("no times found: which column are they, or what is the [source] rate?")
-    step = (
-        0.0 if main.seconds is None or len(main.seconds) < 2 else np.median(np.diff(main.seconds))
-    )
+    timed = main.seconds is not None and len(main.seconds) > 1
+    step = np.median(np.diff(main.seconds)) if timed else 0.0
     if step > 1.0 / SLOWEST:
         found.append(
             f"rows at {1.0 / step:.3g} Hz are too slow for filters: is there a faster log?"
@@ -268,10 +263,3 @@ def _threshold(
         return None
     low, high = np.quantile(np.concatenate(forces), (0.1, 0.9))
     return float(low + 0.5 * (high - low)), float(low + 0.4 * (high - low))
-
-
-def _overlap(main: RecordedFile, at: RecordedFile) -> list[str]:
-    if main.seconds is None or at.seconds is None:
-        return []
-    apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
-    return ["the reference's clock is another: which [reference] offset?"] * bool(apart)

@@ -10,7 +10,6 @@ import numpy as np
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.guess_units import (
-    gravity_doubt,
     stride_in_turns,
     unit_of_accel,
     unit_of_angles,
@@ -35,6 +34,7 @@ _BEYOND = 0.1
 """Angle by which a joint may be beyond its limits, as its zero is not exact [rad]."""
 _TURN = 400.0
 """Largest angle of a joint [degrees]."""
+_SWAPPED = "in left turns the strides on this robot's left are longer: are left and right swapped?"
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,16 @@ def guess_columns(
         machine: its joint order is used for unnamed columns; or None.
         commands: whether its joint columns are targets and not readings.
     """
-    imu, imu_notes = _imu_entries(file)
-    joints, joint_notes, legs, rate = _joint_entries(file, machine, commands, imu)
+    imu, notes = _imu_entries(file)
+    yaw = next((e.scale * file.columns[e.theirs] for e in imu if e.name == "gyro_z"), None)
+    columns = _joint_columns(file, machine, commands, yaw)
+    joints, rate = _joint_entries(file, columns, yaw)
+    notes += _beyond_limits(file, machine, joints)
+    asked = {one.doubt for of_kind in columns.values() for one in of_kind.values()}
+    legs = _OTHER_SIDE_FIRST if _legs_doubt(_OTHER_SIDE_FIRST) in asked else LEGS
     feet, feet_notes = _feet_entries(file, legs, machine)
     times = [file.t] if file.t else []
-    notes = (*imu_notes, *joint_notes, *feet_notes)
-    return GuessedColumns((*times, *imu, *joints, *feet), notes, rate)
+    return GuessedColumns((*times, *imu, *joints, *feet), (*notes, *feet_notes), rate)
 
 
 def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
@@ -77,33 +81,32 @@ def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
 
 def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     """Entries of gyro and accelerometer, and notes."""
-    entries: list[Entry] = []
     notes: list[str] = []
     triples: dict[str, tuple[str, ...]] = {}
-    values: dict[str, np.ndarray] = {}
     asked: dict[str, str] = {}
     for kind in ("gyro", "accel"):
         own = {n: one for n, one in _of(file, kind).items() if not one.leg}
         found = vectors(own, _SOURCES[:2])
         if found:
-            axes = triples[kind] = found[0]
-            values[kind] = np.column_stack([file.columns[name] for name in axes])
-            source = own[axes[0]].source
+            source = own[found[0][0]].source
             others = [other for other in found[1:] if own[other[0]].source == source]
             asked[kind] = f"this, or {others[0][0]}?" if others else _source_doubt(source)
+            triples[kind] = found[0]
         elif own := {n: one for n, one in own.items() if not one.source}:
             notes.append(f"which of {', '.join(own)} are the {kind}'s x, y and z?")
-    if "gyro" in triples:
-        named = {file.names[name].unit for name in triples["gyro"]}
-        unit, doubt = unit_of_gyro(file.seconds, values["gyro"], values.get("accel"), named)
-        for axis, name in zip("xyz", triples["gyro"], strict=True):
-            entries.append(Entry(f"gyro_{axis}", name, unit, doubt=asked["gyro"] or doubt))
-    if "accel" in triples:
-        unit, gain, doubt = unit_of_accel(values["accel"])
-        doubts = gravity_doubt(values["accel"].mean(axis=0))
-        for axis, name in zip("xyz", triples["accel"], strict=True):
-            why = asked["accel"] or doubt or doubts.get(axis, "")
-            entries.append(Entry(f"accel_{axis}", name, unit, gain=gain, doubt=why))
+    values = {k: np.column_stack([file.columns[n] for n in of]) for k, of in triples.items()}
+    entries: list[Entry] = []
+    for kind, axes in triples.items():
+        if kind == "accel":
+            unit, gain, doubt = unit_of_accel(values["accel"])
+        else:
+            named = {file.names[name].unit for name in axes}
+            unit, doubt = unit_of_gyro(file.seconds, values["gyro"], values.get("accel"), named)
+            gain = 1.0
+        entries += [
+            Entry(f"{kind}_{axis}", name, unit, gain, asked[kind] or doubt)
+            for axis, name in zip("xyz", axes, strict=True)
+        ]
     return entries, notes
 
 
@@ -142,43 +145,17 @@ _Joints = dict[str, dict[str, _JointColumn]]
 """Kind of column -> joint -> its column."""
 
 
-def _joint_entries(
-    file: RecordedFile, machine: Machine | None, commands: bool, imu: Sequence[Entry]
-) -> tuple[list[Entry], list[str], Sequence[str], float | None]:
-    """Entries of the joints, notes, order of the legs, and rate of the rows."""
-    joints = _joint_columns(file, machine, commands)
-    swapped = _sides_doubt(file, joints.get("q", {}), imu)
-    legs: Sequence[str] = LEGS
-    if swapped and any(
-        one.doubt == _legs_doubt(LEGS) for of in joints.values() for one in of.values()
-    ):
-        # Some robots count their legs from the left, others from the right; strides show which.
-        legs, swapped = _OTHER_SIDE_FIRST, ""
-        doubt = _legs_doubt(legs)
-        joints = {
-            kind: {_other_side(joint): one._replace(doubt=doubt) for joint, one in of.items()}
-            for kind, of in joints.items()
-        }
-    entries: list[Entry] = []
-    rate = None
-    for kind in joints:
-        of_kind, rows = _entries_of_kind(file, kind, joints, swapped)
-        entries += of_kind
-        rate = rows or rate
-    beyond = [
-        entry.name[2:]
-        for entry in entries
-        if joint_prefix(entry.name) == "q_"
-        and _share_inside(machine, entry.name[2:], entry.scale * file.columns[entry.theirs])
-        < _INSIDE
-    ]
-    which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
-    question = f"{which} beyond the limits of the robot: other joints, signs or zeros?"
-    return entries, [question] * bool(beyond), legs, rate
+def _joint_columns(
+    file: RecordedFile, machine: Machine | None, commands: bool, yaw: np.ndarray | None
+) -> _Joints:
+    """Columns of joints: q, dq and tau, or q_des, dq_des and tau_ff for commands.
 
-
-def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) -> _Joints:
-    """Columns of joints: q, dq and tau, or q_des, dq_des and tau_ff for commands."""
+    Args:
+        file: of the recording.
+        machine: robot, or None.
+        commands: whether its joint columns are targets and not readings.
+        yaw: (N,) yaw rate [rad/s], or None.
+    """
     poses = {one.leg for one in _of(file, "ref_q").values() if one.leg}
     found = {
         name: one
@@ -189,15 +166,19 @@ def _joint_columns(file: RecordedFile, machine: Machine | None, commands: bool) 
     if not any(one.kind == "q" and not one.commanded for one in found.values()):
         found |= _bare_angles(file)
     lists = lists_of(found, "kind", "commanded")
+    angles = lists.get(("q", False), {})
     joints: _Joints = {}
     for (kind, commanded), own in lists.items():
         if not commanded:
-            best = min(_SOURCES.index(one.source) for one in own.values())
-            own = {n: one for n, one in own.items() if one.source == _SOURCES[best]}
+            best = min((one.source for one in own.values()), key=_SOURCES.index)
+            own = {name: one for name, one in own.items() if one.source == best}
         if commanded or commands:
             kind = {"q": "q_des", "dq": "dq_des", "tau": "tau_ff"}[kind]
         of = joints.setdefault(kind, {})
-        for joint, column in _joints_of(file, machine, own, lists.get(("q", False), {})):
+        found = _named_joints(file, machine, own) or _counted_joints(
+            file, machine, own, angles, yaw
+        )
+        for joint, column in found:
             if joint in of:
                 column = of[joint]._replace(doubt=f"this, or {column.column}?")
             of[joint] = column
@@ -215,20 +196,10 @@ def _bare_angles(file: RecordedFile) -> dict[str, Named]:
     }
 
 
-def _joints_of(
-    file: RecordedFile,
-    machine: Machine | None,
-    own: Mapping[str, Named],
-    angles: Mapping[str, Named],
+def _named_joints(
+    file: RecordedFile, machine: Machine | None, own: Mapping[str, Named]
 ) -> list[tuple[str, _JointColumn]]:
-    """The joint of each column, for columns of one kind; where some have names, of those alone.
-
-    Args:
-        file: of the recording.
-        machine: robot, or None.
-        own: the columns.
-        angles: columns of angles, which determine the order of unnamed joints.
-    """
+    """The joint of each column whose name has one, of columns of one kind."""
     found: list[tuple[str, _JointColumn]] = []
     legs = {one.leg for one in own.values() if one.leg}
     # A word common to all elements of a list names a group, not a joint.
@@ -237,28 +208,15 @@ def _joints_of(
         places.setdefault(one.part, set()).add(one.place)
     for name, one in own.items():
         if one.joint or one.leg or (one.part and len(places[one.part]) == 1):
-            doubt = "" if file.names[name].kind else "angles, by their sizes?"
             part = one.part or ("" if one.place is None else HINGES[one.place % 3])
             joint = joint_of_words(replace(one, leg=_leg(one.leg, legs), part=part))
+            doubt = "" if file.names[name].kind else "angles, by their sizes?"
             if one.leg and not (one.part or one.joint):
                 doubt = f"which joint of {one.leg} is {name}?"
             if machine is not None and joint not in machine.limbs.joints:
                 doubt = f"{machine.name} has no joint {joint}: which is it?"
             found.append((joint, _JointColumn(name, doubt)))
-    if found:
-        return found
-    if len(own) == 1:
-        return [("joint", _JointColumn(name, "")) for name in own]
-    # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
-    places = {n: (one.limb or 0, one.place) for n, one in own.items() if one.place is not None}
-    names, doubt = _order(file, machine, angles, sorted(set(places.values())))
-    joint_at = dict(zip(sorted(set(places.values())), names, strict=True))
-    return [
-        (joint_at[places[name]], _JointColumn(name, doubt))
-        if name in places
-        else ("joint", _JointColumn(name, f"which joint is {name}?"))
-        for name in own
-    ]
+    return found
 
 
 def joint_of_words(one: Named) -> str:
@@ -267,50 +225,93 @@ def joint_of_words(one: Named) -> str:
     return one.joint or f"{leg}_{one.part}".strip("_")
 
 
-def _order(
+def _counted_joints(
     file: RecordedFile,
     machine: Machine | None,
+    own: Mapping[str, Named],
     angles: Mapping[str, Named],
-    places: Sequence[tuple[int, int]],
-) -> tuple[Sequence[str], str]:
-    """Names for unnamed joints, and a doubt: in the order of a list, or of the robot, or by the
-    robot's limits, or in the usual order.
+    yaw: np.ndarray | None,
+) -> list[tuple[str, _JointColumn]]:
+    """The joint of each column by its number: in the order of a list of joints or, of those that
+    are usual, in the one that fits the angles.
 
     Args:
         file: of the recording.
         machine: robot, or None.
+        own: the columns, of one kind.
         angles: columns of angles.
-        places: limb and place of each joint, in their order.
+        yaw: (N,) yaw rate [rad/s], or None.
     """
+    # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
+    numbers = {n: (one.limb or 0, one.place) for n, one in own.items() if one.place is not None}
+    places = sorted(set(numbers.values()))
+    if len(own) == 1:
+        joints, doubt = ["joint"] * len(places), ""
+    elif (listed := _listed_order(file, machine, len(places))) is not None:
+        joints, doubt = listed
+    else:
+        values = {(one.limb or 0, one.place): file.columns[n] for n, one in angles.items()}
+        joints, doubt = _fitting_order(file, machine, [values.get(at) for at in places], yaw)
+    joint_at = dict(zip(places, joints, strict=True))
+    return [
+        (joint_at[numbers[name]], _JointColumn(name, doubt))
+        if name in numbers
+        else ("joint", _JointColumn(name, f"which joint is {name}?" if len(own) > 1 else ""))
+        for name in own
+    ]
+
+
+def _listed_order(
+    file: RecordedFile, machine: Machine | None, count: int
+) -> tuple[Sequence[str], str] | None:
+    """Names of so many joints in the order of a list of the recording, and a question."""
     for source, listed in {**file.lists, **_lists_beside(file.path)}.items():
-        if len(set(listed)) == len(listed) == len(places):
+        if len(set(listed)) == len(listed) == count:
             read = by_their_legs({one: name_in_file(one, machine) for one in listed})
             names = [
                 joint_of_words(one) if one.joint or (one.leg in LEGS and one.part) else text
                 for text, one in read.items()
             ]
-            names = names if len(set(names)) == len(places) else listed
+            names = names if len(set(names)) == count else listed
             return names, f"are its joints in the order of {source}?"
-    if machine is not None and len(machine.limbs.joints) == len(places):
+    return None
+
+
+def _fitting_order(
+    file: RecordedFile,
+    machine: Machine | None,
+    angles: Sequence[np.ndarray | None],
+    yaw: np.ndarray | None,
+) -> tuple[Sequence[str], str]:
+    """Names of joints in the usual order that fits their angles best, and a question.
+
+    The angles of a robot's joints are within its limits; the strides of a quadruped's outer legs
+    are the longer ones in turns.
+
+    Args:
+        file: of the recording.
+        machine: robot, or None.
+        angles: (N,) in any unit of each joint, or None.
+        yaw: (N,) yaw rate [rad/s], or None.
+    """
+    if machine is not None and len(machine.limbs.joints) == len(angles):
         joints = machine.limbs.joints
         kinds = {joint: machine.limbs.kind(k) for k, joint in enumerate(joints)}
-        by_kind = tuple(sorted(joints, key=lambda one: [*kinds.values()].index(kinds[one])))
-        values = {(one.limb or 0, one.place): file.columns[n] for n, one in angles.items()}
-        scale = UNITS["q"][unit_of_angles(values.values(), set())[0]]
-        fits = {
-            order: sum(
-                _share_inside(machine, joint, scale * values[place])
-                for joint, place in zip(order, places, strict=True)
-                if place in values
-            )
+        by_kind = sorted(joints, key=lambda joint: [*kinds.values()].index(kinds[joint]))
+        known = {k: x for k, x in enumerate(angles) if x is not None}
+        scale = UNITS["q"][unit_of_angles(known.values(), set())[0]]
+        fits = [
+            sum(_share_inside(machine, order[k], scale * x) for k, x in known.items())
             for order in (joints, by_kind)
-        }
-        names = max(fits, key=lambda order: fits[order])
-        of = f"of {machine.name}" if names == joints else ", ".join(names)
-        return names, f"are its joints in the order {of}?"
-    if len(places) == len(JOINTS):
-        return JOINTS, _legs_doubt(LEGS)
-    return [f"joint{k}" for k in range(len(places))], "which joint is it?"
+        ]
+        if fits[0] >= fits[1]:
+            return joints, f"are its joints in the order of {machine.name}?"
+        return by_kind, f"are its joints in the order {', '.join(by_kind)}?"
+    if len(angles) == len(JOINTS):
+        known = {joint: x for joint, x in zip(JOINTS, angles, strict=True) if x is not None}
+        legs = _OTHER_SIDE_FIRST if _longer_inside(file, known, yaw) else LEGS
+        return [f"{leg}_{hinge}" for leg in legs for hinge in HINGES], _legs_doubt(legs)
+    return [f"joint{k}" for k in range(len(angles))], "which joint is it?"
 
 
 def _share_inside(machine: Machine | None, joint: str, angles: np.ndarray) -> float:
@@ -322,60 +323,73 @@ def _share_inside(machine: Machine | None, joint: str, angles: np.ndarray) -> fl
     return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
-def _sides_doubt(
-    file: RecordedFile, angles: Mapping[str, _JointColumn], imu: Sequence[Entry]
-) -> str:
-    """A doubt if the strides in turns suggest that left and right are exchanged; else empty."""
-    rates = [entry for entry in imu if entry.name == "gyro_z"]
-    if not rates or file.seconds is None:
-        return ""
-    yaw = rates[0].scale * file.columns[rates[0].theirs]
+def _longer_inside(
+    file: RecordedFile, angles: Mapping[str, np.ndarray], yaw: np.ndarray | None
+) -> bool:
+    """Whether the strides of a quadruped's inner legs, by the angles' joints, are the longer ones
+    in turns: left and right are exchanged.
+    """
     left, right = (
-        [file.columns[one.column] for joint, one in angles.items() if joint in thighs]
+        [x for joint, x in angles.items() if joint in thighs]
         for thighs in (("FL_thigh", "RL_thigh"), ("FR_thigh", "RR_thigh"))
     )
-    growth = stride_in_turns(file.seconds, yaw, left, right) if left and right else None
-    if growth is None or growth > 0.0:
-        return ""
-    return "in left turns the strides on this robot's left are longer: are left and right swapped?"
+    if yaw is None or file.seconds is None or not left or not right:
+        return False
+    growth = stride_in_turns(file.seconds, yaw, left, right)
+    return growth is not None and growth <= 0.0
 
 
-def _entries_of_kind(
-    file: RecordedFile, kind: str, joints: _Joints, swapped: str
+def _joint_entries(
+    file: RecordedFile, joints: _Joints, yaw: np.ndarray | None
 ) -> tuple[list[Entry], float | None]:
-    """Entries of one kind of joint columns, and the rate of the rows [Hz] where joint rates
-    determine it.
-
-    swapped: a doubt about left and right, for columns without another.
-    """
-    own = joints[kind]
-    values = {joint: file.columns[one.column] for joint, one in own.items()}
-    prefix, rate = kind, None
-    if kind.startswith("q"):
-        named = {file.names[one.column].unit for one in own.values()}
-        unit, doubt = unit_of_angles(list(values.values()), named)
-    elif kind.startswith("dq"):
-        angles = joints.get("q" if kind == "dq" else "q_des", {})
-        both = [joint for joint in values if joint in angles]
-        unit, doubt, rate = unit_of_rates(
-            file.seconds,
-            [values[joint] for joint in both or values],
-            [file.columns[angles[joint].column] for joint in both],
-        )
-    else:
-        unit = "N m"
-        most = max(float(np.quantile(np.abs(v), 0.99)) for v in values.values())
-        doubt = "are these N m, or current?" if most > 300.0 else ""
-        if all(v.min() >= 0.0 for v in values.values()) and most > 0.0:
-            prefix, unit = f"x_{kind}", None
-            doubt = "never negative: magnitudes, of which unit?"
-    if kind in ("q", "dq"):
-        doubt = doubt or _source_doubt(file.names[next(iter(own.values())).column].source)
-    entries = [
-        Entry(f"{prefix}_{joint}", one.column, unit, doubt=one.doubt or doubt or swapped)
-        for joint, one in own.items()
-    ]
+    """Entries of the joints, and the rate of the rows [Hz] where joint rates determine it."""
+    entries: list[Entry] = []
+    rate = None
+    values = {
+        kind: {joint: file.columns[one.column] for joint, one in of_kind.items()}
+        for kind, of_kind in joints.items()
+    }
+    swapped = _SWAPPED if _longer_inside(file, values.get("q", {}), yaw) else ""
+    for kind, own in joints.items():
+        prefix, readings = kind, values[kind]
+        names = [file.names[one.column] for one in own.values()]
+        if kind.startswith("q"):
+            unit, doubt = unit_of_angles(readings.values(), {one.unit for one in names})
+        elif kind.startswith("dq"):
+            angles = values.get("q" if kind == "dq" else "q_des", {})
+            both = [joint for joint in readings if joint in angles]
+            rates = [readings[joint] for joint in both or readings]
+            unit, doubt, rows = unit_of_rates(file.seconds, rates, [angles[j] for j in both])
+            rate = rows or rate
+        else:
+            unit = "N m"
+            most = max(float(np.quantile(np.abs(v), 0.99)) for v in readings.values())
+            doubt = "are these N m, or current?" if most > 300.0 else ""
+            if all(v.min() >= 0.0 for v in readings.values()) and most > 0.0:
+                prefix, unit = f"x_{kind}", None
+                doubt = "never negative: magnitudes, of which unit?"
+        if kind in ("q", "dq"):
+            doubt = doubt or _source_doubt(names[0].source)
+        entries += [
+            Entry(f"{prefix}_{joint}", one.column, unit, doubt=one.doubt or doubt or swapped)
+            for joint, one in own.items()
+        ]
     return entries, rate
+
+
+def _beyond_limits(
+    file: RecordedFile, machine: Machine | None, entries: Sequence[Entry]
+) -> list[str]:
+    """A question where angles are beyond the limits of the robot's joints."""
+    angles = {e.name[2:]: e for e in entries if joint_prefix(e.name) == "q_"}
+    beyond = [
+        joint
+        for joint, e in angles.items()
+        if _share_inside(machine, joint, e.scale * file.columns[e.theirs]) < _INSIDE
+    ]
+    which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
+    question = f"{which} beyond the limits of the robot: other joints, signs or zeros?"
+    return [question] * bool(beyond)
 
 
 def _feet_entries(
@@ -406,7 +420,6 @@ def _feet_entries(
         )
         for name, one in groups[0][1].items() if groups else ():
             binary = all(np.isin(file.columns[n], (0.0, 1.0)).all() for n in groups[0][1])
-            column = f"{kind if binary else 'force'}_{one.leg}"
             doubt = "" if binary or kind == "force" else "is not 0 or 1: a force?"
             if name in counted:
                 doubt = _legs_doubt(legs)
@@ -414,14 +427,14 @@ def _feet_entries(
                 doubt = f"this, or {next(iter(groups[1][1]))}?"
             elif one.axis:
                 doubt = "the z of a force: is that what presses on the foot?"
+            column = f"{kind if binary else 'force'}_{one.leg}"
             entries.setdefault(column, Entry(column, name, doubt=doubt))
     feet = {n: one for n, one in found.items() if one.kind == "foot" and one.leg and one.axis}
     most = max((float(np.abs(file.columns[n]).max()) for n in feet), default=0.0)
     for name, one in feet.items():
         column = f"foot_{one.leg}_{one.axis}"
         doubt = _legs_doubt(legs) if name in counted else ""
-        unit = "m" if most < 3.0 else "mm"
-        entries.setdefault(column, Entry(column, name, unit, doubt=doubt))
+        entries.setdefault(column, Entry(column, name, "m" if most < 3.0 else "mm", doubt=doubt))
     notes = ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
     return list(entries.values()), notes
 
@@ -449,32 +462,22 @@ def _with_legs_of(machine: Machine | None, found: Mapping[str, Named]) -> dict[s
     """Names with the legs of a machine with other than two or four legs, whose legs have no names
     of their own: the words that all joints of a leg share and that not all legs share.
     """
+    read = dict(found)
     if machine is None or len(machine.limbs.legs) in (0, 2, 4):
-        return dict(found)
+        return read
     limbs = machine.limbs
     shared = [
         set.intersection(*(set(words_of(limbs.joints[joint])) for joint in chain))
         for chain in limbs.chains
     ]
     of_all = set.intersection(*shared)
-    read = {}
     for name, one in found.items():
-        words = set(words_of(name))
-        of = [
-            (leg, theirs - of_all)
-            for leg, theirs in zip(limbs.legs, shared, strict=True)
-            if theirs - of_all and theirs - of_all <= words
-        ]
-        if len(of) == 1:
-            stem = " ".join(word for word in one.stem.split() if word not in of[0][1])
-            one = replace(one, leg=of[0][0], part="", stem=stem)
-        read[name] = one
+        words = {*words_of(name)}
+        legs = [k for k, theirs in enumerate(shared) if set() < theirs - of_all <= words]
+        if len(legs) == 1:
+            stem = " ".join(w for w in one.stem.split() if w not in shared[legs[0]] - of_all)
+            read[name] = replace(one, leg=limbs.legs[legs[0]], part="", stem=stem)
     return read
-
-
-def _other_side(joint: str) -> str:
-    """Name of the joint on the other side of a quadruped."""
-    return joint[0] + {"L": "R", "R": "L"}[joint[1]] + joint[2:]
 
 
 def _legs_doubt(legs: Sequence[str]) -> str:

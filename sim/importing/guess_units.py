@@ -114,32 +114,29 @@ def unit_of_gyro(
 
 
 def unit_of_accel(accel: np.ndarray) -> tuple[str, float, str]:
-    """Unit of an accelerometer (N, 3), gain and a doubt: its usual magnitude is taken to be
-    gravity.
+    """Unit of an accelerometer (N, 3), gain, and a doubt: its usual magnitude is taken to be
+    gravity, and the mean specific force to point up, +z.
     """
     size = float(np.median(np.linalg.norm(accel, axis=1)))
-    if 8.0 < size < 12.0:
-        return "m/s^2", 1.0, ""
-    for unit, one in (("g", 1.0), ("mg", 1e3)):
-        if 0.8 * one < size < 1.2 * one:
-            return unit, 1.0, ""
+    for unit, low, high in (("m/s^2", 8.0, 12.0), ("g", 0.8, 1.2), ("mg", 0.8e3, 1.2e3)):
+        if low < size < high:
+            return unit, 1.0, _gravity_doubt(accel.mean(axis=0))
     gain = float(f"{STANDARD_GRAVITY / max(size, 1e-9):.4g}")
     return "m/s^2", gain, f"its length is {size:.3g} at rest: in which unit?"
 
 
-def gravity_doubt(mean: np.ndarray) -> dict[str, str]:
-    """Axis -> doubt about its sign, from the mean specific force (3,), which points up: +z."""
+def _gravity_doubt(mean: np.ndarray) -> str:
+    """A doubt about the axes where the mean specific force (3,) does not point up."""
     axis = int(np.argmax(np.abs(mean)))
     if axis == 2 and mean[2] > 0.0:
-        return {}
+        return ""
     where = f"gravity reads {'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
-    if axis == 2:
-        why = (
-            f"{where}: an IMU upside down ([robot] imu_orientation), the sign, or gravity itself"
-            " (offset = 19.62)?"
-        )
-        return {"z": why, "x": why, "y": why}
-    return dict.fromkeys("xyz", f"{where}: give [robot] imu_orientation, or other axes?")
+    remedy = (
+        "an IMU upside down ([robot] imu_orientation), the sign, or gravity itself (offset = 19.62)"
+        if axis == 2
+        else "give [robot] imu_orientation, or other axes"
+    )
+    return f"{where}: {remedy}?"
 
 
 def stride_in_turns(

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import is_there
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.table import RecordedTable
+from surefoot.sim.importing.table import RecordedTable, parsed_as
 
 _DEEPEST = 20
 _SWOLLEN = 25.0
@@ -21,49 +20,44 @@ def read_json(path: Path) -> RecordedTable:
     A record's fields are `a.b`, an element of a list `a[0]`; a record without a field has an empty
     cell. Raises SurefootError.
     """
-    if is_there(path):
-        check_limit("memory", _SWOLLEN * path.stat().st_size, f"{path}: bytes in memory")
-    try:
+    check_limit("memory", _SWOLLEN * path.stat().st_size, f"{path}: bytes in memory")
+    cells: dict[str, np.ndarray] = {}
+    with parsed_as("JSON", path):
         text = path.read_text(encoding="utf-8-sig")
         if path.suffix == ".json":
             found = json.loads(text)
         else:
             found = [json.loads(line) for line in text.splitlines() if line.strip()]
-        cells: dict[str, np.ndarray] = {}
-        _collect(found, "", cells, _DEEPEST)
-    except SurefootError as error:
-        raise SurefootError(f"{path}: {error}") from None
-    except FileNotFoundError:
-        raise SurefootError(f"{path}: no such file") from None
-    except (OSError, ValueError, OverflowError, RecursionError) as error:
-        raise SurefootError(f"{path}: not JSON ({' '.join(str(error).split())[:80]})") from error
+        _collect(found, "", cells, path)
     if not cells:
         raise SurefootError(f"{path}: no records and no lists in it")
     return RecordedTable(path, cells)
 
 
-def _collect(node: object, name: str, cells: dict[str, np.ndarray], deeper: int) -> None:
+def _collect(
+    node: object, name: str, cells: dict[str, np.ndarray], path: Path, deeper: int = _DEEPEST
+) -> None:
+    """Add the lists and records in a node to cells. Raises SurefootError for too many fields."""
     if isinstance(node, dict) and deeper:
         for key, value in node.items():
-            _collect(value, f"{name}.{key}" if name else key, cells, deeper - 1)
+            _collect(value, f"{name}.{key}" if name else key, cells, path, deeper - 1)
     elif isinstance(node, list) and node:
         if all(isinstance(one, dict) for one in node):
             records = [_flat(one, name, deeper) for one in node]
             keys = dict.fromkeys(key for one in records for key in one)
-            check_limit("columns", len(keys), "fields of its records")
-            for key in keys:
-                cells[key] = _array([one.get(key) for one in records])
+            check_limit("columns", len(keys), f"{path}: fields of its records")
+            cells |= {key: _array([one.get(key) for one in records]) for key in keys}
         else:
             cells[name or "array"] = _array(node)
 
 
 def _flat(record: dict, name: str, deeper: int) -> dict[str, object]:
+    """The fields of a record by their paths, with `name` in front."""
     found: dict[str, object] = {}
     for key, value in record.items():
         path = f"{name}.{key}" if name else key
-        found |= (
-            _flat(value, path, deeper - 1) if isinstance(value, dict) and deeper else {path: value}
-        )
+        nested = isinstance(value, dict) and deeper
+        found |= _flat(value, path, deeper - 1) if nested else {path: value}
     return found
 
 

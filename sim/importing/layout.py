@@ -9,6 +9,7 @@ from typing import Any
 
 _LOOKED_AT = 65536
 """Number of characters at the beginning of a text that are examined."""
+SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
 _WORDS = re.compile(r"[^\s,;|]+")
@@ -43,7 +44,7 @@ def layout_of(path: Path) -> dict[str, Any]:
     if len(lines) < 2:
         return {}
     separator = _separator(lines[-1])
-    rows = [_cells(line, separator) for line in lines]
+    rows = [cells_of(line, separator) for line in lines]
     width = len(rows[-1])
     first = next(k for k, row in enumerate(rows) if len(row) == width)
     # A comment as wide as the table contains its column names.
@@ -100,15 +101,16 @@ def _separator(line: str) -> str:
         if separator in line:
             return separator
     decimal_commas = re.search(r"\S +\S", line) and _are_numbers(line.split())
-    return "," if "," in line and not decimal_commas else r"\s+"
+    return "," if "," in line and not decimal_commas else SPACES
 
 
 def _are_numbers(cells: list[str]) -> bool:
     return all(is_number(cell) or _COMMA.fullmatch(cell) for cell in cells)
 
 
-def _cells(line: str, separator: str) -> list[str]:
-    if separator == r"\s+":
+def cells_of(line: str, separator: str) -> list[str]:
+    """The cells of a line; between spaces, without the sign of a comment before them."""
+    if separator == SPACES:
         words = line.split()
         return words[1:] if words[:1] and words[0] in COMMENTS else words
     return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])

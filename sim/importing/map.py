@@ -30,37 +30,21 @@ class ImportMap:
 
     Attributes:
         path: of the map.
+        sections: as they are written in the map.
         columns: of the log.
-        entries: these columns, as they are written in the map.
-        source: the main file.
-        sources: further files by name.
         clocks: time columns of the further files.
-        reference: section of the reference, without its columns.
         reference_columns: columns of the reference.
         robot: name or file.
         model: entries of `Meta.model`.
-        joint_sign: by joint.
-        joint_offset: by joint [rad].
-        contact: section of the contacts.
-        motor_law: gains, numbers or by joint.
-        even: section of the resampling.
     """
 
     path: Path
+    sections: "MapFile"
     columns: dict[str, MapColumn]
-    entries: Entries = field(default_factory=dict)
-    source: Source = field(default_factory=Source)
-    sources: dict[str, Source] = field(default_factory=dict)
-    clocks: dict[str, MapColumn] = field(default_factory=dict)
-    reference: ReferenceTable | None = None
-    reference_columns: dict[str, MapColumn] = field(default_factory=dict)
-    robot: str | None = None
-    model: dict[str, Any] = field(default_factory=dict)
-    joint_sign: dict[str, float] = field(default_factory=dict)
-    joint_offset: dict[str, float] = field(default_factory=dict)
-    contact: ContactTable | None = None
-    motor_law: dict[str, float | dict[str, float]] | None = None
-    even: EvenTable | None = None
+    clocks: dict[str, MapColumn]
+    reference_columns: dict[str, MapColumn]
+    robot: str | None
+    model: dict[str, Any]
 
     @classmethod
     def read(cls, path: str | Path) -> "ImportMap":
@@ -125,27 +109,14 @@ class MapFile:
             model["ground_evenness"] = self.ground.evenness
         if self.contact is not None:
             model["contact_debounce"] = self.contact.debounce
-        return ImportMap(
-            path=path,
-            columns=columns,
-            entries=self.columns,
-            source=self.source,
-            sources=self.sources,
-            clocks={
-                name: read_column(f"sources.{name}.t", "t", source.t, ())
-                for name, source in self.sources.items()
-                if source.t is not None
-            },
-            reference=self.reference,
-            reference_columns=_reference_columns(self.reference, names) if self.reference else {},
-            robot=self.robot.name if self.robot else None,
-            model=model,
-            joint_sign=self.robot.joint_sign if self.robot else {},
-            joint_offset=self.robot.joint_offset if self.robot else {},
-            contact=self.contact,
-            motor_law=vars(self.motor_law) if self.motor_law else None,
-            even=self.even,
-        )
+        clocks = {
+            name: read_column(f"sources.{name}.t", "t", source.t, ())
+            for name, source in self.sources.items()
+            if source.t is not None
+        }
+        reference = _reference_columns(self.reference, names) if self.reference else {}
+        robot = self.robot.name if self.robot else None
+        return ImportMap(path, self, columns, clocks, reference, robot, model)
 
     def _check_contact(self, columns: dict[str, MapColumn]) -> None:
         if self.contact is None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.bag import RECEIVED, bag_fields, is_bag, read_bag
+from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, bag_fields, is_bag, read_bag
 from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
@@ -90,11 +90,8 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
-        skipped = dict.fromkeys(
-            (n for n in table.cells if n not in there), "NaN, text, empty or too long"
-        )
-        skipped |= dict.fromkeys(table.parameters, "parameters: not one for each row")
-        found[0] = replace(found[0], skipped=skipped)
+        unread = dict.fromkeys((n for n in table.cells if n not in there), UNREADABLE)
+        found[0] = replace(found[0], skipped=unread | table.skipped)
     return found
 
 
@@ -120,8 +117,7 @@ def _with_empty_cells(
     if not readings or len({*map(len, table.cells.values())}) > 1:
         return {}
     names = _names([*readings, *full], machine)
-    gyro = [n for n in readings if names[n].kind == "gyro" and not names[n].source]
-    at = readings[gyro[0] if gyro else max(readings, key=lambda n: len(readings[n][0]))][0]
+    at, _ = readings[_leading(readings, names)]
     t = column_of_times({name: values[at] for name, values in full.items()}, names)
     if t is None:
         return {}
@@ -131,6 +127,14 @@ def _with_empty_cells(
     return {n: between[n] for n in dict.fromkeys((*table.cells, *full)) if n in between}
 
 
+def _leading(
+    readings: Mapping[str, tuple[np.ndarray, np.ndarray]], names: Mapping[str, Named]
+) -> str:
+    """The column whose readings are the rows: one of the IMU, or else the most frequent."""
+    gyro = (n for n in readings if names[n].kind == "gyro" and not names[n].source)
+    return next(gyro, None) or max(readings, key=lambda name: len(readings[name][0]))
+
+
 def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     fields, skipped = bag_fields(path)
     every = read_bag(path, fields)
@@ -138,16 +142,12 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     readings = {n: (t[finite[n]], x[finite[n]]) for n, (t, x) in every.items() if finite[n].any()}
     if not readings:
         return []
-    skipped |= dict.fromkeys(
-        (n for n in every if n not in readings), "NaN, text, empty or too long"
-    )
+    skipped |= dict.fromkeys((n for n in every if n not in readings), UNREADABLE)
     layout = {} if all(finite[n].all() for n in readings) else {"sparse": True}
     recorded = {name: values for name, (_, values) in readings.items()}
     names = _names(recorded, machine)
-    # The rows are those of the IMU, or else of the most frequent topic.
-    gyro = [n for n, one in names.items() if one.kind == "gyro" and not one.source]
-    first = gyro[0] if gyro else max(recorded, key=lambda n: len(recorded[n]))
-    seconds = readings[first][0]
+    first = _leading(readings, names)
+    seconds, _ = readings[first]
     t = times_of_topic(first.partition(":")[0], recorded, names)
     columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
     label = _plain(path.stem)

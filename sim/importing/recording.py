@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import is_file, is_there
+from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import admitted, check_unpacked
 from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
@@ -28,7 +28,7 @@ from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import poses_of, quaternions_of
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings
+from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, parsed_as
 from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import Log
 
@@ -59,14 +59,14 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(one) for one in files]
     # Files that the map names may be given too, in any order.
     given = {path.name: path for path in paths}
-    first = given.get(rules.source.file or "", paths[0])
+    first = given.get(rules.sections.source.file or "", paths[0])
     main = _main_file(first, rules)
-    sources = (*rules.sources.values(), rules.reference)
+    sources = (*rules.sections.sources.values(), rules.sections.reference)
     named = {one.file.replace(STEM, main.stem) for one in sources if one and one.file}
     beside = {name: given.get(name, main.parent / name) for name in named}
     further = iter([path for path in paths if path is not first and path.name not in named])
-    streams, clock, notes = _streams(main, rules.source, rules, None)
-    for name, source in rules.sources.items():
+    streams, clock, notes = _streams(main, rules.sections.source, rules, None)
+    for name, source in rules.sections.sources.items():
         path = beside[source.file.replace(STEM, main.stem)] if source.file else next(further, None)
         if path is None:
             raise SurefootError(f"{rules.path}: [sources.{name}] has no file, and none is given")
@@ -76,12 +76,12 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     epoch, poses = epoch_of(clock), None
     if epoch:
         notes.append(f"t: counts from {seconds(epoch)} s of the recording's clock")
-    if rules.reference is not None:
-        own = rules.reference.file
+    if rules.sections.reference is not None:
+        own = rules.sections.reference.file
         path = beside[own.replace(STEM, main.stem)] if own else next(further, main)
         table, said = _reference(path, rules, shared=path == main)
         poses = poses_of(table | {"t": table["t"] - epoch})
-        notes += [said] if said else []
+        notes += said
     if (extra := next(further, None)) is not None:
         raise SurefootError(f"{extra}: {rules.path} has no use for this file")
     clock = clock - epoch
@@ -102,8 +102,7 @@ def _robot_file(rules: ImportMap, main: Path) -> str | None:
 
 def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
-    if is_there(path):
-        admitted(path, "recording")
+    admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
     return reader(path) if reader else read_text(path, source)
 
@@ -114,13 +113,13 @@ def is_text(path: Path) -> bool:
 
 
 def _main_file(path: Path, rules: ImportMap) -> Path:
-    if rules.source.file and is_file(path / rules.source.file):
-        return path / rules.source.file
+    if rules.sections.source.file and is_file(path / rules.sections.source.file):
+        return path / rules.sections.source.file
     if is_bag(path) or not path.is_dir():
         return path
-    if rules.source.file is None:
+    if rules.sections.source.file is None:
         raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
-    return path / rules.source.file
+    return path / rules.sections.source.file
 
 
 def _streams(
@@ -131,15 +130,21 @@ def _streams(
     """
     columns = {n: c for n, c in rules.columns.items() if c.source == name and n != "t"}
     clock = rules.columns.get("t") if name is None else rules.clocks.get(name)
-    bag = is_bag(path)
+    bag, ours = is_bag(path), ""
     if bag:
-        table, times = _messages(path, source, columns, clock if name is None else None, rules)
+        if source.rate is not None:
+            raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
+        clock = clock if name is None else None
+        table, times = _table(path, source, [*columns.values(), *([clock] if clock else [])])
+        if clock:
+            ours = topic_of(clock.theirs)
+            times[ours] = _times(table, clock, source)
+            _check_attitude(path, columns, ours)
     else:
-        table = read_table(path, source)
+        table, _ = _table(path, source, [])
         if clock is None and source.rate is None:
             raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
         times = {"": _times(table, clock, source)}
-    ours = topic_of(clock.theirs) if bag and clock and name is None else ""
     alone = source.sparse or source.long is not None
     # Columns that share their stamps lose the same rows.
     groups: dict[tuple[str, str], dict[str, _Rows]] = (
@@ -163,19 +168,49 @@ def _streams(
     found: dict[str, Stamped] = {}
     t, notes = np.zeros(0), []
     for (place, log_name), members in groups.items():
-        rows = next((rows for rows, _ in members.values()), np.arange(len(times[place])))
-        stamps, values = times[place][rows], [x for _, x in members.values()]
         column = columns[next(iter(members))] if alone or place != ours else clock
-        where = f"{path}: column {column.theirs if column else 't'!r}"
-        kept, said = kept_rows(stamps, values, where, table.row, rows + table.first)
-        found |= {n: (stamps[kept], x[kept]) for n, (_, x) in members.items()}
-        notes += [said] if said else []
+        kept, _, said = _kept(table, members, times[place], column)
+        stamps = kept.pop("t")
+        found |= {n: (stamps, values) for n, values in kept.items()}
+        notes += said
         # If columns have different times, the rows are those of the most frequent one.
-        if place == ours and len(kept) > len(t):
-            t, first = stamps[kept], log_name
+        if place == ours and len(stamps) > len(t):
+            t, first = stamps, log_name
     if alone and found:
         notes.append(f"rows: at the readings of {first}")
     return found, t, [*notes, *_blank_lines(path, blank, found)]
+
+
+def _table(
+    path: Path, source: Source, wanted: Iterable[MapColumn]
+) -> tuple[RecordedTable, dict[str, np.ndarray]]:
+    """The table of a file; of a bag, that of the wanted columns, and the times of each topic."""
+    if not is_bag(path):
+        return read_table(path, source), {}
+    seen = read_bag(path, sorted({column.theirs for column in wanted}))
+    table = RecordedTable(path, {name: values for name, (_, values) in seen.items()}, "message")
+    return table, {topic_of(name): stamps for name, (stamps, _) in seen.items()}
+
+
+def _kept(
+    table: RecordedTable, members: Mapping[str, _Rows], times: np.ndarray, clock: MapColumn | None
+) -> tuple[Columns, np.ndarray, list[str]]:
+    """Columns of readings in the same rows, with their times `t`; the numbers (M,) of these rows;
+    and a note on rows that are left out.
+    """
+    rows = next((rows for rows, _ in members.values()), np.arange(len(times)))
+    where = f"{table.path}: column {clock.theirs if clock else 't'!r}"
+    values, numbers = [x for _, x in members.values()], rows + table.first
+    kept, said = kept_rows(times[rows], values, where, table.row, numbers)
+    columns = {"t": times[rows][kept]} | {n: x[kept] for n, (_, x) in members.items()}
+    return columns, numbers[kept], [said] if said else []
+
+
+def _check_attitude(path: Path, columns: Mapping[str, MapColumn], topic: str) -> None:
+    """Raise SurefootError where an attitude would be interpolated to the rows of another topic."""
+    for name, column in columns.items():
+        if name.startswith("ref_q_") and topic_of(column.theirs) != topic:
+            raise SurefootError(f"{path}: {name} is of another topic than t: give a [reference]")
 
 
 def _blank_lines(path: Path, blank: Mapping[str, SurefootError], found: Iterable[str]) -> list[str]:
@@ -194,104 +229,51 @@ def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.
     return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 
 
-def _messages(
-    path: Path,
-    source: Source,
-    columns: dict[str, MapColumn],
-    clock: MapColumn | None,
-    rules: ImportMap,
-) -> tuple[RecordedTable, dict[str, np.ndarray]]:
-    """Columns of a bag, and the times of each topic's messages.
-
-    Args:
-        path: of the bag.
-        source: as described in the map.
-        columns: to read from it.
-        clock: its column of times, if its rows are the log's.
-        rules: the map, for messages.
-    """
-    if source.rate is not None:
-        raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
-    wanted = {c.theirs for c in (*columns.values(), *([clock] if clock else []))}
-    seen = read_bag(path, sorted(wanted))
-    table = RecordedTable(path, {name: values for name, (_, values) in seen.items()}, "message")
-    times = {topic_of(name): stamps for name, (stamps, _) in seen.items()}
-    if clock:
-        times[topic_of(clock.theirs)] = _times(table, clock, source)
-    for name, column in columns.items():
-        if (
-            name.startswith("ref_q_")
-            and clock
-            and topic_of(column.theirs) != topic_of(clock.theirs)
-        ):
-            raise SurefootError(f"{path}: {name} is of another topic than t: give a [reference]")
-    return table, times
-
-
-def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, str]:
+def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, list[str]]:
     """Columns t, ref_p and ref_q of the reference's own rows, and a note on those left out.
 
     shared: whether it is in the main file.
     """
-    columns, source = rules.reference_columns, rules.reference
+    columns, source = rules.reference_columns, rules.sections.reference
     assert source is not None
     if shared:
-        plain = Source()
-        laid_out = {
-            key: getattr(rules.source, key)
-            for key in ("separator", "header", "skip", "comment", "decimal", "sparse")
-            if getattr(source, key) == getattr(plain, key)
-        }
-        source = replace(source, **laid_out)
-    if is_bag(path):
-        topics = {topic_of(column.theirs) for column in columns.values()}
-        if len(topics) > 1:
-            raise SurefootError(
-                f"{path}: [reference.columns] are of {' and '.join(sorted(topics))};"
-                " t, ref_p and ref_q are of one topic"
-            )
-        seen = read_bag(path, sorted({column.theirs for column in columns.values()}))
-        read = RecordedTable(path, {name: values for name, (_, values) in seen.items()}, "message")
-        source = Source(rate=source.rate, sparse=source.sparse)
-    else:
-        read = read_table(path, source)
-    table, rows = {}, np.zeros(0, int)
+        keys = ("separator", "header", "skip", "comment", "decimal", "sparse")
+        unsaid = [key for key in keys if getattr(source, key) == getattr(Source(), key)]
+        source = replace(source, **{key: getattr(rules.sections.source, key) for key in unsaid})
+    if is_bag(path) and len(topics := {topic_of(one.theirs) for one in columns.values()}) > 1:
+        raise SurefootError(
+            f"{path}: [reference.columns] are of {' and '.join(sorted(topics))};"
+            " t, ref_p and ref_q are of one topic"
+        )
+    read, _ = _table(path, source, columns.values())
+    members: dict[str, _Rows] = {}
     for name, column in columns.items():
         if name != "t":
             rows, values = column_readings(read, column.theirs, source, column.word)
-            table[name] = column.read(values)
-    times = _times(read, columns.get("t"), source)
-    lengths = {len(values) for values in table.values()}
+            members[name] = rows, column.read(values)
+    clock = columns.get("t")
+    times = _times(read, clock, source)
+    lengths = {len(rows) for rows, _ in members.values()}
     if len(lengths) > 1:
         raise SurefootError(f"{path}: [reference.columns] have {sorted(lengths)} rows")
-    if len(rows) and rows[-1] >= len(times):
-        raise SurefootError(
-            f"{path}: the reference has {rows[-1] + 1} rows, its times {len(times)}"
-        )
-    where = f"{path}: column {columns['t'].theirs if 't' in columns else 't'!r}"
-    numbers = read.first + rows
-    kept, said = kept_rows(times[rows], [*table.values()], where, read.row, numbers)
-    table = {"t": times[rows][kept]} | {name: values[kept] for name, values in table.items()}
+    last = max((rows[-1] for rows, _ in members.values() if len(rows)), default=-1)
+    if last >= len(times):
+        raise SurefootError(f"{path}: the reference has {last + 1} rows, its times {len(times)}")
+    table, numbers, said = _kept(read, members, times, clock)
     if EULER[0] in table:
         angles = np.column_stack([table.pop(name) for name in EULER])
         table |= quaternions_of(angles)
     else:
-        unit_quaternions(path, table, read.row, numbers[kept])
+        unit_quaternions(path, table, read.row, numbers)
     return table, said
 
 
 def _parquet(path: Path) -> RecordedTable:
-    try:
+    with parsed_as("a Parquet file", path):
         about = pq.read_metadata(path)
         size = 8.0 * about.num_rows * about.num_columns
         check_unpacked(path.stat().st_size, size, f"{path}: bytes of columns")
         frame = pq.read_table(path).to_pandas(ignore_metadata=True)
-    except SurefootError:
-        raise
-    except (OSError, ValueError) as error:
-        raise SurefootError(
-            f"{path}: not a Parquet file ({' '.join(str(error).split())[:80]})"
-        ) from error
     return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
 
 

@@ -51,11 +51,11 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
         rules: whose `[reference]` gives the body, its position and the clock's offset.
         name: of the recording, for offsets that differ between recordings.
     """
-    if rules.reference is None:
+    if rules.sections.reference is None:
         return poses
-    moved = tracked_poses(poses, rules.reference)
+    moved = tracked_poses(poses, rules.sections.reference)
     moved = Poses(moved.t + reference_offset(rules, name), moved.p, moved.q)
-    if rules.reference.frame == "base":
+    if rules.sections.reference.frame == "base":
         if "p_BI" not in rules.model:
             raise SurefootError(
                 f'{rules.path}: [reference] frame "base" needs [robot] imu_position'
@@ -63,8 +63,8 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
         R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
         p_BI = np.array(rules.model["p_BI"])
         return mounted(moved, -R_BI.T @ p_BI, R_BI.T)
-    R_IM = matrix_from_quaternion(np.array(rules.reference.q_IM))
-    return mounted(moved, np.array(rules.reference.p_IM), R_IM)
+    R_IM = matrix_from_quaternion(np.array(rules.sections.reference.q_IM))
+    return mounted(moved, np.array(rules.sections.reference.p_IM), R_IM)
 
 
 def mounted(poses: Poses, p_IM: np.ndarray, R_IM: np.ndarray) -> Poses:
@@ -134,7 +134,7 @@ def reference_offset(rules: ImportMap, name: str) -> float:
 
     Raises SurefootError where the map has offsets for other recordings only.
     """
-    given = rules.reference.offset if rules.reference else 0.0
+    given = rules.sections.reference.offset if rules.sections.reference else 0.0
     if not isinstance(given, dict):
         return given
     if name not in given:

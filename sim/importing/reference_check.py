@@ -101,11 +101,11 @@ class ReferenceCheck:
     @property
     def lines(self) -> tuple[str, ...]:
         """Description in words, followed by the faults."""
-        said = [
+        said = (
             f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
             f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
-        ]
-        return (*said, *self._faults(_SHOWN_DOUBTFUL))
+        )
+        return (said, *self._faults(_SHOWN_DOUBTFUL))
 
     @property
     def faults(self) -> tuple[str, ...]:

@@ -2,14 +2,9 @@
 
 import numpy as np
 
-from surefoot.sim.importing.reference_noise import (
-    FEWEST_SAMPLES,
-    MOST_MISSED_ROTATION,
-    missed_rotation,
-)
+from surefoot.sim.importing.reference_noise import matching_imu
 from surefoot.sim.log.derived import derivative
 from surefoot.sim.log.reference import Poses
-from surefoot.sim.log.reference_vs_imu import compare_with_imu
 
 _WINDOW = 0.1
 """Interval over which the reference's velocity is compared with the integrated accelerometer [s]: a
@@ -43,10 +38,8 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     """
     found = np.zeros(len(poses.t), dtype=bool)
     known = np.flatnonzero((poses.t > t[1]) & (poses.t < t[-1]))
-    if len(known) < FEWEST_SAMPLES:
-        return found
-    beside = compare_with_imu(t, gyro, accel, poses.rows(known))
-    if missed_rotation(beside) > MOST_MISSED_ROTATION:
+    beside = matching_imu(t, gyro, accel, poses.rows(known))
+    if beside is None:
         return found
     half = max(0.5 * _WINDOW, 2.0 * float(np.median(np.diff(beside.t))))
     v = derivative(beside.t, beside.path, 0.5 * _WINDOW, causal=False)

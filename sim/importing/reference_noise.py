@@ -40,7 +40,7 @@ _TURN_WINDOW = 0.08
 """Interval over which angular rates are compared [s]: short compared with a stride, some samples
 long.
 """
-MOST_MISSED_ROTATION = 0.5
+_MOST_MISSED_ROTATION = 0.5
 """Share of the gyro's rotation that a reference may miss; beyond it, it belongs to another body
 or clock. Noise of a walking robot's motion capture leaves a few hundredths.
 """
@@ -56,7 +56,6 @@ class ReferenceNoise:
         angle: standard deviation of a sample's attitude [rad].
         innovation: standard deviation of the prediction error from one sample to the next [m].
         correction: RMS of the corrections of the stamps [s].
-        force: remaining error of IMU and model, as a density of force [m/s^2/sqrt(Hz)].
     """
 
     position: float
@@ -64,7 +63,6 @@ class ReferenceNoise:
     angle: float
     innovation: float
     correction: float
-    force: float
 
     @property
     def line(self) -> str:
@@ -93,10 +91,8 @@ def reference_noise(
     poses = poses.rows((poses.t > t[1]) & (poses.t < t[-1]))
     extra = max(len(poses.t) - _LONGEST, 0) // 2
     poses = poses.rows(slice(extra, extra + _LONGEST))
-    if len(poses.t) < FEWEST_SAMPLES:
-        return None
-    beside = compare_with_imu(t, gyro, accel, poses)
-    if missed_rotation(beside) > MOST_MISSED_ROTATION:
+    beside = matching_imu(t, gyro, accel, poses)
+    if beside is None:
         return None
     velocity = derivative(poses.t, poses.p, REFERENCE_WINDOW, causal=False)
     tables = (np.diff(poses.t, prepend=poses.t[0]), beside.path - beside.path[0])
@@ -120,8 +116,25 @@ def reference_noise(
         angle=_angle(beside, stamp),
         innovation=float(np.sqrt(np.mean(innovation[1:] ** 2))),
         correction=float(np.sqrt(np.mean(corrections**2))),
-        force=float(force),
     )
+
+
+def matching_imu(
+    t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
+) -> ReferenceVsImu | None:
+    """Poses of the IMU frame, within the times of the IMU's rows, relative to the IMU's integrals;
+    None where they are too few, or do not rotate like the IMU.
+
+    Args:
+        t: (N,) of the IMU's rows [s].
+        gyro: (N, 3) [rad/s], mean over the step before each row.
+        accel: (N, 3) [m/s^2], likewise.
+        poses: of the IMU frame.
+    """
+    if len(poses.t) < FEWEST_SAMPLES:
+        return None
+    beside = compare_with_imu(t, gyro, accel, poses)
+    return beside if missed_rotation(beside) <= _MOST_MISSED_ROTATION else None
 
 
 def missed_rotation(beside: ReferenceVsImu) -> float:

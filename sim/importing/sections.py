@@ -184,7 +184,7 @@ class ContactTable:
         """
         sign, where = (-1.0, "below") if self.of in ("kinematics", "gait") else (1.0, "above")
         offset, on, off = (
-            _by_leg(key, getattr(self, key), legs) for key in ("offset", "on", "off")
+            by_name(f"contact.{key}", getattr(self, key), legs) for key in ("offset", "on", "off")
         )
         for leg in legs:
             if sign * off[leg] > sign * on[leg]:
@@ -235,12 +235,17 @@ def _check_near(key: str, position: tuple[float, ...]) -> None:
         raise SurefootError(f"{key} is {math.hypot(*position):.3g} m away, {_FARTHEST:g} m at most")
 
 
-def _by_leg(key: str, value: float | dict[str, float], legs: tuple[str, ...]) -> dict[str, float]:
+def by_name(
+    place: str, value: float | dict[str, float], names: tuple[str, ...]
+) -> dict[str, float]:
+    """Values by name, of a number for all or a table, which is at `place` in the map. Raises
+    SurefootError where the table has other names.
+    """
     if not isinstance(value, dict):
-        return dict.fromkeys(legs, value)
-    for leg in (*value, *legs):
-        if leg not in legs:
-            raise SurefootError(f"[contact.{key}] unknown key {leg!r}; known: {', '.join(legs)}")
-        if leg not in value:
-            raise SurefootError(f"[contact.{key}] {leg} is missing")
+        return dict.fromkeys(names, value)
+    for name in (*value, *names):
+        if name not in names:
+            raise SurefootError(f"[{place}] unknown key {name!r}; known: {', '.join(names)}")
+        if name not in value:
+            raise SurefootError(f"[{place}] {name} is missing")
     return value

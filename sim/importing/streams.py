@@ -7,7 +7,6 @@ positions.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,10 @@ from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 
 _MOVES = 20.0
 """Motion within _MOVING seconds, in resolutions, at which a repeated value is significant."""
+_STEPS = 3.0
+"""Mean size of the changes within _MOVING seconds, in resolutions, from which rounding explains
+fewer repeated values than _HELD_SHARE: it repeats those between which there is no whole resolution.
+"""
 _MOVING = 0.05
 """Half a swing [s]."""
 _HELD_SHARE = 0.15
@@ -45,13 +48,6 @@ class HeldStream:
     columns: tuple[str, ...]
     rate: float
 
-    @property
-    def line(self) -> str:
-        """Description in words."""
-        return (
-            f"held: {_names(self.columns)} are sampled at {self.rate:.0f} Hz and repeated between"
-        )
-
 
 @dataclass(frozen=True)
 class LateStream:
@@ -60,15 +56,6 @@ class LateStream:
     columns: tuple[str, ...]
     delay: float
     witness: str
-
-    @property
-    def line(self) -> str:
-        """Description in words."""
-        which = "late" if self.delay > 0 else "early"
-        return (
-            f"{which}: {_names(self.columns)} by {1e3 * abs(self.delay):.1f} ms against "
-            f"{self.witness}"
-        )
 
 
 def held_streams(log: Log) -> tuple[HeldStream, ...]:
@@ -148,13 +135,18 @@ def _repeated(t: np.ndarray, x: np.ndarray) -> float:
         return 0.0
     resolution = change[change > 0].min()
     # The distance travelled within the window is much cheaper than its range, and as informative.
-    travelled = np.concatenate([[0.0], np.cumsum(change)])
-    ahead = np.interp(t[1:] + 0.5 * _MOVING, t, travelled)
-    behind = np.interp(t[1:] - 0.5 * _MOVING, t, travelled)
-    moving = ahead - behind > _MOVES * resolution
+    travelled, changes = _moving_sum(t, change), _moving_sum(t, change > 0.0)
+    moving = travelled > np.maximum(_MOVES, _STEPS * changes) * resolution
     if moving.sum() < _MOVING_ROWS:
         return 0.0
     return float(np.mean(change[moving] == 0.0))
+
+
+def _moving_sum(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Sum of x (N - 1,) within _MOVING seconds around each of t[1:], for t (N,) [s]."""
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    ends = [np.interp(t[1:] + side * _MOVING, t, total) for side in (-0.5, 0.5)]
+    return ends[1] - ends[0]
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -169,7 +161,3 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 def _even(even: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     values = np.column_stack([np.interp(even, t, column) for column in x.T])
     return values - values.mean(axis=0)
-
-
-def _names(columns: Sequence[str]) -> str:
-    return ", ".join(columns) if len(columns) <= 3 else f"{columns[0]} to {columns[-1]}"

@@ -1,9 +1,10 @@
 """A file as a table of raw cells, and the conversion of its columns to numbers."""
 
 import re
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,20 @@ from surefoot.sim.importing.sections import Source
 
 class NoReadings(SurefootError):
     """A column without a single reading."""
+
+
+@contextmanager
+def parsed_as(what: str, path: Path, remedy: str = "") -> Iterator[None]:
+    """Raise SurefootError, in one line, for whatever a parser raises on a broken file."""
+    try:
+        yield
+    except SurefootError as error:
+        raise SurefootError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200]
+        raise SurefootError(
+            f"{path}: not {what} ({type(error).__name__}: {reason}){remedy}"
+        ) from error
 
 
 _PLACE = re.compile(r"(.+)\[([^\[\]]+)\]$")
@@ -28,16 +43,16 @@ class RecordedTable:
     Attributes:
         path: of the file.
         cells: by name.
-        parameters: arrays that have no row for each row of the others.
         row: name of a row in messages.
         first: number of the first row.
+        skipped: what else the file contains, and why it is no column.
     """
 
-    path: object
+    path: Path
     cells: Mapping[str, np.ndarray]
     row: str = "row"
     first: int = 1
-    parameters: tuple[str, ...] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
 
 def column_readings(table: RecordedTable, column: str, source: Source, word: str | None = None):
@@ -95,56 +110,46 @@ def _places(cell: object, deeper: int = 2) -> list[str]:
 
 
 def _cells(table: RecordedTable, column: str, source: Source) -> np.ndarray:
-    name, indices = column, []
+    """Cells (N,) of a column. Raises SurefootError where there are none of that name."""
+    where, name, indices = f"{table.path}: column {column!r}", column, []
     while (cells := table.cells.get(name)) is None and (place := _PLACE.match(name)):
         name, indices = place[1], [place[2], *indices]
+    if name in table.skipped:
+        raise SurefootError(f"{where}: {table.skipped[name]}")
     if cells is None:
-        where = " from the header" * (table.row == "line")
-        there = ", ".join(" ".join(name.split()) for name in list(table.cells)[:_SHOWN]) + (
-            ", ..." * (len(table.cells) > _SHOWN)
-        )
-        raise SurefootError(
-            f"{table.path}: column {column!r} is missing{where} (there are {there})"
-        )
+        there = [" ".join(name.split()) for name in table.cells]
+        shown = ", ".join(there[:_SHOWN]) + ", ..." * (len(there) > _SHOWN)
+        header = " from the header" * (table.row == "line")
+        raise SurefootError(f"{where} is missing{header} (there are {shown})")
     for index in indices:
-        if not index.isdigit():
-            if index not in source.names:
-                raise SurefootError(
-                    f"{table.path}: column {column!r}: no {index!r} among the names of the source"
-                )
-            index = source.names.index(index)
-        cells = _at(table, column, cells, int(index))
-    if cells.ndim > 1:
-        if cells[0].size != 1:
-            raise SurefootError(
-                f"{table.path}: column {column!r} has {cells.shape[1]} places: write"
-                f" {column}[0], {column}[1], ..."
-            )
-        return cells.reshape(len(cells))
-    return cells
+        if not index.isdigit() and index not in source.names:
+            raise SurefootError(f"{where}: no {index!r} among the names of the source")
+        place = int(index) if index.isdigit() else source.names.index(index)
+        cells = _at(table, where, cells, place)
+    if cells.ndim > 1 and cells[0].size != 1:
+        raise SurefootError(
+            f"{where} has {cells.shape[1]} places: write {column}[0], {column}[1], ..."
+        )
+    return cells.reshape(len(cells)) if cells.ndim > 1 else cells
 
 
-def _at(table: RecordedTable, column: str, cells: np.ndarray, place: int) -> np.ndarray:
+def _at(table: RecordedTable, where: str, cells: np.ndarray, place: int) -> np.ndarray:
+    """The elements of the cells' lists at a place; `where` they are, for messages."""
     if place == 0 and cells.ndim == 1 and cells.dtype.kind in "fiub":
         return cells
     if cells.ndim > 1:
         if place >= cells.shape[1]:
-            raise SurefootError(
-                f"{table.path}: column {column!r}: there are {cells.shape[1]} places, from 0"
-            )
+            raise SurefootError(f"{where}: there are {cells.shape[1]} places, from 0")
         return cells[:, place]
     found = np.empty(len(cells), dtype=object)
     for row, cell in enumerate(cells):
         values = _list(cell)
-        if not isinstance(values, list | tuple | np.ndarray) or place >= len(values):
-            if _empty(cell):
-                found[row] = None
-                continue
+        if isinstance(values, list | tuple | np.ndarray) and place < len(values):
+            found[row] = values[place]
+        elif not _empty(cell):
             raise SurefootError(
-                f"{table.path}: column {column!r}, {table.row} {row + table.first}:"
-                f" {str(cell)[:40]!r} has no place {place}"
+                f"{where}, {table.row} {row + table.first}: {str(cell)[:40]!r} has no place {place}"
             )
-        found[row] = values[place]
     return found
 
 

@@ -1,27 +1,22 @@
 """Tables as text: CSV and similar formats."""
 
-import csv
 import warnings
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.layout import COMMENTS, encoding_of, no_table
+from surefoot.sim.importing.layout import SPACES, cells_of, encoding_of, no_table
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable
-
-_SPACES = r"\s+"
+from surefoot.sim.importing.table import RecordedTable, parsed_as
 
 
 def read_text(path: Path, source: Source) -> RecordedTable:
     """Read the table of a text file. Raises SurefootError in one line with file and line."""
-    if not is_file(path):
-        raise SurefootError(f"{path}: no such file")
-    try:
+    with parsed_as("a table of text", path):
         encoding = encoding_of(path)
         if source.long is None and (why := no_table(path, source.skip)):
             raise SurefootError(f"{path}: {why}")
@@ -42,13 +37,6 @@ def read_text(path: Path, source: Source) -> RecordedTable:
                 skip_blank_lines=False,
                 low_memory=False,
             )
-    except SurefootError:
-        raise
-    except UnicodeDecodeError as error:
-        raise SurefootError(f"{path}: not a text file ({error.reason})") from error
-    except (ValueError, pd.errors.ParserWarning, csv.Error, OSError) as error:
-        reason = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
-        raise SurefootError(f"{path}: {reason}") from error
     if len(frame.columns) != len(header):
         # Quotation marks keep spaces together in one of the two readings, but not in the other.
         raise SurefootError(f"{path}: line {source.skip + 1}: quotation marks in the header")
@@ -57,23 +45,10 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     rows = len(empty) - int(np.argmin(empty[::-1])) if not empty.all() else 0
     if rows == 0:
         raise SurefootError(f"{path}: no rows under the header")
-    cells = {name: frame[name].to_numpy()[:rows] for name in header if header.count(name) == 1}
-    return RecordedTable(
-        path, _Columns(path, header, cells), "line", source.skip + 1 + source.header
-    )
-
-
-class _Columns(dict):
-    """Columns by name; a duplicate one is an error only if it is requested."""
-
-    def __init__(self, path: Path, header: list[str], cells: dict[str, np.ndarray]):
-        super().__init__(cells)
-        self._path, self._header = path, header
-
-    def get(self, name, default=None):
-        if self._header.count(name) > 1:
-            raise SurefootError(f"{self._path}: column {name!r} is there more than once")
-        return super().get(name, default)
+    twice = [name for name, count in Counter(header).items() if count > 1]
+    cells = {name: frame[name].to_numpy()[:rows] for name in header if name not in twice}
+    skipped = dict.fromkeys(twice, "is there more than once")
+    return RecordedTable(path, cells, "line", source.skip + 1 + source.header, skipped)
 
 
 def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
@@ -83,14 +58,8 @@ def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], s
             stream.readline()
         line = stream.readline()
     separator = source.separator or _separator(line)
-    apart = False
-    if separator == _SPACES:
-        names = line.split()
-        apart = source.header and names[:1] != [] and names[0] in COMMENTS
-        names = names[apart:]
-    else:
-        row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-        names = [name.strip() for name in row]
+    names = [name.strip() for name in cells_of(line, separator)]
+    apart = source.header and separator == SPACES and names != line.split()
     if not any(names):
         raise SurefootError(f"{path}: line {source.skip + 1}: no header")
     check_limit("columns", len(names), f"{path}: cells of the header")
@@ -103,4 +72,4 @@ def _separator(line: str) -> str:
     most = max(",;\t|", key=line.count)
     if line.count(most):
         return most
-    return _SPACES if " " in line.strip() else ","
+    return SPACES if " " in line.strip() else ","

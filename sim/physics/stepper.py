@@ -114,13 +114,6 @@ def first_steps(trace: Recording, steps: int) -> Recording:
     return Recording(*states, *(part[:steps] for part in trace[2:]))
 
 
-def start(world: World) -> mujoco.MjData:
-    """The world at rest, the robot standing at the origin."""
-    data = mujoco.MjData(world.model)
-    data.qpos[:] = world.start
-    return data
-
-
 class Walker(NamedTuple):
     """A robot under the trot controller, in a world.
 
@@ -142,7 +135,9 @@ class Walker(NamedTuple):
 
 
 def at_rest(world: World, robot: Robot, gait: Gait, data: mujoco.MjData) -> Walker:
-    """A robot that stands in the state `data`."""
+    """A robot that stands at the origin of its world, in the memory `data`, which is reset."""
+    mujoco.mj_resetData(world.model, data)
+    data.qpos[:] = world.start
     return Walker(world, robot, gait, data, standing(), np.full(4, gait.mass * GRAVITY / 4))
 
 
@@ -165,7 +160,8 @@ def simulate_motion(
         progress: called with the share done.
     """
     trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
-    trot(at_rest(world, robot, gait, start(world)), course, trace, progress=progress)
+    walker = at_rest(world, robot, gait, mujoco.MjData(world.model))
+    trot(walker, course, trace, progress=progress)
     return motion_of(world, trace)
 
 
@@ -184,7 +180,7 @@ def simulate_in_pieces(
         pieces: of the course.
         seconds: until its end.
     """
-    walker, first = at_rest(world, robot, gait, start(world)), 0
+    walker, first = at_rest(world, robot, gait, mujoco.MjData(world.model)), 0
     for course in pieces:
         trace = recording_of(world, len(course.t) * STEPS_PER_TICK)
         try:

@@ -202,8 +202,7 @@ def attitude_fault(
         put_right[:, list(match.order)] = gyro * match.sign
         if match.wrong and not trusts_gyro(put_right):
             return None
-    seen = (
-        f"correlation of its turning with the gyro {', '.join(f'{x:.2f}' for x in match.own)} "
-        f"about x, y, z, its vertical {lean:.0f} deg from gravity"
-    )
+    alike = ", ".join(f"{x:.2f}" for x in match.own)
+    seen = f"correlation of its turning with the gyro {alike} about x, y, z, "
+    seen += f"its vertical {lean:.0f} deg from gravity"
     return AttitudeFault(seen, best[2].words, best[2].map_line)

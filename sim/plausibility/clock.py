@@ -61,9 +61,7 @@ def stamps(view: LogView) -> Iterator[Finding]:
     t, rate = view.t, view.log.rate
     if len(t) < 3:
         return
-    step = np.diff(t)
-    usual = float(np.median(step))
-    actual = 1.0 / usual
+    actual = 1.0 / view.step
     if not SLOWEST_ROWS < actual < FASTEST_ROWS:
         unit = next((u for u, s in UNITS["t"].items() if _USUAL[0] <= actual / s <= _USUAL[1]), "")
         if actual < SLOWEST_ROWS and _leaps_from_row_to_row(view):
@@ -110,18 +108,16 @@ def single_rows(view: LogView) -> Iterator[Finding]:
 def _lost(view: LogView) -> tuple[str, bool]:
     """Missing rows in words, "" if there are too few, and whether they leave a gap."""
     step = np.diff(view.t)
-    usual, longest = float(np.median(step)), float(step.max())
-    missing = np.maximum(np.round(step / usual) - 1.0, 0.0)
+    longest = float(step.max())
+    missing = np.maximum(np.round(step / view.step) - 1.0, 0.0)
     share = float(missing.sum() / (len(view.t) + missing.sum()))
     # At low rates, a single late row is no gap.
-    gap = longest > LONGEST_GAP and longest > 3.0 * usual
+    gap = longest > LONGEST_GAP and longest > 3.0 * view.step
     if share <= MISSING_ROWS and not gap:
         return "", False
-    seen = (
-        f"{missing.sum():.0f} rows missing ({100 * share:.1f} %), longest gap "
-        f"{1e3 * longest:.0f} ms after {view.t[int(np.argmax(step))]:.2f} s"
-    )
-    return seen, gap
+    after = view.t[int(np.argmax(step))]
+    seen = f"{missing.sum():.0f} rows missing ({100 * share:.1f} %), longest gap"
+    return f"{seen} {1e3 * longest:.0f} ms after {after:.2f} s", gap
 
 
 @rule_named("speed of time", "t", when="comparable")
@@ -186,15 +182,12 @@ def leaps(view: LogView) -> Iterator[Finding]:
     jumped = np.mean(rate[:, alive] > _JUMP * fast[alive], axis=1) > _AT_ONCE
     rows = np.flatnonzero(jumped)
     if rows.size:
-        seen = (
-            f"{rows.size} rows at which joints jump together, the first at {view.t[rows[0]]:.2f} s"
-        )
+        first = view.t[rows[0]]
+        seen = f"{rows.size} rows at which joints jump together, the first at {first:.2f} s"
         yield Finding(("t", "q"), seen, "rows were lost behind even stamps, or put in")
     steps = np.diff(x[:, alive], axis=0)
     power = np.sum(steps**2, axis=0)
-    next_, second = (np.sum(steps[k:] * steps[:-k], axis=0) / power for k in (1, 2))
-    if np.median(next_) < _BACK and np.median(second) > _FORTH:
-        seen = (
-            f"steps correlate by {np.median(next_):.2f} with the next, by {np.median(second):.2f}"
-        )
-        yield Finding(("t", "q"), f"{seen} with the one after", "rows are out of order")
+    one, two = (np.median(np.sum(steps[k:] * steps[:-k], axis=0) / power) for k in (1, 2))
+    if one < _BACK and two > _FORTH:
+        seen = f"steps correlate by {one:.2f} with the next, by {two:.2f} with the one after"
+        yield Finding(("t", "q"), seen, "rows are out of order")

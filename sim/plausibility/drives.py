@@ -179,9 +179,8 @@ def followed(view: LogView) -> Iterator[Finding]:
     if not view.on_fixed_base:
         return
     q, asked = view.means(log.q), view.means(log.q_des)
-    moved, sent = (
-        view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in (log.q, log.q_des)
-    )
+    half = 0.5 * MOVE
+    moved, sent = (view.after(x, half) - view.after(x, -half) for x in (log.q, log.q_des))
     for j, name in enumerate(log.joints):
         a, b, column = q[:, j], asked[:, j], f"q_des_{name}"
         if not (a.std() > 0.0 and b.std() > 0.0):

@@ -66,9 +66,8 @@ class Rule:
         asked = (*self.needs, *self.beside)
         if any(d == n or d.startswith(f"{n}_") for d in doubted for n in asked):
             return []
-        if any(n != "t" and not view.log.has(_OF_NEED.get(n, n)) for n in self.needs):
-            return []
-        if self.when is not None and not getattr(view, self.when):
+        missing = any(n != "t" and not view.log.has(_OF_NEED.get(n, n)) for n in self.needs)
+        if missing or not (self.when is None or getattr(view, self.when)):
             return []
         found = (one for one in self.find(view) if not doubted.issuperset(one.streams))
         return [replace(one, rule=self.name) for one in found]

@@ -105,7 +105,7 @@ def gravity(view: LogView) -> Iterator[Finding]:
     accel = view.log.accel
     mean, spread = accel.mean(axis=0), float(accel.std(axis=0).max())
     size = float(np.linalg.norm(mean))
-    up, whose = _up(view)
+    up, source = _up(view)
     seen = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
     cause, line = in_another_unit("accel", ACCEL, size / GRAVITY, "")
     if 0.8 < size / GRAVITY**2 < 1.2:
@@ -118,7 +118,7 @@ def gravity(view: LogView) -> Iterator[Finding]:
     if cause:
         yield Finding(ACCEL, seen, cause, line)
     elif up is not None and lean > MOST_LEAN:
-        seen = f"{seen}, {lean:.0f} deg from up by {whose}"
+        seen = f"{seen}, {lean:.0f} deg from up by {source}"
         yield _imu_turned(view) or _turned_over(view, mean, up, seen)
     elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
         yield Finding(ACCEL, seen, f"scaled by {size / GRAVITY:.3g}, or a bias")
@@ -247,9 +247,7 @@ def averaged(view: LogView) -> Iterator[Finding]:
     # White noise has a bend of 1.5 times its variance.
     implied = np.sqrt(np.sum(np.mean(bend**2, axis=0)) / 1.5 * view.step * SPEEDING)
     if missed > SUM_OFF * changed and IMPLIED[0] < missed / max(implied, 1e-12) < IMPLIED[1]:
-        seen = (
-            f"summed over {SPEEDING:g} s, it is {missed:.2f} m/s off changes of {changed:.2f} m/s"
-        )
+        seen = f"its sum over {SPEEDING:g} s is {missed:.2f} m/s off changes of {changed:.2f} m/s"
         cause = "sampled at the rows, not averaged over them; log faster, or log averages"
         yield Finding((*GYRO, *ACCEL), seen, cause)
 
@@ -316,9 +314,8 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield Finding((*GYRO, "ref_q"), seen, cause)
         return
     factor = match.scaled
-    weak = np.flatnonzero(
-        (match.best > _GOES_WELL) & (np.abs(np.log(match.scale)) > np.log1p(WEAK))
-    )
+    scaled = np.abs(np.log(match.scale)) > np.log1p(WEAK)
+    weak = np.flatnonzero((match.best > _GOES_WELL) & scaled)
     if len(weak) == 1:
         seen = f"{match.scale[weak[0]]:.3g} times as fast as the reference turns, unlike the others"
         yield Finding((GYRO[weak[0]],), seen, "scaled")
@@ -376,8 +373,7 @@ def _axes_of_imu(view: LogView) -> np.ndarray | None:
         found = mirrored
     if np.abs(found - np.round(found)).max() < np.sin(np.radians(TURNED_IMU)):
         found = np.round(found) + 0.0
-    accel, felt = view.accel[view.ok], view.felt[view.ok]
-    pairs = ((a, b), (accel, felt))
+    pairs = ((a, b), (view.accel[view.ok], view.felt[view.ok]))
     mends = all(
         np.sum((x - y @ found.T) ** 2) < STILL_LEFT * np.sum((x - y) ** 2) for x, y in pairs
     )

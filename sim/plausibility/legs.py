@@ -227,24 +227,24 @@ def _late_parts(view: LogView, legs: Stance, moving: Moving) -> list[Finding]:
         then = _earlier(view, legs, moving, late)
         return then.misfits(legs.body_velocity(then.gyro), legs.contact)
 
+    def better(share: float, late: float) -> str:
+        when = f"{abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
+        return f"standing feet move {1.0 / share:.1f} times less (squared) {when}"
+
     if moving.truth is None:
         return []
     (late, *late_contact), (share, *by_contact) = _lags(of_contacts, LATEST_PART)
     if abs(late) > least and share < MENDED:
         columns = tuple(f"contact_{leg}" for leg in names)
-        seen = f"standing feet move {1.0 / share:.1f} times less (squared) {abs(late):.2f} s "
-        seen += "earlier" if late > 0 else "later"
         cause = "a filter, or another clock" if late > 0 else "early, or the joints are late"
-        return [Finding(columns, seen, cause)]
+        return [Finding(columns, better(share, late), cause)]
     found = []
     late_leg, by_leg = _lags(of_legs, LATEST_PART)
     for i, leg in enumerate(names):
         late, share = late_contact[i], by_contact[i]
         if share < min(by_leg[i], MENDED) and abs(late) > least:
-            seen = f"the foot moves {1.0 / share:.1f} times less (squared) {abs(late):.2f} s "
-            seen += "earlier" if late > 0 else "later"
             cause = f"{'late' if late > 0 else 'early'}, unlike the other contacts"
-            found.append(Finding((f"contact_{leg}",), seen, cause))
+            found.append(Finding((f"contact_{leg}",), better(share, late), cause))
         elif abs(late := late_leg[i]) > least and by_leg[i] < MENDED:
             seen = f"{leg} moves {abs(late):.2f} s {'after' if late > 0 else 'before'} the body"
             found.append(Finding((f"q_{leg}", f"contact_{leg}"), seen, "a clock of its own"))
@@ -555,7 +555,6 @@ def _loads(view: LogView, robot: Robot, rows: np.ndarray) -> np.ndarray | None:
     usable = np.abs(np.linalg.det(J)) > 1e-4
     if not usable.any():
         return None
-    pushed = -np.linalg.solve(
-        np.where(usable[..., None, None], np.swapaxes(J, 2, 3), np.eye(3)), tau[..., None]
-    )[..., 0]
+    J_T = np.where(usable[..., None, None], np.swapaxes(J, 2, 3), np.eye(3))
+    pushed = -np.linalg.solve(J_T, tau[..., None])[..., 0]
     return (pushed @ up) * usable

@@ -87,9 +87,8 @@ def speed_changes(view: LogView) -> tuple[np.ndarray, np.ndarray]:
     force = np.einsum("nij,nj->ni", midway, view.log.accel) + GRAVITY_G
     summed = np.cumsum(force * np.diff(view.t, prepend=view.t[0])[:, None], axis=0)
     throughout = view.ok[steps:] & view.ok[:-steps]
-    by_imu, by_reference = (
-        (x[steps:] - x[:-steps])[throughout] for x in (view.means(summed), view.ref_v)
-    )
+    both = (view.means(summed), view.ref_v)
+    by_imu, by_reference = ((x[steps:] - x[:-steps])[throughout] for x in both)
     return by_imu, by_reference
 
 

@@ -38,9 +38,8 @@ def even_samples(view: LogView) -> Iterator[Finding]:
     """
     for fault in check_reference(reference_poses(view.log)).faults:
         seen = fault.removeprefix("reference: ")
-        yield Finding(
-            (*REF_P, *_Q), seen, "the tracker lost the body, or its stamps are not its own"
-        )
+        cause = "the tracker lost the body, or its stamps are not its own"
+        yield Finding((*REF_P, *_Q), seen, cause)
 
 
 @rule_named("reference's attitude", "t gyro ref")

@@ -104,7 +104,10 @@ def frozen(view: LogView) -> Iterator[Finding]:
             if not stretches:
                 continue
             holds = [slice(first, last + 1) for first, last in stretches]
-            hangs = [rows for rows in holds if _turns_meanwhile(view, kind, name, rows)]
+            twin, is_angle = _twin(view, kind, name), kind == "q"
+            hangs = []
+            if twin is not None:
+                hangs = [r for r in holds if _turns_meanwhile(view.t, x, twin, r, is_angle)]
             rows = (hangs or holds)[0]
             # The joints of an arm do rest one by one.
             of_arm = kind in ("q", "dq", "tau") and view.robot is None
@@ -150,30 +153,45 @@ def _others_move(
     return len(elsewhere) > 2 and sum(elsewhere) > 0.7 * len(elsewhere)
 
 
-def _turns_meanwhile(view: LogView, kind: str, name: str, rows: slice) -> bool:
-    """Whether a joint's rate and angle contradict each other in rows in which one is constant.
+def _twin(view: LogView, kind: str, name: str) -> np.ndarray | None:
+    """The measured rate of a joint's angle, or the angle of its rate, (N,) without spikes.
 
-    Either the rate shows motion while the angle is constant, or the angle moves at a rate different
-    from the constant one.
+    None where there is none, or it is in another unit.
     """
     q, dq = _of_joint(view, kind, name)
     derived = any(d.startswith("dq") for d in view.log.meta.derived)
     if kind not in ("q", "dq") or q is None or dq is None or derived or not view.comparable:
-        return False
+        return None
     rate, change = view.means(dq[:, None]).std(), view.changes(q[:, None]).std()
     if np.ptp(q) > _WHOLE_TURN or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
-        return False  # another unit
-    # A median, so that a spike of the other stream is no motion.
-    t = view.t[rows] - view.t[rows][0]
-    x, other = (q, _median5(dq)) if kind == "q" else (dq, _median5(q))
+        return None
+    return _median5(dq if kind == "q" else q)
+
+
+def _turns_meanwhile(
+    t: np.ndarray, x: np.ndarray, twin: np.ndarray, rows: slice, is_angle: bool
+) -> bool:
+    """Whether a joint's rate and angle contradict each other in rows in which one is constant.
+
+    Either the rate shows motion while the angle is constant, or the angle moves at a rate different
+    from the constant one.
+
+    Args:
+        t: times (N,) [s].
+        x: the constant one (N,).
+        twin: the other (N,).
+        rows: consecutive ones.
+        is_angle: whether x is the angle.
+    """
+    t = t[rows] - t[rows][0]
     steps = np.abs(np.diff(x))
     count = float(steps[steps > 0.0].min(initial=np.inf))
-    if kind == "dq":
-        strays = float(np.ptp(other[rows] - x[rows][0] * t))
+    if not is_angle:
+        strays = float(np.ptp(twin[rows] - x[rows][0] * t))
         return strays > max(RESTS, 3.0 * count * t[-1])
     # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
-    ways = ((other - offset)[rows] * np.gradient(t) for offset in (0.0, other.mean()))
-    turned = min(float(np.ptp(np.cumsum(steps))) for steps in ways)
+    ways = ((twin - offset)[rows] * np.gradient(t) for offset in (0.0, twin.mean()))
+    turned = min(float(np.ptp(np.cumsum(one))) for one in ways)
     return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
 
 

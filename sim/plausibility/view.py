@@ -204,9 +204,8 @@ class LogView:
         if self.stance is not None:
             other = self.gyro.copy()
             other[self.ok] = put_right
-            as_is, else_ = (
-                self.stance.turning_fits(x[self.stance.which]) for x in (self.gyro, other)
-            )
+            which = self.stance.which
+            as_is, else_ = (self.stance.turning_fits(x[which]) for x in (self.gyro, other))
             if max(as_is, else_) > 0.2:
                 return as_is > else_
         return bool(match_axes(self.accel[self.ok], self.felt[self.ok]).wrong)

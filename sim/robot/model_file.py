@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.robot.model_gate import check_compiled, check_model_file
+from surefoot.sim.robot.model_gate import check_compiled, check_model_file, urdf_joints
 from surefoot.sim.robot.surroundings import leave_out_surroundings, name_parts
 
 # Otherwise MuJoCo writes MUJOCO_LOG.TXT to the working directory; unstable walks are reported
@@ -227,12 +227,7 @@ def _add_point_feet(robot: ElementTree.Element) -> list[str]:
     Only at the end of legs with at most three joints: a foot on an ankle may be flat. Returns their
     names.
     """
-    above: dict[str, tuple[str, bool]] = {}
-    for joint in robot.findall("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is not None and child is not None:
-            turns = joint.get("type") != "fixed"
-            above[child.get("link", "")] = parent.get("link", ""), turns
+    above = urdf_joints(robot)
     parents = {parent for parent, _ in above.values()}
     found = []
     for link in robot.findall("link"):

@@ -198,11 +198,7 @@ class _Scan:
 
     def check_chains(self, robot: ElementTree.Element) -> None:
         """Raise for a URDF whose links are nested too deeply."""
-        parents = dict[str, str]()
-        for joint in robot.iter("joint"):
-            parent, child = joint.find("parent"), joint.find("child")
-            if parent is not None and child is not None:
-                parents[child.get("link", "")] = parent.get("link", "")
+        parents = {child: parent for child, (parent, _) in urdf_joints(robot).items()}
         for above in parents:
             for _ in range(DEEPEST):
                 above = parents.get(above, "")
@@ -321,6 +317,16 @@ class _Scan:
     def refuse(self, why: str) -> NoReturn:
         """Raise SurefootError with the model's file."""
         raise SurefootError(f"robot {self.file}: {why}")
+
+
+def urdf_joints(robot: ElementTree.Element) -> dict[str, tuple[str, bool]]:
+    """Link of a URDF -> the link above it, and whether the joint between them moves."""
+    found = dict[str, tuple[str, bool]]()
+    for joint in robot.iter("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is not None and child is not None:
+            found[child.get("link", "")] = parent.get("link", ""), joint.get("type") != "fixed"
+    return found
 
 
 def _plain_name(name: str) -> str:

@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import dm_env
-import mujoco
 import numpy as np
 from dm_env import specs
 
@@ -113,8 +112,6 @@ class WalkingEnvironment(dm_env.Environment):
         if seed is not None and seed != self._plan.seed:
             self._plan_for(seed)
         made, data = self._plan, self._physics.data.ptr
-        mujoco.mj_resetData(made.world.model, data)
-        data.qpos[:] = made.world.start
         course = made.course
         settling = Course(*(x[:SETTLING_PERIODS] for x in (course.t, course.pose, course.velocity)))
         trot(at_rest(made.world, self._robot, made.gait, data), settling, self._trace, course.t[-1])

@@ -11,7 +11,7 @@ from mujoco.rollout import Rollout
 
 from surefoot import Robot, Scenario
 from surefoot.extend import Ground, Motion, Patch, Ranges, Segment
-from surefoot.sim.physics.stepper import start
+from surefoot.sim.physics.stepper import at_rest
 from surefoot.sim.walk import Plan, plan, simulate_motion
 from surefoot.sim.walking.batch import Job, on_threads, walk_job
 
@@ -39,7 +39,9 @@ class Replay:
         physics = mujoco.mjtState.mjSTATE_FULLPHYSICS
         first = np.empty((len(walks), mujoco.mj_stateSize(models[0], physics)))
         for state, (made, _) in zip(first, walks, strict=True):
-            mujoco.mj_getState(made.world.model, start(made.world), state, physics)
+            model = made.world.model
+            data = at_rest(made.world, made.robot, made.gait, mujoco.MjData(model)).data
+            mujoco.mj_getState(model, data, state, physics)
         motions = [motion for _, motion in walks]
         return cls(
             models,

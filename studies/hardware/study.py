@@ -438,7 +438,8 @@ def _contacts_as_logged(log: Log) -> Log:
 
 def _as_recorded(recording: RawRecording) -> Log:
     """The log before resampling to an even rate, with the robot's own contacts."""
-    rules = replace(recording.rules, even=None)
+    rules = recording.rules
+    rules = replace(rules, sections=replace(rules.sections, even=None))
     return _contacts_as_logged(replace(recording, rules=rules).without_reference().log())
 
 

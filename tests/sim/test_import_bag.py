@@ -141,7 +141,7 @@ def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, k
         ("/joints:position[knee]", "/joints:position", "is not a number"),
         ("/joints:position[knee]", "position", "topic:field.path"),
         ("/joints:position[knee]", "/joints:a b", "cannot read the path"),
-        ("[reference]\n", '[reference]\nfile = "x.csv"\n', "x.csv: no such file"),
+        ("[reference]\n", '[reference]\nfile = "x.csv"\n', "x.csv: No such file"),
         ("[columns]\n", "[source]\nrate = 100\n[columns]\n", "must be given, and not both"),
         ("ref_q_z = ", 'ref_q_z = "/imu:orientation.z" #', "are of /imu and /mocap"),
         ("/mocap:received", "/mocap:header.stamp", "message 2: repeats the stamp"),

@@ -41,7 +41,7 @@ def truth_of(name: str, **more: str) -> Truth:
             key = f"reference {column}" if columns is rules.reference_columns else column
             label = f"{one.source}:" if one.source else ""
             theirs = one.theirs
-            for place, joint in enumerate(rules.source.names):
+            for place, joint in enumerate(rules.sections.source.names):
                 theirs = theirs.replace(f"[{joint}]", f"[{place}]")
             found[key] = (label + theirs, one.scale, one.offset)
     return found | {column: (theirs, 1.0, 0.0) for column, theirs in more.items()}
