@@ -29,20 +29,17 @@ from surefoot.estimator.updates.bias_states import (
     BIAS_AT,
     EXTRAS,
     NOT_PERSISTENT,
-    UPDATE_COVERAGE_PERSISTENT,
     UPDATE_VELOCITY_PERSISTENT,
     PersistentError,
     PersistentModel,
     propagate_bias,
-    update_coverage_persistent,
-    update_coverage_persistent_checked,
     update_velocity_persistent,
     update_velocity_persistent_checked,
 )
 from surefoot.estimator.updates.coverage import (
     UPDATE_COVERAGE,
+    update_coverage,
     update_coverage_checked,
-    update_coverage_within,
 )
 from surefoot.estimator.updates.outliers import REJECTED, UNLIMITED, fresh_counts
 from surefoot.estimator.updates.velocity import (
@@ -109,6 +106,10 @@ class _VelocityFilter:
         self._vectors[:n], self._vectors[n : n + 4] = mean, (noise or FilterNoise()).packed()
         self._mean, self._covariance = self._vectors[:n], covariance
         self._columns, self._counts = np.zeros((15 + 3 * extras, 6)), fresh_counts()
+        noise_rows, coupling = self._vectors[n : n + 4], self._vectors[n + 6 :]
+        self._memory = FilterMemory(
+            self._mean, covariance, noise_rows, self._columns, coupling, self._counts
+        )
         self._model = model
         self._velocity_update: tuple
         self.t = np.nan
@@ -121,13 +122,9 @@ class _VelocityFilter:
         now.
         """
         try:
+            omega, force = _array(gyro, _FLOAT), _array(accel, _FLOAT)
             done = predict_checked(
-                self._vectors,
-                self._covariance,
-                self._columns,
-                _array(gyro, _FLOAT),
-                _array(accel, _FLOAT),
-                float(dt),
+                self._vectors, self._covariance, self._columns, omega, force, float(dt)
             )
         except (TypeError, ValueError):  # not three numbers
             done = False
@@ -177,20 +174,13 @@ class _VelocityFilter:
         settings = settings or CoverageSettings()
         if len(velocities.epsilon):
             check_bounds(velocities.epsilon, settings.gamma, settings.iterations)
-        found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
+        found = empty_estimates(every_row(imu.t) if rows is None else rows)
         pi = np.full(len(velocities.rows), np.nan)
-        n = len(self._mean)
-        noise, coupling = self._vectors[n : n + 4], self._vectors[n + 6 :]
-        memory = FilterMemory(
-            self._mean, self._covariance, noise, self._columns, coupling, self._counts
-        )
         window = windows_of(imu.t)
         sums = empty_sums(window, 1)
         share = _deviation_share(settings.gamma, self._model.window)
-        _run(
-            imu, velocities, settings, memory, self._model, self.t, found, pi, window, sums.sums,
-            share,
-        )  # fmt: skip
+        start = self._memory, self._model, self.t
+        _run(imu, velocities, settings, *start, found, pi, window, sums.sums, share)
         self.t = float(imu.t[-1])
         done, updates = np.isfinite(pi), None
         t, v_I, epsilon = imu.t[velocities.rows], velocities.v_I, velocities.epsilon
@@ -211,11 +201,22 @@ class _VelocityFilter:
         """Covariance (15, 15) of the error state (a copy)."""
         return self._covariance[:15, :15].copy()
 
-    def _check_coverage(self, v_I, epsilon, gamma: float, iterations: int) -> None:
-        """Say why an update with bounds was refused."""
-        check_velocity(v_I)
-        check_bounds(numbers("epsilon", epsilon, (3,)), gamma, iterations)
-        check_sound(self._mean, self._covariance)
+    def _update_coverage(self, v_I, epsilon, gamma, iterations, max_error) -> float:
+        """`update_coverage` of either filter."""
+        update = compiled(update_coverage_checked, UPDATE_COVERAGE)
+        try:
+            given = _array(v_I, _FLOAT), _array(epsilon, _FLOAT), float(gamma), int(iterations)
+            limit = _array(max_error, _FLOAT), self._model.window
+            pi = update(self._mean, self._covariance, *given, *limit, self._counts)
+        except (TypeError, ValueError):  # not three numbers
+            pi = -1.0
+        if pi < 0.0:
+            check_velocity(v_I)
+            check_bounds(numbers("epsilon", epsilon, (3,)), gamma, iterations)
+            check_sound(self._mean, self._covariance)
+            if not np.all(numbers("max_error", max_error, (3,)) > 0):
+                raise SurefootError("max_error: every one must be > 0 m/s")
+        return pi
 
 
 class InvariantFilter(_VelocityFilter):
@@ -254,24 +255,7 @@ class InvariantFilter(_VelocityFilter):
             max_error: errors beyond (3,) > 0 [m/s] are rejected as outliers
                 (`surefoot.estimator.updates.outliers`); by default none is.
         """
-        try:
-            pi = compiled(update_coverage_checked, UPDATE_COVERAGE)(
-                self._mean,
-                self._covariance,
-                _array(v_I, _FLOAT),
-                _array(epsilon, _FLOAT),
-                float(gamma),
-                int(iterations),
-                _array(max_error, _FLOAT),
-                self._counts,
-            )
-        except (TypeError, ValueError):  # not three numbers
-            pi = -1.0
-        if pi < 0.0:
-            self._check_coverage(v_I, epsilon, gamma, iterations)
-            if not np.all(numbers("max_error", max_error, (3,)) > 0):
-                raise SurefootError("max_error: every one must be > 0 m/s")
-        return pi
+        return self._update_coverage(v_I, epsilon, gamma, iterations, max_error)
 
 
 class PersistentFilter(_VelocityFilter):
@@ -314,23 +298,7 @@ class PersistentFilter(_VelocityFilter):
             gamma: their joint level.
             iterations: of the projection.
         """
-        update = compiled(update_coverage_persistent_checked, UPDATE_COVERAGE_PERSISTENT)
-        try:
-            pi = update(
-                self._mean,
-                self._covariance,
-                _array(v_I, _FLOAT),
-                _array(epsilon, _FLOAT),
-                float(gamma),
-                int(iterations),
-                self._model,
-                self._counts,
-            )
-        except (TypeError, ValueError):  # not three numbers
-            pi = -1.0
-        if pi < 0.0:
-            self._check_coverage(v_I, epsilon, gamma, iterations)
-        return pi
+        return self._update_coverage(v_I, epsilon, gamma, iterations, self._model.max_error)
 
     @property
     def persistent(self) -> tuple[np.ndarray, np.ndarray]:
@@ -359,8 +327,9 @@ def _run(
     """
     mean, P, noise, counts = memory.mean, memory.covariance, memory.noise, memory.counts
     columns, coupling = memory.columns, memory.coupling
-    gamma, iterations, limit = settings.gamma, settings.iterations, settings.max_error
+    gamma, iterations = settings.gamma, settings.iterations
     persistent = mean.shape[0] > EXTRA
+    limit = model.max_error if persistent else settings.max_error
     note, R = np.empty((7, 3)), np.zeros((3, 3))
     contacts = no_contacts()
     m = out = w = 0
@@ -381,14 +350,9 @@ def _run(
                 for i in range(3):
                     R[i, i] = (share * epsilon[i]) ** 2
                 note_velocity(mean, P, contacts, v_I, R, note)
-                if persistent:
-                    values[m] = update_coverage_persistent(
-                        mean, P, v_I, epsilon, gamma, iterations, model, counts
-                    )
-                else:
-                    values[m] = update_coverage_within(
-                        mean, P, contacts, v_I, epsilon, gamma, iterations, limit, counts
-                    )
+                values[m] = update_coverage(
+                    mean, P, v_I, epsilon, gamma, iterations, limit, model.window, counts
+                )
             else:
                 cov = velocities.cov[m]
                 note_velocity(mean, P, contacts, v_I, cov, note)

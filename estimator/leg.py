@@ -10,6 +10,7 @@ from surefoot.estimator.core.checks import (
     MOST_REACH,
     SampleError,
     all_within,
+    amounts,
     check_sound,
     check_step,
     check_velocity,
@@ -79,12 +80,10 @@ class LegNoise:
 
     def packed(self) -> tuple[np.ndarray, float]:
         """Squared densities of the contact (3,) and of the rolling."""
-        contact = np.asarray(self.contact, dtype=float)
-        if contact.shape not in ((), (3,)) or not np.all((contact >= 0) & (contact < np.inf)):
-            raise SurefootError("noise: contact must be one or three finite numbers >= 0")
+        contact = amounts("noise: contact", self.contact, 3)
         if not 0.0 <= self.rolling < np.inf:
             raise SurefootError("noise: rolling must be a finite number >= 0")
-        return np.broadcast_to(contact**2, 3).copy(), float(self.rolling) ** 2
+        return contact**2, float(self.rolling) ** 2
 
 
 class LegFilter:
@@ -110,7 +109,10 @@ class LegFilter:
         noise = noise or LegNoise()
         P = np.zeros((15 + 3 * feet, 15 + 3 * feet))
         P[:15, :15] = spd("covariance", covariance, 15)
-        radius, gate = _radius(foot_radius, feet), _gate(slip_gate)
+        radius = amounts("foot_radius", foot_radius, feet)
+        gate = np.inf if slip_gate is None else float(slip_gate)
+        if not gate > 0:
+            raise SurefootError(f"slip_gate: {slip_gate} where a number > 0 is expected")
         self._model = ContactModel(noise.imu.packed(), *noise.packed(), radius, gate)
         self._memory = contact_memory(state.pack(feet), P)
         self.t = np.nan
@@ -238,7 +240,7 @@ class LegFilter:
             velocities: additional measurements, by a radar say, from `gaussian_velocities`.
             rows: of these samples, whose estimates are returned; at 100 Hz by default.
         """
-        found = empty_estimates(every_row(imu.t, None) if rows is None else rows)
+        found = empty_estimates(every_row(imu.t) if rows is None else rows)
         if len(legs.contact) != len(imu.t):
             raise SurefootError(f"feet_I: {len(legs.contact)} rows where t has {len(imu.t)}")
         window = windows_of(imu.t)
@@ -299,21 +301,6 @@ def encoder_covariance(jacobian_I: np.ndarray, encoder: float, kinematics: float
     """
     J = np.asarray(jacobian_I, dtype=float)
     return J @ np.swapaxes(J, -1, -2) * encoder**2 + np.eye(3) * kinematics**2
-
-
-def _radius(radius, feet: int) -> np.ndarray:
-    radius = np.asarray(radius, dtype=float)
-    if radius.shape not in ((), (feet,)) or not np.all((radius >= 0) & (radius < np.inf)):
-        raise SurefootError(f"foot_radius: one or {feet} finite numbers >= 0 are expected")
-    return np.broadcast_to(radius, feet).copy()
-
-
-def _gate(gate: float | None) -> float:
-    if gate is None:
-        return np.inf
-    if not gate > 0:
-        raise SurefootError(f"slip_gate: {gate} where a number > 0 is expected")
-    return float(gate)
 
 
 def _flags(contact, shape) -> np.ndarray:

@@ -94,19 +94,15 @@ def bounded_velocities(rows, v_I, epsilon, n: int) -> Velocities:
     return Velocities(row_indices(rows, len(v_I), n), v_I, epsilon, np.zeros((0, 3, 3)))
 
 
-def output_stride(t: np.ndarray, stride: int | None = None) -> int:
-    """Rows between stored estimates; None means 100 Hz at the rate of t (N,)."""
-    if stride is None:
-        period = float(np.median(np.diff(t))) if len(t) > 1 else OUTPUT_PERIOD
-        return max(1, round(OUTPUT_PERIOD / period))
-    if stride < 1:
-        raise SurefootError(f"stride: {stride} where a whole number >= 1 is expected")
-    return int(stride)
+def output_stride(t: np.ndarray) -> int:
+    """Rows between estimates that are stored by default, at OUTPUT_PERIOD; t (N,) [s]."""
+    period = float(np.median(np.diff(t))) if len(t) > 1 else OUTPUT_PERIOD
+    return max(1, round(OUTPUT_PERIOD / period))
 
 
-def every_row(t: np.ndarray, stride: int | None) -> np.ndarray:
-    """Rows whose estimates are stored: every stride-th."""
-    return np.arange(0, len(t), output_stride(t, stride))
+def every_row(t: np.ndarray) -> np.ndarray:
+    """Rows whose estimates are stored by default."""
+    return np.arange(0, len(t), output_stride(t))
 
 
 def empty_estimates(rows: np.ndarray) -> Estimates:

@@ -74,6 +74,16 @@ def numbers(name: str, value, shape: tuple) -> np.ndarray:
     return out
 
 
+def amounts(name: str, value, count: int) -> np.ndarray:
+    """`value`, one number or `count` of them, as an array (count,) of finite numbers >= 0;
+    SurefootError otherwise.
+    """
+    out = np.asarray(value, dtype=float)
+    if out.shape not in ((), (count,)) or not np.all((out >= 0) & (out < np.inf)):
+        raise SurefootError(f"{name} must be one or {count} finite numbers >= 0")
+    return np.broadcast_to(out, count).copy()
+
+
 def spd(name: str, value, size: int) -> np.ndarray:
     """`value` as a symmetric positive definite (size, size) array; SurefootError otherwise."""
     out = numbers(name, value, (size, size))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from surefoot.estimator.core.checks import numbers
+from surefoot.estimator.core.checks import amounts, numbers
 from surefoot.estimator.core.lie import entire
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
@@ -86,13 +86,8 @@ class FilterNoise:
 
     def packed(self) -> np.ndarray:
         """Squared densities (4, 3) with the rows accel, gyro, accel_walk, gyro_walk."""
-        rows = []
-        for name in ("accel", "gyro", "accel_walk", "gyro_walk"):
-            density = np.asarray(getattr(self, name), dtype=float)
-            if density.shape not in ((), (3,)) or not np.all((density >= 0) & (density < np.inf)):
-                raise SurefootError(f"noise: {name} must be one or three finite numbers >= 0")
-            rows.append(np.broadcast_to(density**2, 3))
-        return np.array(rows)
+        names = ("accel", "gyro", "accel_walk", "gyro_walk")
+        return np.array([amounts(f"noise: {name}", getattr(self, name), 3) ** 2 for name in names])
 
 
 @kernel

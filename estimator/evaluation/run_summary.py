@@ -63,9 +63,7 @@ def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
     sums = np.zeros((len(at), 0, 10))
     if estimate.innovations is not None:
         known = estimate.innovations
-        sums = np.zeros((len(at), known.sums.shape[1], 10))
-        mine = np.searchsorted(known.start, start - 0.5 * SUM_WINDOW)
-        sums[:] = known.sums[mine]
+        sums = known.sums[np.searchsorted(known.start, start - 0.5 * SUM_WINDOW)]
     return RunSummary(
         start,
         sums,

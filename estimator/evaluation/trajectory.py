@@ -25,10 +25,13 @@ _KEY = b"surefoot_trajectory"
 _SCHEMA = b"1"
 _UPPER = [(i, j) for i in range(15) for j in range(i, 15)]
 _POSE = {"p_GI": "p", "v_GI": "v", "b_a": "b_a", "b_g": "b_g"}
-_COLUMNS = (
+_STATE = (
     "t",
     *(f"q_{c}" for c in "wxyz"),
     *(f"{short}_{c}" for short in _POSE.values() for c in "xyz"),
+)
+_COLUMNS = (
+    *_STATE,
     *(f"cov_{i}_{j}" for i, j in _UPPER),
     "update_t",
     *(f"update_{name}_{c}" for name in ("v", "epsilon") for c in "xyz"),
@@ -156,9 +159,7 @@ class Trajectory:
         if (table.schema.metadata or {}).get(_KEY) != _SCHEMA:
             raise TrajectoryError(f"{path}: is not a trajectory of this version of surefoot")
         frame = table.to_pandas()
-        needed = ["t", *(f"q_{c}" for c in "wxyz")]
-        needed += [f"{short}_{c}" for short in _POSE.values() for c in "xyz"]
-        missing = [name for name in needed if name not in frame]
+        missing = [name for name in _STATE if name not in frame]
         if missing:
             raise TrajectoryError(f"{path}: column {missing[0]} is missing")
         states = pd.DataFrame(frame[frame["t"].notna()])
@@ -170,9 +171,7 @@ class Trajectory:
             covariance = np.empty((len(states), 15, 15))
             for i, j in _UPPER:
                 covariance[:, i, j] = covariance[:, j, i] = states[f"cov_{i}_{j}"]
-        vectors: dict[str, Any] = {
-            name: _gather(states, short, "xyz") for name, short in _POSE.items()
-        }
+        vectors: Any = {name: _gather(states, short, "xyz") for name, short in _POSE.items()}
         return cls(
             t=states["t"].to_numpy(),
             R_GI=matrix_from_quaternion(q),
@@ -242,12 +241,8 @@ class TrajectoryWriter:
         """Append the next piece."""
         columns = piece.columns()
         height = max(len(values) for values in columns.values())
-        padded = {
-            name: np.concatenate([values, np.full(height - len(values), np.nan)])
-            for name, values in columns.items()
-        }
-        nothing = np.full(height, np.nan)
-        arrays = [padded.get(name, nothing) for name in self._schema.names]
+        known = [columns.get(name, np.zeros(0)) for name in self._schema.names]
+        arrays = [np.concatenate([x, np.full(height - len(x), np.nan)]) for x in known]
         self._writer.write_table(pa.table(arrays, schema=self._schema))
 
 
@@ -264,13 +259,11 @@ def reference(log: Log) -> Trajectory:
 
 
 def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:
-    if "update_t" not in frame:
-        return None
-    frame = pd.DataFrame(frame[frame["update_t"].notna()])
     # A file written in pieces has all columns that a piece may have.
     frame = frame.dropna(axis="columns", how="all")
     if "update_t" not in frame:
         return None
+    frame = pd.DataFrame(frame[frame["update_t"].notna()])
     return UpdateRecord(
         frame["update_t"].to_numpy(),
         _gather(frame, "update_v", "xyz"),

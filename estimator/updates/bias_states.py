@@ -43,17 +43,15 @@ from numba import types
 from surefoot.estimator.core.checks import (
     MOST_SPEED,
     all_within,
-    is_bounded,
     is_sound,
     numbers,
     spd,
     symmetric_definite,
 )
 from surefoot.estimator.core.state import EXTRA
-from surefoot.estimator.updates.coverage import projected
-from surefoot.estimator.updates.outliers import GATHERED, is_outlier
+from surefoot.estimator.updates.outliers import is_outlier
 from surefoot.estimator.updates.velocity import gaussian_update
-from surefoot.estimator.updates.velocity_output import lift, no_contacts, velocity_output
+from surefoot.estimator.updates.velocity_output import no_contacts, velocity_output
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_1, OWN_2, kernel
@@ -171,57 +169,9 @@ def update_velocity_persistent(mean, covariance, v_I, R, model, counts) -> float
     return gaussian_update(mean, covariance, contacts, PHt, S, residual, R)
 
 
-@kernel(inline="always")
-def update_coverage_persistent(
-    mean, covariance, v_I, epsilon, gamma: float, iterations: int, model, counts
-) -> float:
-    """One measurement v_I (3,) and, at the window's end, the coverage update, in place.
-
-    Returns pi at the end of a window, nan within one.
-
-    Args:
-        mean: packed state (7+EXTRAS, 3), changed in place.
-        covariance: of its error (24, 24), changed in place.
-        v_I: measured velocity (3,) [m/s].
-        epsilon: bounds (3,) [m/s] of the mean mixing error of a window.
-        gamma: their joint level.
-        iterations: of the projection.
-        model: PersistentModel.
-        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
-    """
-    contacts = no_contacts()
-    n = covariance.shape[0]
-    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
-    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    if is_outlier(S, residual, model.max_error, model.window, counts):
-        return np.nan
-    accumulate_window(mean, covariance, PHt, S, residual, 1.0 / model.window)
-    counts[GATHERED] += 1
-    if counts[GATHERED] < model.window:
-        return np.nan
-    counts[GATHERED] = 0
-    for i in range(3):
-        residual[i] = -mean[WINDOW_ERROR, i]
-        for j in range(n):
-            PHt[j, i] = -covariance[j, WINDOW_AT + i]
-        for j in range(3):
-            S[i, j] = covariance[WINDOW_AT + i, WINDOW_AT + j]
-    z_mean, z_cov = np.zeros(3), np.empty((3, 3))
-    pi = projected(S, residual, epsilon, gamma, iterations, z_mean, z_cov)
-    if pi < gamma:
-        lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
-    mean[WINDOW_ERROR] = 0.0
-    covariance[WINDOW_AT : WINDOW_AT + 3, :] = 0.0
-    covariance[:, WINDOW_AT : WINDOW_AT + 3] = 0.0
-    return pi
-
-
 _MODEL = types.NamedTuple((OWN_2, types.float64, types.int64, OWN_1), PersistentModel)
 UPDATE_VELOCITY_PERSISTENT = types.float64(OWN_2, OWN_2, GIVEN_1, GIVEN_2, _MODEL, types.int64[::1])
-UPDATE_COVERAGE_PERSISTENT = types.float64(
-    OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, _MODEL, types.int64[::1]
-)
-"""Signatures of the two functions that follow."""
+"""Signature of `update_velocity_persistent_checked`."""
 
 
 @kernel
@@ -245,32 +195,6 @@ def update_velocity_persistent_checked(mean, covariance, v_I, R, model, counts) 
         return -1.0
     copy_row(v_I, v)
     return update_velocity_persistent(mean, covariance, v, noise, model, counts)
-
-
-@kernel
-def update_coverage_persistent_checked(
-    mean, covariance, v_I, epsilon, gamma: float, iterations: int, model, counts
-) -> float:
-    """`update_coverage_persistent` for a robot's own loop: -1, with nothing changed, where
-    measurement or state fail the checks.
-
-    Args:
-        mean: packed state (7+EXTRAS, 3), changed in place.
-        covariance: of its error (24, 24), changed in place.
-        v_I: measured velocity (3,) [m/s].
-        epsilon: bounds (3,) [m/s] of the mean mixing error of a window.
-        gamma: their joint level.
-        iterations: of the projection.
-        model: PersistentModel.
-        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
-    """
-    if not is_bounded(v_I, epsilon, gamma, iterations) or not is_sound(mean, covariance):
-        return -1.0
-    given = np.empty((2, 3))
-    v, bounds = given[0], given[1]
-    copy_row(v_I, v)
-    copy_row(epsilon, bounds)
-    return update_coverage_persistent(mean, covariance, v, bounds, gamma, iterations, model, counts)
 
 
 @kernel
@@ -303,3 +227,30 @@ def accumulate_window(mean, covariance, PHt, S, residual, share: float):
             covariance[WINDOW_AT + i, WINDOW_AT + j] += share * (
                 share * S[i, j] - HPs[i, j] - HPs[j, i]
             )
+
+
+@kernel
+def window_output(mean, covariance, PHt, S, residual):
+    """Output of a complete window: z = -delta s.
+
+    Args:
+        mean: packed state (7+EXTRAS, 3).
+        covariance: of its error (24, 24).
+        PHt: (24, 3), filled with Sigma H^T.
+        S: (3, 3), filled with H Sigma H^T.
+        residual: (3,) [m/s], filled with -s_bar.
+    """
+    for i in range(3):
+        residual[i] = -mean[WINDOW_ERROR, i]
+        for j in range(covariance.shape[0]):
+            PHt[j, i] = -covariance[j, WINDOW_AT + i]
+        for j in range(3):
+            S[i, j] = covariance[WINDOW_AT + i, WINDOW_AT + j]
+
+
+@kernel
+def restart_window(mean, covariance):
+    """Begin the next window: s is zero again, and known."""
+    mean[WINDOW_ERROR] = 0.0
+    covariance[WINDOW_AT : WINDOW_AT + 3, :] = 0.0
+    covariance[:, WINDOW_AT : WINDOW_AT + 3] = 0.0

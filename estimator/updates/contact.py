@@ -281,8 +281,7 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
         if held[k] < 0.5 * since or not in_contact[k]:
             held[k] = 0.0
         if standing[k] and not in_contact[k]:
-            _remove(mean, covariance, k)
-            standing[k] = False
+            _remove(memory, k)
     claimed = believed = False
     for k in range(feet):
         claimed |= in_contact[k]
@@ -292,8 +291,7 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
         if np.isfinite(gate) and _slips(
             S, measurement_cov[k], residual, gate, min(since / AVERAGED, 1.0), memory.drift[k]
         ):
-            _remove(mean, covariance, k)
-            standing[k] = False
+            _remove(memory, k)
             held[k] = HOLD
         else:
             distance = gaussian_update(mean, covariance, feet, PHt, S, residual, measurement_cov[k])
@@ -310,8 +308,7 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
             memory.sums[k, RESTARTED] += in_contact[k]
             held[k] = 0.0
             if standing[k]:
-                _remove(mean, covariance, k)
-                standing[k] = False
+                _remove(memory, k)
         _reopen(mean, covariance, memory.biases)
     for k in range(feet):
         if held[k] > 0.0:
@@ -422,12 +419,13 @@ def contact_output(mean, covariance, k: int, foot_I, PHt, S, residual):
 
 
 @kernel
-def _remove(mean, covariance, k: int):
+def _remove(memory, k: int):
     """Remove foot k: zero its row of the mean, and its rows and columns of the covariance."""
     at = 15 + 3 * k
-    mean[EXTRA + k] = 0.0
-    covariance[at : at + 3, :] = 0.0
-    covariance[:, at : at + 3] = 0.0
+    memory.standing[k] = False
+    memory.mean[EXTRA + k] = 0.0
+    memory.covariance[at : at + 3, :] = 0.0
+    memory.covariance[:, at : at + 3] = 0.0
 
 
 @kernel

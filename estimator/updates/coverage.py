@@ -31,8 +31,10 @@ import numpy as np
 from numba import types
 
 from surefoot.estimator.core.checks import is_bounded, is_sound
+from surefoot.estimator.core.state import EXTRA
 from surefoot.estimator.moments.box import box_moments_kernel
-from surefoot.estimator.updates.outliers import MOST_REJECTED, UNLIMITED, is_outlier
+from surefoot.estimator.updates.bias_states import accumulate_window, restart_window, window_output
+from surefoot.estimator.updates.outliers import GATHERED, MOST_REJECTED, is_outlier
 from surefoot.estimator.updates.velocity_output import lift, no_contacts, velocity_output
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import GIVEN_1, OWN_2, kernel
@@ -64,70 +66,63 @@ def posterior_moments(mean, cov, lower, upper, gamma: float, mean_plus, cov_plus
     return pi
 
 
-@kernel
+@kernel(inline="always")
 def update_coverage(
-    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int = 1
+    mean, covariance, v_I, epsilon, gamma: float, iterations: int, max_error, window: int, counts
 ) -> float:
-    """Algorithm 1 of the paper on the packed state, in place; returns pi of the prior.
+    """Algorithm 1 of the paper on the packed state, in place; returns pi of the prior, nan for an
+    outlier.
 
     With z = H delta X (eq. setup_feasible_set_lie_linear_augmented) the box is v_I - v_I_bar -+
     epsilon. The posterior of z is projected and matched up to `iterations` times and lifted once.
+    In a state with a persistent part the statement is about the mean of a window: nan within one
+    (see `surefoot.estimator.updates.bias_states`).
 
     Args:
-        mean: (7+E, 3), the packed mean.
-        covariance: (15+3E, 15+3E).
-        contacts: number of contact points in the state.
+        mean: packed state (7+E, 3), changed in place; its extras are no contact points.
+        covariance: of its error (15+3E, 15+3E), changed in place.
         v_I: (3,) [m/s], pseudo-measurement of the IMU's velocity in I.
-        epsilon: (3,) [m/s], its bounds.
+        epsilon: (3,) [m/s], its bounds or, of a window, those of the mean mixing error.
         gamma: their JOINT level, P(|v_I - v_I true| <= epsilon) >= gamma.
         iterations: of projection and matching; once in the paper.
-    """
-    counts = np.zeros(2, dtype=np.int64)
-    return update_coverage_within(
-        mean, covariance, contacts, v_I, epsilon, gamma, iterations, UNLIMITED, counts
-    )
-
-
-@kernel(inline="always")
-def update_coverage_within(
-    mean, covariance, contacts: int, v_I, epsilon, gamma: float, iterations: int, max_error, counts
-) -> float:
-    """`update_coverage` with rejection of outliers, for which pi is nan.
-
-    Args:
-        mean: packed state (7+E, 3), changed in place.
-        covariance: of its error (15+3E, 15+3E), changed in place.
-        contacts: how many extras of the state are contact points.
-        v_I: measured velocity (3,) [m/s].
-        epsilon: bounds (3,) [m/s].
-        gamma: their joint level.
-        iterations: of the projection.
         max_error: beyond which an error is an outlier (3,) [m/s].
+        window: number of measurements in a window, of a state with a persistent part.
         counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
     """
-    n = covariance.shape[0]
+    n, contacts = covariance.shape[0], no_contacts()
+    persistent = mean.shape[0] > EXTRA
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    if is_outlier(S, residual, max_error, MOST_REJECTED, counts):
+    if is_outlier(S, residual, max_error, window if persistent else MOST_REJECTED, counts):
         return np.nan
+    if persistent:
+        accumulate_window(mean, covariance, PHt, S, residual, 1.0 / window)
+        counts[GATHERED] += 1
+        if counts[GATHERED] < window:
+            return np.nan
+        counts[GATHERED] = 0
+        window_output(mean, covariance, PHt, S, residual)
     z_mean, z_cov = np.zeros(3), np.empty((3, 3))
     pi = projected(S, residual, epsilon, gamma, iterations, z_mean, z_cov)
     if pi < gamma:
         lift(mean, covariance, contacts, PHt, S, z_mean, z_cov)
+    if persistent:
+        restart_window(mean, covariance)
     return pi
 
 
 UPDATE_COVERAGE = types.float64(
-    OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, GIVEN_1, types.int64[::1]
+    *(OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64),
+    *(GIVEN_1, types.int64, types.int64[::1]),
 )
 """Signature of `update_coverage_checked`."""
 
 
 @kernel
 def update_coverage_checked(
-    mean, covariance, v_I, epsilon, gamma: float, iterations: int, max_error, counts
+    mean, covariance, v_I, epsilon, gamma: float, iterations: int, max_error, window: int, counts
 ) -> float:
-    """`update_coverage_within` for a robot's own loop, of a state without contacts, in one call.
+    """`update_coverage` for a robot's own loop, in one call.
 
     Checks measurement and state; returns -1, with nothing changed, if they fail.
 
@@ -139,6 +134,7 @@ def update_coverage_checked(
         gamma: their joint level.
         iterations: of the projection.
         max_error: beyond which an error is an outlier (3,) [m/s].
+        window: number of measurements in a window, of a state with a persistent part.
         counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
     """
     if not is_bounded(v_I, epsilon, gamma, iterations) or not is_sound(mean, covariance):
@@ -149,10 +145,7 @@ def update_coverage_checked(
     for i in range(3):
         given[0, i], given[1, i], given[2, i] = v_I[i], epsilon[i], max_error[i]
     v, bounds, limit = given[0], given[1], given[2]
-    contacts = no_contacts()
-    return update_coverage_within(
-        mean, covariance, contacts, v, bounds, gamma, iterations, limit, counts
-    )
+    return update_coverage(mean, covariance, v, bounds, gamma, iterations, limit, window, counts)
 
 
 @kernel(inline="always")

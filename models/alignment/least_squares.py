@@ -30,9 +30,10 @@ _FEWEST = 5
 """Least number of samples in a window; for a sparser reference the window is longer."""
 _LONGEST_STEP = 0.25
 """Time without readings from which an IMU is not integrated [s]: legs swing forward in it."""
-_PRIOR = {"bias_gyro": 0.05, "bias_accel": 0.3, "p_IM": 1.0, "tilt": 0.02}
-"""Prior standard deviations [rad/s, m/s^2, m, rad] of parameters that a log may not determine:
-biases of uncalibrated MEMS sensors, a lever arm within a body's size, and the tilt of a motion
+_PRIOR = np.repeat([0.0, 0.05**-2.0, 0.3**-2.0, 1.0**-2.0, 0.02**-2.0], [4, 3, 3, 3, 2])
+"""Precisions (15,) of what is known beforehand, zero for clock offset and rotation. The standard
+deviations [rad/s, m/s^2, m, rad] are of parameters that a log may not determine: biases of gyro and
+accelerometer, uncalibrated MEMS sensors; a lever arm within a body's size; the tilt of a motion
 capture whose floor was levelled by eye.
 """
 _OUTLIER = 2.0
@@ -190,7 +191,6 @@ def fit_placement(
     """Maximum a-posteriori parameters, from a start that is accurate to a fraction of a stride;
     None if they lead to where IMU and reference have nothing in common.
     """
-    prior = np.concatenate([np.zeros(4), *(np.full(n, _PRIOR[k] ** -2.0) for k, n in _PRIORS)])
     now, rounds = start, 0
     while True:
         parts = [_linearised(part, now) for part in readings.sections(now.offset)]
@@ -199,8 +199,8 @@ def fit_placement(
         rows, columns, t = (np.concatenate(one) for one in zip(*parts, strict=True))
         sums, against = _normal_equations(rows, columns)
         known = np.concatenate([np.zeros(4), now.bias_gyro, now.bias_accel, now.p_IM, now.tilt])
-        pull = prior * known
-        step = np.linalg.solve(sums.sum(axis=0) + np.diag(prior), against.sum(axis=0) - pull)
+        pull = _PRIOR * known
+        step = np.linalg.solve(sums.sum(axis=0) + np.diag(_PRIOR), against.sum(axis=0) - pull)
         if abs(step[0]) < _CLOCK_TOLERANCE:
             break
         now, rounds = now.moved(step), rounds + 1
@@ -213,7 +213,7 @@ def fit_placement(
     np.add.at(of_blocks, block, np.concatenate([sums, against[:, :, None]], axis=2))
 
     def solved(total: np.ndarray) -> np.ndarray:
-        return np.linalg.solve(total[:, :15] + np.diag(prior), total[:, 15] - pull)
+        return np.linalg.solve(total[:, :15] + np.diag(_PRIOR), total[:, 15] - pull)
 
     draws = np.tensordot(block_bootstrap_counts(count, rng, 400), of_blocks, axes=1)
     spread = np.std([solved(one) for one in draws], axis=0)
@@ -222,9 +222,6 @@ def fit_placement(
     width = stdtrit(max(count - 1, 1), 0.975) * spread
     lever = -columns[:, 3:, 10:13]
     return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
-
-
-_PRIORS = (("bias_gyro", 3), ("bias_accel", 3), ("p_IM", 3), ("tilt", 2))
 
 
 def _linearised(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -58,10 +58,10 @@ class Mixing:
         return np.sqrt(np.maximum(self.beta**2 - self.floor**2, 0.0))
 
 
-def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG, threshold: float = THRESHOLD) -> Mixing:
+def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG) -> Mixing:
     """Mixing curve of errors (n, D), each axis by itself, and the resulting spacing K.
 
-    K is the first lag at which the dependence of every axis is at most `threshold`. Lags extend to
+    K is the first lag at which the dependence of every axis is at most THRESHOLD. Lags extend to
     `farthest` or a tenth of the record.
     """
     n, D = errors.shape
@@ -69,11 +69,11 @@ def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG, threshold: float = T
     states = [discretise(errors[:, axis]) for axis in range(D)]
     beta = np.array([[beta_coefficient(s, lag) for s in states] for lag in lags.tolist()])
     floor = np.array([independence_floor(s) for s in states])
-    curve = Mixing(lags, beta, floor, 1, True, threshold)
+    curve = Mixing(lags, beta, floor, 1, True)
     worst = curve.excess.max(axis=1)
-    mixed = bool((worst <= threshold).any())
-    best = np.argmax(worst <= threshold) if mixed else np.argmin(worst)
-    return Mixing(lags, beta, floor, int(lags[best]), mixed, threshold)
+    mixed = bool((worst <= THRESHOLD).any())
+    best = np.argmax(worst <= THRESHOLD) if mixed else np.argmin(worst)
+    return Mixing(lags, beta, floor, int(lags[best]), mixed)
 
 
 def discretise(x: np.ndarray) -> np.ndarray:

@@ -72,6 +72,7 @@ class Calibrator:
     label: ClassVar[str]
     fit_share: ClassVar[float] = 0.0
     confidence: float | None = None
+    epsilon: np.ndarray
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         """A method that contains a further error with probability gamma.
@@ -101,8 +102,8 @@ class Calibrator:
         raise NotImplementedError
 
     def bounds(self) -> Region:
-        """The region."""
-        raise NotImplementedError
+        """The region: by default the box of half widths `epsilon`, set by `conformalize`."""
+        return Region(self.epsilon)
 
 
 class Conformal(Calibrator):
@@ -116,9 +117,6 @@ class Conformal(Calibrator):
 
     def conformalize(self, errors: np.ndarray) -> None:
         self.epsilon = conformal_quantile(np.abs(errors), self.level)
-
-    def bounds(self) -> Region:
-        return Region(self.epsilon)
 
 
 class Outer(Conformal):
@@ -149,10 +147,7 @@ class MaxNorm(Calibrator):
 
     def conformalize(self, errors: np.ndarray) -> None:
         score = (np.abs(errors) / self.scale).max(axis=1)
-        self.radius = conformal_quantile(score[:, None], self.level)[0]
-
-    def bounds(self) -> Region:
-        return Region(self.radius * self.scale)
+        self.epsilon = conformal_quantile(score[:, None], self.level)[0] * self.scale
 
 
 def second_moment(errors: np.ndarray) -> np.ndarray:

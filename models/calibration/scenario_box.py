@@ -22,7 +22,7 @@ from scipy.special import gammaln
 from scipy.stats import binom
 
 from surefoot.models.calibration.conformal import BoundsError
-from surefoot.models.calibration.regions import CONFIDENCE, Calibrator, Region
+from surefoot.models.calibration.regions import CONFIDENCE, Calibrator
 from surefoot.sim.common.kernels import kernel
 
 VARIABLES = 3
@@ -46,9 +46,6 @@ class ScenarioBox(Calibrator):
 
     def conformalize(self, errors: np.ndarray) -> None:
         self.epsilon = scenario_box(errors, self.gamma, self.stated)
-
-    def bounds(self) -> Region:
-        return Region(self.epsilon)
 
 
 def scenario_box(errors: np.ndarray, gamma: float, confidence: float = CONFIDENCE) -> np.ndarray:

@@ -42,12 +42,14 @@ class ScaledLog:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Logs of one robot, with the offset and scale of x (C,) and of y (3,) in m/s."""
+    """Logs of one robot, with the offset and scale of x (C,) and the scale of y (3,) in m/s.
+
+    y is not centred, so that the zero state predicts about zero, as a log starts at rest.
+    """
 
     logs: tuple[ScaledLog, ...]
     x_mean: np.ndarray
     x_scale: np.ndarray
-    y_mean: np.ndarray
     y_scale: np.ndarray
     robot: Mounted
     causal_dq: bool
@@ -74,22 +76,20 @@ def prepare(logs: Sequence[Log], robot: Mounted | None, inputs: tuple[str, ...])
     unscaled = [observer_inputs(inputs, kinematics, sample.x) for sample in seen]
     x_mean, x_scale = _scaling(unscaled)
     _, y_scale = _scaling([v_I[ok & ~validation_rows(len(ok))] for v_I, ok in labels])
-    # Not centred, so that the zero state predicts about zero, as a log starts at rest.
-    y_mean = np.zeros(3)
     scaled = []
     for x, (v_I, measured) in zip(unscaled, labels, strict=True):
         validation = validation_rows(len(measured)) & measured
         scaled.append(
             ScaledLog(
                 torch.from_numpy(((x - x_mean) / x_scale).astype(np.float32)),
-                torch.from_numpy(((v_I - y_mean) / y_scale).astype(np.float32)),
+                torch.from_numpy((v_I / y_scale).astype(np.float32)),
                 torch.from_numpy(measured & ~validation),
                 torch.from_numpy(validation),
             )
         )
     if not any(log.validation.any() for log in scaled):
         raise ObserverError("train: the reference is missing in all validation blocks")
-    return Dataset(tuple(scaled), x_mean, x_scale, y_mean, y_scale, robot, seen[0].causal_dq, legs)
+    return Dataset(tuple(scaled), x_mean, x_scale, y_scale, robot, seen[0].causal_dq, legs)
 
 
 def validation_rows(steps: int) -> np.ndarray:

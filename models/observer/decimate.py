@@ -27,13 +27,6 @@ def anti_alias(age: np.ndarray) -> np.ndarray:
     return np.where(inside, np.sin(np.pi * age / ANTI_ALIAS_SPAN) ** 2, 0.0)
 
 
-def delay(rate: float) -> float:
-    """Delay [s] at low frequency of the filtered inputs of a log sampled at `rate` Hz."""
-    age = np.arange(0.0, ANTI_ALIAS_SPAN, 1.0 / rate)
-    weight = anti_alias(age)
-    return float(weight @ age / weight.sum())
-
-
 def observer_rows(log: Log) -> np.ndarray:
     """Row indices (M,) of the 100 Hz updates, strictly increasing.
 

@@ -78,14 +78,7 @@ def scan(gates: np.ndarray, W: np.ndarray, b: np.ndarray, h0: np.ndarray):
 
 
 @kernel(nogil=True)
-def gru_step(
-    x: np.ndarray,
-    h: np.ndarray,
-    W_x: np.ndarray,
-    b_x: np.ndarray,
-    W_h: np.ndarray,
-    b_h: np.ndarray,
-) -> np.ndarray:
+def gru_step(x, h, W_x, b_x, W_h, b_h):
     """One step without a batch, for a robot's own loop: the next h (H,).
 
     All arrays are float32 and contiguous.

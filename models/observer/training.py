@@ -105,7 +105,7 @@ def train(
         joints=logs[0].joints,
         input_mean=dataset.x_mean,
         input_scale=dataset.x_scale,
-        output_mean=dataset.y_mean,
+        output_mean=np.zeros(3),
         output_scale=dataset.y_scale,
         robot=dataset.robot.name,
         p_BI=np.array(dataset.robot.p_BI, dtype=float),

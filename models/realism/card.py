@@ -12,24 +12,23 @@ from surefoot.models.realism.walk_view import WalkView
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Positive, read_typed
-from surefoot.sim.effects.carry import BodyScale, growth
+from surefoot.sim.effects.carry import DIMENSIONS, BodyScale, growth
 
 DRAWS = 400
 """Resamples of the bootstrap over strides."""
 INTERVAL = (2.5, 97.5)
 """Percentiles of a 95 % interval."""
 
-CARD_DIMENSIONS = {
+CARD_DIMENSIONS = DIMENSIONS | {
     "share": (0, 0, 0),
-    "ratio": (0, 0, 0),
-    "m": (0, 1, 0),
-    "s": (0, 0, 1),
     "m/s": (0, 1, -1),
     "m/s^2": (0, 1, -2),
     "rad/s": (0, 0, -1),
     "Hz": (0, 0, -1),
 }
-"""Unit of a quantity -> the powers of weight, leg length and stride period that it scales with."""
+"""Unit of a quantity -> the powers of weight, leg length and stride period that it scales with.
+Rates and accelerations are those of the motion, and scale, unlike an IMU's errors.
+"""
 
 Verdict = Literal["like", "unlike", "undecided"]
 

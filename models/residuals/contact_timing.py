@@ -16,8 +16,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.robot import DeclaredExtras
-from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
-from surefoot.sim.sensors.stances import changes, inside_stances
+from surefoot.sim.sensors.stances import SHORTEST_FLIGHT, changes, inside_stances
 
 STANDING_SPEED = 0.2
 """Speed over the ground from which a foot does not stand [m/s]: a tenth of its speed in swing."""

@@ -1,9 +1,8 @@
 """Effects that a real robot has and a model may lack: one small class each, and their catalogue."""
 
+from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.effects.catalogue import (
-    AXES,
     CATALOGUE,
-    Effect,
     add,
     compensate_all,
     declared_effects,

@@ -6,7 +6,7 @@ Its influence on the residual of a log follows from `compensate` by finite diffe
 declares a faster way.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, TypeVar
 
@@ -21,17 +21,6 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Reference, Streams
-
-__all__ = [
-    "AXES",
-    "Effect",
-    "along",
-    "changed_columns",
-    "declared_on",
-    "joint_sizes",
-    "turn_about",
-    "with_columns",
-]
 
 Kind = TypeVar("Kind", bound=Any)
 
@@ -267,9 +256,51 @@ class Effect:
         return {"name": self.name, "target": self.target, "value": self.value, "unit": self.unit}
 
 
-def joint_sizes(one: Effect, limbs: Limbs) -> np.ndarray:
-    """Sizes (J,) of an effect at all joints, zero where it does not act."""
-    return one.value * np.isin(limbs.joints, one.members(limbs))
+class ReadingError(Effect):
+    """An error of the readings of some joints, or along some axes of the IMU."""
+
+    readings: ClassVar[tuple[str, ...]]
+    """The readings that err: some of gyro, accel, q, dq and tau."""
+    chain_rule = "readings"
+
+    def sizes(self, robot: Robot) -> np.ndarray:
+        """Sizes at all joints (J,) or axes (3,), zero where the effect does not act."""
+        at = AXES if self.targets == AXES else robot.limbs.joints
+        return self.value * np.isin(at, self.members(robot.limbs))
+
+    def altered(self, streams: Streams, change: Callable[[np.ndarray], np.ndarray]) -> Streams:
+        """The streams after a change of the readings that err."""
+        return replace(streams, **{name: change(getattr(streams, name)) for name in self.readings})
+
+    def undone(self, log: Log, robot: Robot, change: Callable[[np.ndarray], np.ndarray]) -> Log:
+        """The log after a change of the columns that err, as far as it has them."""
+        at = self.members(robot.limbs)
+        names = [f"{kind}_{part}" for part in at for kind in self.readings]
+        return log.with_columns({n: change(log.columns[n]) for n in names if n in log.columns})
+
+
+class Offset(ReadingError):
+    """Readings have a constant offset."""
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        sizes = self.sizes(robot)
+        return self.altered(streams, lambda x: x + sizes)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return self.undone(log, robot, lambda x: x - self.value), robot
+
+
+class Scale(ReadingError):
+    """Readings are 1 + size times the true values."""
+
+    unit = "ratio"
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        factors = 1.0 + self.sizes(robot)
+        return self.altered(streams, lambda x: x * factors)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return self.undone(log, robot, lambda x: x / (1 + self.value)), robot
 
 
 def turn_about(axis: str, angle: float) -> np.ndarray:

@@ -18,7 +18,15 @@ from surefoot.sim.robot.inertia import with_own_inertia
 from surefoot.sim.sensors.streams import Reference
 
 
-class LinkLength(Effect):
+class _LegGeometry(Effect):
+    """A difference of a leg's or foot's geometry from the model."""
+
+    channels = ("leg_velocity", "foot_height", "base_wrench")
+    step = 1e-3
+    chain_rule = "legs"
+
+
+class LinkLength(_LegGeometry):
     """A link is longer than in the model: thigh (thigh to knee axis) or calf (knee to foot).
 
     The feet of an uncalibrated quadruped were found to be 14 mm off: Zhao et al., "Accurate Joint
@@ -28,11 +36,8 @@ class LinkLength(Effect):
     name = "link_length"
     unit = "m"
     bounds = (-0.03, 0.03)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = "leg_link"
     groups = True
-    step = 1e-3
-    chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         model = spec.compile()
@@ -77,16 +82,13 @@ class LinkLength(Effect):
         return [(i, c.index(j)) for j in at for i, c in enumerate(robot.limbs.chains) if j in c]
 
 
-class HipOffset(Effect):
+class HipOffset(_LegGeometry):
     """A leg is mounted with an offset along an axis of the base: its hip hinge and all below it."""
 
     name = "hip_offset"
     unit = "m"
     bounds = (-0.05, 0.05)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = "leg_axis"
-    step = 1e-3
-    chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         hinge, _, axis_B = _hip(self, spec, robot)
@@ -105,7 +107,7 @@ the component about the other is then off by at most 1 mrad, an encoder step.
 """
 
 
-class LegHeading(Effect):
+class LegHeading(_LegGeometry):
     """A leg is mounted with a rotation about an axis of the base, through its hip hinge.
 
     No published figure was found; a seat machined to 0.1 mm over 50 mm is off by 2 mrad, printed
@@ -115,10 +117,7 @@ class LegHeading(Effect):
     name = "leg_heading"
     unit = "rad"
     bounds = (-0.2, 0.2)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = "leg_axis"
-    step = 1e-3
-    chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         hinge, model, axis_B = _hip(self, spec, robot)
@@ -169,7 +168,7 @@ def leg_and_axis(one: Effect, robot: Robot) -> tuple[int, int]:
     return robot.limbs.legs.index(leg), AXES.index(axis)
 
 
-class FootRolling(Effect):
+class FootRolling(_LegGeometry):
     """A foot rolls on a larger radius than declared, about the same centre.
 
     A model with point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
@@ -178,11 +177,8 @@ class FootRolling(Effect):
     name = "foot_rolling"
     unit = "m"
     bounds = (-0.06, 0.06)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = "leg"
     groups = True
-    step = 1e-3
-    chain_rule = "legs"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for name in self.members(robot.limbs):

@@ -37,8 +37,6 @@ DIMENSIONS = {
 
 Rates and accelerations are errors of an IMU, which do not depend on the robot's size.
 """
-ON_FEET = ("foot_rolling",)
-"""Effects whose lengths scale with the foot's radius and not with the leg."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tu
         if one.unit not in DIMENSIONS:
             raise SurefootError(f"effect {one.name}: no rule carries '{one.unit}' to another robot")
         factor = growth(DIMENSIONS[one.unit], measured, to)
-        if one.name in ON_FEET:
+        if one.name == "foot_rolling":  # a length of the foot, not of the leg
             factor = to.foot_radius / measured.foot_radius
         kind = known_effects()[one.name]
         low, high = kind.bounds_on_legs or kind.bounds

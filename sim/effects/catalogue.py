@@ -9,24 +9,13 @@ from typing import Any, TypeVar, get_args
 from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects import body, contact, elastic, imu, joint, links, timing
-from surefoot.sim.effects.base import AXES, Effect
+from surefoot.sim.effects.base import Effect
 from surefoot.sim.effects.targets import Part
 from surefoot.sim.log import Log
 
 M = TypeVar("M")
 
 K = TypeVar("K", bound=type[Effect])
-
-__all__ = [
-    "AXES",
-    "CATALOGUE",
-    "Effect",
-    "add",
-    "compensate_all",
-    "declared_effects",
-    "effect",
-    "known_effects",
-]
 
 GROUP = "surefoot.effects"
 RENAMED = {"joint_compliance": "leg_compliance"}
@@ -64,7 +53,7 @@ def add(kind: K) -> K:
 
     Raises SurefootError if the class lacks a required attribute, or its name is taken.
     """
-    _check(kind)
+    _check(getattr(kind, "name", ""), kind)
     known = CATALOGUE.setdefault(kind.name, kind)
     if (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise SurefootError(f"effect {kind.name}: the catalogue has one of that name")
@@ -72,7 +61,7 @@ def add(kind: K) -> K:
     return kind
 
 
-def _check(kind: Any) -> None:
+def _check(name: str, kind: Any) -> None:
     if not (isinstance(kind, type) and issubclass(kind, Effect)):
         raise SurefootError(f"{kind!r} is no class of Effect")
     needs = ("name", "unit", "bounds", "channels", "targets") + ("step",) * kind.is_compensated()
@@ -84,15 +73,11 @@ def _check(kind: Any) -> None:
             f"effect {kind.__name__}: targets must be a tuple of words or one of "
             f"{', '.join(get_args(Part))}"
         )
-
-
-def _check_named(name: str, kind: Any) -> None:
-    _check(kind)
     if kind.name != name:
         raise SurefootError(f"its effect is named {kind.name}")
 
 
-_EFFECTS = Registry(GROUP, CATALOGUE, check=_check_named)
+_EFFECTS = Registry(GROUP, CATALOGUE, check=_check)
 
 
 def effect(name: str, target: str, value: float) -> Effect:

@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.series import white_noise
-from surefoot.sim.effects.base import Effect, declared_on, with_columns
+from surefoot.sim.effects.base import Effect, declared_on
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
@@ -180,15 +180,14 @@ def _less_torque(
     The commanded torque is reduced as well, since a motor delivers its command before the losses.
     """
     columns, asked = {}, log.has("tau_ff") or log.has("q_des")
+    if asked and not log.has("tau_ff"):
+        columns = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
     for joint in one.members(robot.limbs):
         less = one.value * taken(_rate(log, joint))
         columns[f"tau_{joint}"] = log.columns[f"tau_{joint}"] - less
         if asked:
             columns[f"tau_ff_{joint}"] = log.columns.get(f"tau_ff_{joint}", 0.0) - less
-    if asked and not log.has("tau_ff"):
-        others = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
-        columns = others | columns
-    return with_columns(log, columns)
+    return log.with_columns(columns)
 
 
 def _joints(spec: mujoco.MjSpec, robot: Robot, one: Effect) -> list[mujoco.MjsJoint]:

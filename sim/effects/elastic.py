@@ -9,7 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.base import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads, knows_loads
@@ -26,7 +26,18 @@ s, with three quarters of their noise, passes 86 % and 50 %, which would make sp
 """
 
 
-class LegCompliance(Effect):
+class _Spring(Effect):
+    """A spring whose load a model takes from the log."""
+
+    chain_rule = "readings"
+    uses_loads = True
+
+    @classmethod
+    def is_compensated_on(cls, log: Log) -> bool:
+        return super().is_compensated_on(log) and knows_loads(log)
+
+
+class LegCompliance(_Spring):
     """A spring between the encoder, on the motor's side, and the link: q reads q + tau / k.
 
     The size is 1 / k, of one joint, of all joints of a kind (legs are built alike), or of all
@@ -43,8 +54,6 @@ class LegCompliance(Effect):
     groups = True
     needs = ("q",)
     step = 2e-5
-    chain_rule = "readings"
-    uses_loads = True
     unseen_by = ("joint_rate", "command")
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -57,12 +66,8 @@ class LegCompliance(Effect):
         )
         return _deflected(log, self.value, deflection, self.members(robot.limbs)), robot
 
-    @classmethod
-    def is_compensated_on(cls, log: Log) -> bool:
-        return log.has("q") and knows_loads(log)
 
-
-class FootElasticity(Effect):
+class FootElasticity(_Spring):
     """The feet yield under load, along or across the vertical of the home pose.
 
     Feet of rubber or foam have 1e4 to 1e5 N/m.
@@ -75,8 +80,6 @@ class FootElasticity(Effect):
     targets = ("normal", "tangential")
     needs = ("q", "contact")
     step = 1e-6
-    chain_rule = "readings"
-    uses_loads = True
     unseen_by = ("joint_torque", "base_wrench", "joint_rate", "command")
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -91,10 +94,6 @@ class FootElasticity(Effect):
             lambda: _deflection(log, _angles_of_yielding_feet(log, robot, self._axes())),
         )
         return _deflected(log, self.value, deflection, log.joints), robot
-
-    @classmethod
-    def is_compensated_on(cls, log: Log) -> bool:
-        return log.has("q") and log.has("contact") and knows_loads(log)
 
     def _axes(self) -> tuple[int, ...]:
         return (2,) if self.target == "normal" else (0, 1)
@@ -152,4 +151,4 @@ def _deflected(log: Log, compliance: float, by: Deflection, joints: tuple[str, .
         if f"dq_{joint}" in log.columns:
             rate = log.columns[f"dq_{joint}"] + compliance * by.rate[:, at]
             columns[f"dq_{joint}"] = rate
-    return with_columns(log, columns)
+    return log.with_columns(columns)

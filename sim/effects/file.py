@@ -7,7 +7,8 @@ from pathlib import Path
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect, write_whole
 from surefoot.sim.common.toml import read_typed
-from surefoot.sim.effects.catalogue import Effect, effect
+from surefoot.sim.effects.base import Effect
+from surefoot.sim.effects.catalogue import effect
 from surefoot.sim.robot.limbs import Limbs
 
 

@@ -4,12 +4,11 @@ The bounds are wider than the figures given, to cover sensors that were never ca
 """
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
 from surefoot.sim.common.series import low_pass
-from surefoot.sim.effects.base import AXES, Effect, along, declared_on, turn_about, with_columns
+from surefoot.sim.effects.base import AXES, Effect, Offset, Scale, along, declared_on, turn_about
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
@@ -18,8 +17,6 @@ from surefoot.sim.sensors.streams import Streams
 class _AxisError(Effect):
     """An error of the readings along or about one axis of the IMU."""
 
-    sensor: ClassVar[str]
-    """The one sensor that errs, "gyro" or "accel"."""
     targets = AXES
     needs = ("imu",)
     on_given_feet = True
@@ -48,60 +45,34 @@ class ImuRotation(_AxisError):
         gyro, accel = log.gyro @ back, log.accel @ back
         columns = {f"gyro_{a}": gyro[:, i] for i, a in enumerate(AXES)}
         columns |= {f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}
-        return with_columns(log, columns), robot
+        return log.with_columns(columns), robot
 
 
-class _ScaleError(_AxisError):
-    """One axis of a sensor reads 1 + size times the motion."""
-
-    unit = "ratio"
-    bounds = (-0.3, 0.3)
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        reading = getattr(streams, self.sensor).copy()
-        reading[:, AXES.index(self.target)] *= 1.0 + self.value
-        return replace(streams, **{self.sensor: reading})
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"{self.sensor}_{self.target}"
-        return with_columns(log, {column: log.columns[column] / (1 + self.value)}), robot
-
-
-class GyroScale(_ScaleError):
+class GyroScale(_AxisError, Scale):
     """One axis of the gyro has a scale error: it reads 1 + size times the rate.
 
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
     name = "gyro_scale"
+    bounds = (-0.3, 0.3)
     channels = ("imu_gyro", "leg_velocity")
-    sensor = "gyro"
+    readings = ("gyro",)
 
 
-class AccelScale(_ScaleError):
+class AccelScale(_AxisError, Scale):
     """One axis of the accelerometer has a scale error: it reads 1 + size times the specific force.
 
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
     name = "accel_scale"
+    bounds = (-0.3, 0.3)
     channels = ("imu_accel",)
-    sensor = "accel"
+    readings = ("accel",)
 
 
-class _Bias(_AxisError):
-    """One axis of a sensor has a constant bias."""
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        biased = getattr(streams, self.sensor) + along(self.target, self.value)
-        return replace(streams, **{self.sensor: biased})
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        column = f"{self.sensor}_{self.target}"
-        return with_columns(log, {column: log.columns[column] - self.value}), robot
-
-
-class GyroBias(_Bias):
+class GyroBias(_AxisError, Offset):
     """One axis of the gyro has a constant bias, in addition to the turn-on bias.
 
     The MPU-6050's product specification allows 20 deg/s (0.35 rad/s) before calibration.
@@ -111,10 +82,10 @@ class GyroBias(_Bias):
     unit = "rad/s"
     bounds = (-0.5, 0.5)
     channels = ("imu_gyro", "leg_velocity")
-    sensor = "gyro"
+    readings = ("gyro",)
 
 
-class AccelBias(_Bias):
+class AccelBias(_AxisError, Offset):
     """One axis of the accelerometer has a constant bias.
 
     The MPU-6050's product specification allows 50 mg (0.5 m/s^2) along x and y, 80 mg along z.
@@ -124,7 +95,7 @@ class AccelBias(_Bias):
     unit = "m/s^2"
     bounds = (-2.0, 2.0)
     channels = ("imu_accel",)
-    sensor = "accel"
+    readings = ("accel",)
     step = 1e-2
 
 
@@ -146,7 +117,7 @@ class GyroGSensitivity(_AxisError):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         rate, force = (log.columns[f"{kind}_{self.target}"] for kind in ("gyro", "accel"))
-        return with_columns(log, {f"gyro_{self.target}": rate - self.value * force}), robot
+        return log.with_columns({f"gyro_{self.target}": rate - self.value * force}), robot
 
 
 class ImuPosition(_AxisError):
@@ -171,7 +142,7 @@ class ImuPosition(_AxisError):
         spin = np.gradient(omega, log.t, axis=0)
         felt = np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
         accel = log.accel - felt
-        return with_columns(log, {f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}), robot
+        return log.with_columns({f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}), robot
 
 
 class ImuLowpass(Effect):

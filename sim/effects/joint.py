@@ -6,12 +6,11 @@ no source for the bounds, none was found and they were chosen wide.
 """
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.sim.effects.base import Effect, joint_sizes, with_columns
+from surefoot.sim.effects.base import Offset, ReadingError, Scale
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
@@ -21,48 +20,7 @@ TORQUE_WINDOW = 0.03
 """
 
 
-class _ReadingError(Effect):
-    """An error of readings of a joint."""
-
-    readings: ClassVar[tuple[str, ...]]
-    """The readings that err: some of q, dq, tau."""
-    targets = "joint"
-    chain_rule = "readings"
-
-
-class _Offset(_ReadingError):
-    """A joint's readings have a constant offset."""
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        added = joint_sizes(self, robot.limbs)
-        return replace(streams, **{n: getattr(streams, n) + added for n in self.readings})
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        names = _columns(self, log, robot)
-        return with_columns(log, {n: log.columns[n] - self.value for n in names}), robot
-
-
-class _Scale(_ReadingError):
-    """A joint's readings are 1 + size times the true values."""
-
-    unit = "ratio"
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        factor = 1.0 + joint_sizes(self, robot.limbs)
-        return replace(streams, **{n: getattr(streams, n) * factor for n in self.readings})
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        names = _columns(self, log, robot)
-        return with_columns(log, {n: log.columns[n] / (1 + self.value) for n in names}), robot
-
-
-def _columns(one: _ReadingError, log: Log, robot: Robot) -> list[str]:
-    """Columns of the readings at the effect's joints, as far as a log has them."""
-    names = [f"{kind}_{joint}" for joint in one.members(robot.limbs) for kind in one.readings]
-    return [name for name in names if name in log.columns]
-
-
-class EncoderOffset(_Offset):
+class EncoderOffset(Offset):
     """A joint's encoder has a constant offset.
 
     Besides "Walk These Ways": Haarnoja et al. (Science Robotics 2024) draw +-2.9 degrees, 0.05 rad.
@@ -73,21 +31,23 @@ class EncoderOffset(_Offset):
     bounds = (-0.2, 0.2)
     unit_of_slides = "m"
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+    targets = "joint"
     readings = ("q",)
     step = 1e-3
 
 
-class EncoderScale(_Scale):
+class EncoderScale(Scale):
     """A joint's encoder has a scale error: it reads 1 + size times the angle and rate."""
 
     name = "encoder_scale"
     bounds = (-0.2, 0.2)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
+    targets = "joint"
     readings = ("q", "dq")
     step = 1e-3
 
 
-class Backlash(Effect):
+class Backlash(ReadingError):
     """Backlash of this width between the encoder, on the motor's side, and the joint.
 
     The motor rests against the side that it pushes on, half the width ahead of the joint, until the
@@ -105,29 +65,29 @@ class Backlash(Effect):
     targets = "joint"
     groups = True
     needs = ("tau",)
+    readings = ("q",)
     step = 2e-4
-    chain_rule = "readings"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         side = np.sign(streams.tau)
         # Without torque, the motor stays where it was.
         rows = np.arange(len(side))[:, None]
         last = np.maximum.accumulate(np.where(side != 0.0, rows, 0), axis=0)
-        play = 0.5 * joint_sizes(self, robot.limbs)
+        play = 0.5 * self.sizes(robot)
         return replace(streams, q=streams.q + play * np.take_along_axis(side, last, axis=0))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         columns = {}
+        # Average a few rows, since noise near zero torque would make the side chatter.
+        rows = max(1, round(TORQUE_WINDOW * log.rate) // 4)
         for joint in self.members(robot.limbs):
-            torque = log.columns[f"tau_{joint}"]
-            # Average a few rows, since noise near zero torque would make the side chatter.
-            side = np.sign(uniform_filter1d(torque, max(1, _window(log) // 4)))
+            side = np.sign(uniform_filter1d(log.columns[f"tau_{joint}"], rows))
             q = log.columns[f"q_{joint}"]
             columns[f"q_{joint}"] = q - 0.5 * self.value * side
-        return with_columns(log, columns), robot
+        return log.with_columns(columns), robot
 
 
-class TorqueScale(_Scale):
+class TorqueScale(Scale):
     """A joint's torque, measured by the motor's current, has a scale error of 1 + size.
 
     The cause is a torque constant of the motor that differs from the nominal one. "Walk These Ways"
@@ -138,11 +98,12 @@ class TorqueScale(_Scale):
     bounds = (-0.5, 0.5)
     channels = ("joint_torque", "base_wrench", "command")
     groups = True
+    targets = "joint"
     readings = ("tau",)
     step = 1e-2
 
 
-class TorqueBias(_Offset):
+class TorqueBias(Offset):
     """A joint's measured torque has a constant offset.
 
     The bounds leave room for large arms.
@@ -154,10 +115,6 @@ class TorqueBias(_Offset):
     bounds_on_legs = (-200.0, 200.0)
     unit_of_slides = "N"
     channels = ("joint_torque", "base_wrench", "command")
+    targets = "joint"
     readings = ("tau",)
     step = 0.1
-
-
-def _window(log: Log) -> int:
-    """Number of rows within TORQUE_WINDOW."""
-    return max(1, round(TORQUE_WINDOW * log.rate))

@@ -16,18 +16,23 @@ from surefoot.sim.robot.inertia import LinkChange, with_own_inertia
 from surefoot.sim.robot.limbs import Limbs
 
 
-class LinkMass(Effect):
+class _LinkEffect(Effect):
+    """A difference of a link's inertia from the model."""
+
+    channels = ("joint_torque", "base_wrench")
+    targets = "joint"
+    chain_rule = "mass"
+
+
+class LinkMass(_LinkEffect):
     """A link is heavier than in the model, with the same centre of mass."""
 
     name = "link_mass"
     unit = "kg"
     bounds = (-20.0, 200.0)
     bounds_on_legs = (-0.5, 5.0)
-    channels = ("joint_torque", "base_wrench")
-    targets = "joint"
     groups = True
     step = 1e-2
-    chain_rule = "mass"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
@@ -36,21 +41,18 @@ class LinkMass(Effect):
             body.mass = body.mass + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        changes = tuple(LinkChange(j, mass=self.value) for j in _joints(self, robot))
-        return log, declared_on(robot, links=changes)
+        return log, _with_links(self, robot, mass=self.value)
 
 
-class LinkCom(Effect):
+class LinkCom(_LinkEffect):
     """A link's centre of mass is shifted along an axis of its body, `<joint>_<axis>`."""
 
     name = "link_com"
     unit = "m"
     bounds = (-0.5, 0.5)
     bounds_on_legs = (-0.1, 0.1)
-    channels = ("joint_torque", "base_wrench")
     targets = "joint_axis"
     step = 1e-3
-    chain_rule = "mass"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         joint, axis = self._place()
@@ -68,7 +70,7 @@ class LinkCom(Effect):
         return joint, axis
 
 
-class LinkInertia(Effect):
+class LinkInertia(_LinkEffect):
     """A link has more inertia than in the model, about every axis through its centre of mass.
 
     Excludes the first link of a fixed base, whose inertia no motion distinguishes from `armature`.
@@ -79,11 +81,8 @@ class LinkInertia(Effect):
     bounds = (0.0, 20.0)
     bounds_on_legs = (0.0, 0.5)
     may_lessen = True
-    channels = ("joint_torque", "base_wrench")
-    targets = "joint"
     groups = True
     step = 1e-5
-    chain_rule = "mass"
 
     @classmethod
     def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
@@ -102,12 +101,13 @@ class LinkInertia(Effect):
             body.inertia = body.inertia + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        changes = tuple(LinkChange(j, inertia=self.value) for j in _joints(self, robot))
-        return log, declared_on(robot, links=changes)
+        return log, _with_links(self, robot, inertia=self.value)
 
 
-def _joints(one: Effect, robot: Robot) -> list[int]:
-    return [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
+def _with_links(one: Effect, robot: Robot, **change: float) -> Robot:
+    """The robot with this change of each of the effect's links declared."""
+    joints = [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
+    return declared_on(robot, links=tuple(LinkChange(joint, **change) for joint in joints))
 
 
 def _check_loss(one: Effect, joint: str, most: float, unit: str) -> None:

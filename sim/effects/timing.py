@@ -19,14 +19,13 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import slerp
 from surefoot.sim.common.series import convolve
-from surefoot.sim.effects.base import Effect, declared_on, with_columns
-from surefoot.sim.effects.median_slope import median_slope
+from surefoot.sim.effects.base import Effect, declared_on
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
-from surefoot.sim.sensors.contact import swings
 from surefoot.sim.sensors.pad import begin_early, late_contacts
+from surefoot.sim.sensors.stances import swings
 from surefoot.sim.sensors.streams import Reference, Streams
 
 NONLINEAR = 0.008
@@ -103,8 +102,7 @@ class ImuDelay(_Delay):
 
     @classmethod
     def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
-        here = log.has("imu") and log.has("reference")
-        return _starts(cls, -reference_lag(log, cls.bounds[1])) if here else (cls.step,)
+        return _starts(cls, log, -1.0)
 
 
 class TorqueDelay(_Delay):
@@ -221,7 +219,7 @@ class ContactDelay(Effect):
         columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
         # The part that is not undone in the log is declared in the model.
         known = declared_on(robot, **{f"{self.target}_late": self.value - rows / log.rate})
-        return with_columns(log, columns), known
+        return log.with_columns(columns), known
 
     @classmethod
     def is_lossy(cls, target: str) -> bool:
@@ -260,11 +258,15 @@ class ReferenceDelay(Effect):
 
     @classmethod
     def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:
-        return _starts(cls, reference_lag(log, cls.bounds[1])) if log.has("imu") else (cls.step,)
+        return _starts(cls, log, 1.0)
 
 
-def _starts(kind: type[Effect], late: float) -> tuple[float, ...]:
-    """Initial sizes for a delay: a small one, and `late` [s] if that is beyond the linear range."""
+def _starts(kind: type[Effect], log: Log, sign: float) -> tuple[float, ...]:
+    """Initial sizes for a delay: a small one, and `sign` times the reference's lag if that is
+    beyond the linear range.
+    """
+    known = log.has("imu") and log.has("reference")
+    late = sign * reference_lag(log, kind.bounds[1]) if known else 0.0
     return (kind.step, late) if abs(late) > NONLINEAR else (kind.step,)
 
 
@@ -325,6 +327,8 @@ def reference_lag_drift(log: Log, most: float) -> float:
 
 
 def _lag_drift(log: Log, most: float) -> float:
+    from scipy.stats import theilslopes  # which takes half a second to import
+
     duration = log.t[-1] - log.t[0]
     pieces = max(FEWEST_LAGS, round(duration / LAG_PIECE))
     ends = np.linspace(0, len(log.t), pieces + 1).round().astype(int)
@@ -333,8 +337,8 @@ def _lag_drift(log: Log, most: float) -> float:
         return 0.0
     turning = _turning(log)
     lags = [_turning_lag(turning.steps(slice(i, j - 1)), most * duration) for i, j in parts]
-    slope, low, high = median_slope(np.array([log.t[i:j].mean() for i, j in parts]), np.array(lags))
-    return slope if low * high > 0.0 else 0.0
+    line = theilslopes(lags, [log.t[i:j].mean() for i, j in parts])
+    return float(line.slope) if line.low_slope * line.high_slope > 0.0 else 0.0
 
 
 class ClockScale(Effect):
@@ -443,7 +447,7 @@ def _moved(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     if turns:
         values = slerp(t, log.ref_q, then)
         columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
-    return with_columns(log, columns)
+    return log.with_columns(columns)
 
 
 KEPT_ROWS = 100_000

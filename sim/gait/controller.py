@@ -71,12 +71,10 @@ def gait_for(
         leg_length=length,
         start=start,
         phase=-np.array(pattern.phase) % 1.0,
-        friction_clamp=0.6,
         capture=0.75 * np.sqrt(length / GRAVITY),
         course_gain=gain * 4.0,
         level=options.level,
         level_gain=gain * 180.0,
-        level_damping=32.0,
         sway=getattr(pattern, "sway", 0.0),
         slide_damping=80.0 * foot_mass,
         unloading=options.unloading,
@@ -87,10 +85,6 @@ def gait_for(
         stiffness=options.stiffness * mass * GRAVITY * length,
         damping=options.stiffness * options.damping * mass * GRAVITY * length,
         slip_care=options.slip_care,
-        beats=np.empty(0),
-        footholds=np.empty((0, 4, 2)),
-        velocity_error=np.empty((0, 3)),
-        attitude_error=np.empty((0, 3)),
     )
 
 

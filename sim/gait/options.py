@@ -1,9 +1,19 @@
 """Options of a gait: the `[gait]` table of a scenario."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+
+import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.gait.patterns import pattern_named
+
+RANGES = {
+    "duty": (0.4, 0.9),
+    "unloading": (0.01, 0.5),
+    "slip_care": (0.0, 1.0),
+    "period_jitter": (0.0, 0.2),
+}
+"""Ranges of options; others are only not negative."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +46,11 @@ class GaitOptions:
 
     def __post_init__(self):
         pattern_named(self.pattern)
-        for name in (part.name for part in fields(self) if part.name != "pattern"):
-            if not getattr(self, name) >= 0.0:
-                raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
-        ranges = ("duty", 0.4, 0.9), ("unloading", 0.01, 0.5), ("slip_care", 0.0, 1.0)
-        for name, low, high in ranges:
-            if not low <= getattr(self, name) <= high:
-                raise SurefootError(
-                    f"{name} must lie between {low:g} and {high:g}, is {getattr(self, name):g}"
-                )
-        if self.period_jitter > 0.2:
-            raise SurefootError(f"period_jitter must not exceed 0.2, is {self.period_jitter:g}")
+        numbers = {name: value for name, value in vars(self).items() if name != "pattern"}
+        for name, value in numbers.items():
+            low, high = RANGES.get(name, (0.0, np.inf))
+            if not low <= value <= high:
+                raise SurefootError(f"{name} must lie between {low:g} and {high:g}, is {value:g}")
         if not self.noise_time > 0.0:
             raise SurefootError("noise_time must be positive")
 

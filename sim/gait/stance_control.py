@@ -7,6 +7,10 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.state import STANCE
 
+FRICTION_CLAMP = 0.6
+"""Largest tangential over normal foot force."""
+LEVEL_DAMPING = 32.0
+"""Gain of the rates that hold the base level [1/s]."""
 FIRM_TILT = 0.1
 """Tilt from the plane of the ground from which the base is held level with the full moment
 [rad].
@@ -89,7 +93,7 @@ def support(controller, ground, base, command, feet, torque):
     moment_B = np.empty(3)
     for a in range(3):
         moment_B[a] = (held * gait.inertia[a]) * (
-            gait.level_gain * error_B[a] + gait.level_damping * (command.turn * R[2, a] - w[a])
+            gait.level_gain * error_B[a] + LEVEL_DAMPING * (command.turn * R[2, a] - w[a])
         )
     copy_row(R @ moment_B, wrench[3:])
     size = gait.height
@@ -113,9 +117,9 @@ def support(controller, ground, base, command, feet, torque):
             across[a] = forces[i, a] - push * up[a]
         push = min(max(push, floor), ceiling)
         side = np.sqrt(across @ across)
-        if side > gait.friction_clamp * push:
+        if side > FRICTION_CLAMP * push:
             for a in range(3):
-                across[a] *= gait.friction_clamp * push / side
+                across[a] *= FRICTION_CLAMP * push / side
         # On a sliding foot the ground force is saturated, so the leg must damp the motion itself.
         sole_v = feet.sole_velocity[leg]
         rise = sole_v @ up

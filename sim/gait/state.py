@@ -27,12 +27,10 @@ class Gait(NamedTuple):
     leg_length: float  # m
     start: float  # s, first step
     phase: np.ndarray  # (4,) share of the period by which each leg's stance begins earlier
-    friction_clamp: float  # tangential over normal foot force
     capture: float  # s, foothold per velocity error
     course_gain: float  # 1/s, force per velocity error and mass
     level: float  # share of the moment that holds the base level while it is nearly so
     level_gain: float  # 1/s^2, moment per tilt and inertia
-    level_damping: float  # 1/s
     sway: float  # share of the way to the middle of the loaded feet that the pressure goes
     slide_damping: float  # N s/m, on a stance foot that slides
     unloading: float  # share of the stance over which a foot's load comes, and goes
@@ -44,10 +42,12 @@ class Gait(NamedTuple):
     damping: float  # N m s/rad, the same
     slip_care: float  # share of the velocity that sliding feet lack which is given up
     # Drawn by a seed (`sim.gait.irregular`); empty where nothing is irregular.
-    beats: np.ndarray  # (S,) s, when the strides begin
-    footholds: np.ndarray  # (S, 4, 2) m, of each stride, ahead and to the left of the planned ones
-    velocity_error: np.ndarray  # (N, 3) m/s, in B, of the controller's estimate at each tick
-    attitude_error: np.ndarray  # (N, 3) rad, of which roll and pitch are used
+    beats: np.ndarray = np.empty(0)  # (S,) s, when the strides begin
+    # m, of each stride, ahead and to the left of the planned ones
+    footholds: np.ndarray = np.empty((0, 4, 2))
+    # m/s, in B, of the controller's estimate at each tick
+    velocity_error: np.ndarray = np.empty((0, 3))
+    attitude_error: np.ndarray = np.empty((0, 3))  # rad, of which roll and pitch are used
 
 
 class LegMemory(NamedTuple):

@@ -7,7 +7,7 @@ It is the ground as drawn by the seed, with rough strips as height fields. Heigh
 import base64
 import json
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from math import ceil, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -57,21 +57,15 @@ def ground_metadata(ground: Ground) -> dict[str, Any]:
     """Entries of `Meta.model` for a ground."""
     rough = [HeightField(s.rectangle, s.nodes(), s.mu) for s in ground.strips if s.rough]
     drawn = thinned(replace(ground, fields=(*rough, *ground.fields)))
-    patches = [[p.center_x, p.center_y, p.size_x, p.size_y, p.mu] for p in ground.patches]
+    patches = tuple(astuple(patch) for patch in ground.patches)
+    kept = _Kept(ground.mu, ground.half_size, patches, fields=tuple(map(_written, drawn.fields)))
     strips = [
         {name: getattr(strip, name) for name in _OF_STRIPS}
         for strip in ground.strips
         if not strip.rough
     ]
-    kept = {
-        "mu": ground.mu,
-        "half_size": ground.half_size,
-        "patches": patches,
-        "strips": strips,
-        "fields": [_written(field) for field in drawn.fields],
-    }
     # Plain numbers and lists, as they come back from a file.
-    return {GROUND_KEY: json.loads(json.dumps(kept))}
+    return {GROUND_KEY: json.loads(json.dumps(asdict(kept) | {"strips": strips}))}
 
 
 def ground_of_log(log: "Log") -> Ground | None:
@@ -108,16 +102,11 @@ def _thinned(field: HeightField, every: int) -> HeightField:
     return replace(field, heights=map_coordinates(field.heights, at, order=1))
 
 
-def _written(field: HeightField) -> dict[str, Any]:
+def _written(field: HeightField) -> _Field:
     low, high = float(field.heights.min()), float(field.heights.max())
     levels = np.round((field.heights - low) / max(high - low, 1e-300) * _LEVELS).astype("<u2")
-    return {
-        "rectangle": list(field.rectangle),
-        "shape": list(levels.shape),
-        "range": [low, high],
-        "levels": base64.b64encode(zlib.compress(levels.tobytes())).decode(),
-        "mu": field.mu,
-    }
+    text = base64.b64encode(zlib.compress(levels.tobytes())).decode()
+    return _Field(field.rectangle, (len(levels), levels.shape[1]), (low, high), text, field.mu)
 
 
 def _read(field: _Field) -> HeightField:

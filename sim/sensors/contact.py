@@ -1,9 +1,6 @@
-"""Contact of a foot from its raw force, and its swings."""
+"""Contact of a foot from its raw force."""
 
 import numpy as np
-
-SHORTEST_FLIGHT = 0.05
-"""Shortest swing of a foot [s]; a shorter time in the air is a bounce."""
 
 
 def contact_from_force(
@@ -31,16 +28,3 @@ def contact_from_force(
     # The last event decides; before any, the foot is in the air.
     event = np.maximum.accumulate(np.where(landed | lifted, np.arange(len(t)), -1))
     return landed[event] & (event >= 0)
-
-
-def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First rows of a foot's swings, and of the stances after them (K,).
-
-    A foot that is up for no longer than SHORTEST_FLIGHT has bounced. t (N,) [s]; stands (N,) bool.
-    """
-    lifts = 1 + np.flatnonzero(stands[:-1] & ~stands[1:])
-    lands = 1 + np.flatnonzero(~stands[:-1] & stands[1:])
-    lands = lands[lands > lifts[0]] if len(lifts) else lands[:0]
-    lifts = lifts[: len(lands)]
-    swung = t[lands] - t[lifts] > SHORTEST_FLIGHT
-    return lifts[swung], lands[swung]

@@ -9,7 +9,7 @@ delay thus varies from step to step.
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.sensors.contact import swings
+from surefoot.sim.sensors.stances import swings
 
 TOUCHING = 1.5
 """Load on a pad that only touches, as a multiple of its threshold."""

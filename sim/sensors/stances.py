@@ -1,8 +1,9 @@
-"""Stances of feet, from their contacts."""
+"""Stances and swings of feet, from their contacts."""
 
 import numpy as np
 
-from surefoot.sim.sensors.contact import SHORTEST_FLIGHT
+SHORTEST_FLIGHT = 0.05
+"""Shortest swing of a foot [s]; a shorter time in the air is a bounce."""
 
 
 def changes(stands: np.ndarray) -> np.ndarray:
@@ -23,6 +24,17 @@ def stances_between_swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarra
     first, end = stances(stands)
     swung = t[first[1:]] - t[end[:-1] - 1] > SHORTEST_FLIGHT
     return first[np.insert(swung, 0, True)[: len(first)]], end[np.append(swung, True)[: len(end)]]
+
+
+def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First rows of a foot's swings, and of the stances after them (K,).
+
+    A foot that is up for no longer than SHORTEST_FLIGHT has bounced. t (N,) [s]; stands (N,) bool.
+    """
+    first, end = stances(stands)
+    lifts, lands = end[:-1], first[1:]
+    swung = t[lands] - t[lifts] > SHORTEST_FLIGHT
+    return lifts[swung], lands[swung]
 
 
 def inside_stances(t: np.ndarray, contact: np.ndarray, begin: float, end: float) -> np.ndarray:

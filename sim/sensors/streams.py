@@ -62,20 +62,15 @@ class Sensors:
     contact_false: float = 0.0  # share of samples of a lifted foot that report contact
 
     def __post_init__(self):
-        for name in (part.name for part in fields(self)):
-            if not getattr(self, name) >= 0.0:
-                raise SurefootError(f"{name} must not be negative, is {getattr(self, name):g}")
-            if not getattr(self, name) <= LARGEST_ERROR:
-                raise SurefootError(f"{name} must not exceed {LARGEST_ERROR:g}")
+        highest = {"rate": FASTEST_LOG, "contact_missed": 1.0, "contact_false": 1.0}
+        for name, value in vars(self).items():
+            most = highest.get(name, LARGEST_ERROR)
+            if not 0.0 <= value <= most:
+                raise SurefootError(f"{name} must lie between 0 and {most:g}, is {value:g}")
         if self.instability_time == 0.0:
             raise SurefootError("instability_time must be positive")
-        if self.rate > FASTEST_LOG:
-            raise SurefootError(f"rate must be {FASTEST_LOG:g} Hz at most, is {self.rate:g}")
         if 0.0 < self.rate < SLOWEST:
             raise SurefootError(f"rate must be {SLOWEST:g} Hz at least, is {self.rate:g}")
-        for name in ("contact_missed", "contact_false"):
-            if getattr(self, name) > 1.0:
-                raise SurefootError(f"{name} is a share, from 0 to 1; is {getattr(self, name):g}")
 
 
 class SpringDeflection(NamedTuple):
@@ -218,19 +213,10 @@ class SensorErrors:
             rate: sampling rate [Hz].
         """
         s, (n, joints, legs) = sensors, shape
-        self._gyro = _ImuErrors(
-            rng, n, rate, s, (s.gyro_noise, s.gyro_turn_on, s.gyro_instability, s.gyro_range)
-        )
-        self._accel = _ImuErrors(
-            rng, n, rate, s, (s.accel_noise, s.accel_turn_on, s.accel_instability, s.accel_range)
-        )
+        self._gyro, self._accel = (_ImuErrors(s, name, rng, n, rate) for name in ("gyro", "accel"))
+        noises = (joints, s.velocity_noise), (joints, s.torque_noise), (legs, s.force_noise)
         self._dq, self._tau, self._force = (
-            (deferred_normals(rng, n * columns), size)
-            for columns, size in (
-                (joints, s.velocity_noise),
-                (joints, s.torque_noise),
-                (legs, s.force_noise),
-            )
+            (deferred_normals(rng, n * columns), size) for columns, size in noises
         )
         self._offset, self._step = rng.normal(0.0, s.encoder_offset, joints), s.encoder_step
 
@@ -257,26 +243,20 @@ class SensorErrors:
 class _ImuErrors:
     """Bias, noise, bandwidth and resolution of three axes."""
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        n: int,
-        rate: float,
-        sensors: Sensors,
-        sizes: tuple[float, float, float, float],
-    ):
+    def __init__(self, sensors: Sensors, name: str, rng: np.random.Generator, n: int, rate: float):
         """Advances `rng` past all draws of these axes.
 
         Args:
+            sensors: sizes of the errors; the range has 16 bits.
+            name: gyro or accel.
             rng: random generator.
             n: number of rows.
             rate: sampling rate [Hz].
-            sensors: bandwidth, and the correlation time of the bias.
-            sizes: density of the white noise [unit/sqrt(Hz)]; standard deviations of the turn-on
-                bias and of its Gauss-Markov part, and range, which has 16 bits, in the reading's
-                unit.
         """
-        density, turn_on, instability, self._range = sizes
+        density, turn_on, instability, self._range = (
+            getattr(sensors, f"{name}_{size}")
+            for size in ("noise", "turn_on", "instability", "range")
+        )
         self._turn_on = rng.normal(0.0, turn_on, 3)
         self._bias = GaussMarkov(rng, n, instability, sensors.instability_time, rate)
         self._noise, self._sigma = deferred_normals(rng, 3 * n), density * np.sqrt(rate)

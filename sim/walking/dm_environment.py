@@ -156,14 +156,15 @@ class WalkingEnvironment(dm_env.Environment):
         log = record(self._plan, motion_of(self._plan.world, first_steps(self._trace, k)))
         if not self._by_position:
             return log
-        frame = log.frame.copy(deep=False)
-        for j, name in enumerate(JOINTS):
-            frame[f"q_des_{name}"] = self._wanted[settled:k, j]
-        for group in ("dq_des", "tau_ff"):  # commanded indeed: a target that stands, no more
-            for name in JOINTS:
-                frame[f"{group}_{name}"] = np.zeros(k - settled)
+        still = np.zeros_like(self._wanted)  # commanded indeed: a target that stands, no more
+        asked = {"q_des": self._wanted, "dq_des": still, "tau_ff": still}
+        columns = {
+            f"{group}_{name}": x[settled:k, j]
+            for group, x in asked.items()
+            for j, name in enumerate(JOINTS)
+        }
         law = {"kp": self._kp.tolist(), "kd": self._kd.tolist()}
-        return replace(log, frame=frame, meta=replace(log.meta, motor_law=law))
+        return replace(log, meta=replace(log.meta, motor_law=law)).with_columns(columns)
 
     def action_spec(self) -> Any:
         """A BoundedArray (12,): torques [N m], or joint targets [rad]."""
@@ -175,11 +176,8 @@ class WalkingEnvironment(dm_env.Environment):
 
     def observation_spec(self) -> Any:
         """An OrderedDict of array specs, in SI units; `_observation` gives the meaning of each."""
-        sizes = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}
-        sizes |= {"joint_position": 12, "joint_velocity": 12, "foot_force": 4}
-        shapes = {"time": ()} | {n: (size,) for n, size in sizes.items()}
-        shapes |= {"target": (3,), "command": (3,)}
-        return OrderedDict((n, specs.Array(shape, float, n)) for n, shape in shapes.items())
+        now = self._observation()
+        return OrderedDict((name, specs.Array(x.shape, float, name)) for name, x in now.items())
 
     def reward_spec(self) -> specs.BoundedArray:
         return specs.BoundedArray((), float, 0.0, 1.0, "reward")

@@ -14,6 +14,7 @@ from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.propagation import propagate
 from surefoot.estimator.core.state import EXTRA
 from surefoot.estimator.updates.coverage import FLOOR, update_coverage
+from surefoot.estimator.updates.outliers import UNLIMITED
 from surefoot.estimator.updates.velocity_output import lift, velocity_output
 from surefoot.extend import GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
 from surefoot.models.observer.network import Network
@@ -77,11 +78,13 @@ def run_updates(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, s
         samples: of the moments; 0 for exact ones.
     """
     columns, rotation_columns = np.zeros((15, 6)), np.zeros((0, 3))
+    counts = np.zeros(2, dtype=np.int64)
     for k in range(1, t.shape[0]):
         dt = t[k] - t[k - 1]
         propagate(mean, covariance, gyro[k], accel[k], dt, noise, columns, rotation_columns)
         if samples == 0:
-            update_coverage(mean, covariance, 0, v_I[k - 1], epsilon, BENCH_GAMMA)
+            v, limit = v_I[k - 1], UNLIMITED
+            update_coverage(mean, covariance, v, epsilon, BENCH_GAMMA, 1, limit, 1, counts)
         else:
             sampled_update(mean, covariance, v_I[k - 1], epsilon, samples, shifts[k - 1])
 

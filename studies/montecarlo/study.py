@@ -36,7 +36,6 @@ from studies.montecarlo.trials import (
 )
 from surefoot.estimator.run import (
     bounded_velocities,
-    every_row,
     gaussian_velocities,
     imu_samples,
 )
@@ -340,7 +339,7 @@ def run_trials(study: MonteCarloStudy, truth: Truth, trials: Trials, setting: Se
             assert setting.gamma is not None
             velocities = bounded_velocities(rows, v_I, setting.epsilon, len(imu.t))
             levels = CoverageSettings(setting.gamma, setting.iterations)
-        found = one.run(imu, velocities, every_row(imu.t, study.per_score), levels)
+        found = one.run(imu, velocities, np.arange(0, len(imu.t), study.per_score), levels)
         assert found.updates is not None
         distance.append(np.linalg.norm(found.p_GI - true.p_GI, axis=1)[1:])
         position_nees.append(nees(true, found).position[1:])

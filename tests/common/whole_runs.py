@@ -1,5 +1,7 @@
 """A filter over a whole log in one call, for the tests that compare filters."""
 
+import numpy as np
+
 from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
 from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import (
@@ -12,6 +14,11 @@ from surefoot.estimator.run import (
 from surefoot.estimator.updates.outliers import UNLIMITED
 
 
+def rows_of(t, stride):
+    """Every stride-th row, by default those that are stored."""
+    return every_row(t) if stride is None else np.arange(0, len(t), stride)
+
+
 def filter_of(state, covariance, noise=None, persistent=None):
     """The filter with this model of the persistent error, or the one without any."""
     if persistent is None:
@@ -21,7 +28,7 @@ def filter_of(state, covariance, noise=None, persistent=None):
 
 def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None):
     imu = imu_samples(t, gyro, accel)
-    return InvariantFilter(state, covariance, noise).run(imu, rows=every_row(imu.t, stride))
+    return InvariantFilter(state, covariance, noise).run(imu, rows=rows_of(imu.t, stride))
 
 
 def run_velocity(
@@ -30,7 +37,7 @@ def run_velocity(
     imu = imu_samples(t, gyro, accel)
     velocities = gaussian_velocities(rows, v_I, cov, len(imu.t))
     one = filter_of(state, covariance, noise, persistent)
-    return one.run(imu, velocities, every_row(imu.t, stride))
+    return one.run(imu, velocities, rows_of(imu.t, stride))
 
 
 def run_coverage(
@@ -41,7 +48,7 @@ def run_coverage(
     velocities = bounded_velocities(rows, v_I, epsilon, len(imu.t))
     one = filter_of(state, covariance, noise, persistent)
     settings = CoverageSettings(gamma, iterations, max_error)
-    return one.run(imu, velocities, every_row(imu.t, stride), settings)
+    return one.run(imu, velocities, rows_of(imu.t, stride), settings)
 
 
 def run_leg(
@@ -54,4 +61,4 @@ def run_leg(
     legs = one.legs(feet_I, contact, cov, foot_rates_I)
     none = rows is None
     velocities = NO_VELOCITIES if none else gaussian_velocities(rows, v_I, v_cov, len(imu.t))
-    return one.run(imu, legs, velocities, every_row(imu.t, stride))
+    return one.run(imu, legs, velocities, rows_of(imu.t, stride))

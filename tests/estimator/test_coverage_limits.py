@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.updates.coverage import FLOOR, posterior_moments, update_coverage
+from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
 from surefoot.estimator.updates.velocity_output import inverse_3, velocity_output
 
 INF = np.inf
@@ -155,12 +156,13 @@ def test_the_floor_keeps_a_flat_velocity_covariance_usable(spread):
     rng = np.random.default_rng(4)
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
+    epsilon, counts = np.array([0.05, 0.2, 0.05]), fresh_counts()
     for flat in (spread**2 * np.outer(direction, direction), np.zeros((3, 3))):
         mean, P = NavState().pack(), 1e-6 * np.eye(15)
         P[3:6, 3:6] = flat
         for v_I in (np.zeros(3), 0.1 * spread * direction, 40.0 * spread * rng.normal(size=3)):
             for _ in range(20):
-                pi = update_coverage(mean, P, 0, v_I, np.array([0.05, 0.2, 0.05]), 0.8)
+                pi = update_coverage(mean, P, v_I, epsilon, 0.8, 1, UNLIMITED, 1, counts)
                 assert 0.0 <= pi <= 1.0
                 assert np.isfinite(mean).all()
                 least = np.linalg.eigvalsh(P).min()

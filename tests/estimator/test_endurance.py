@@ -9,7 +9,6 @@ from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     PersistentError,
     propagate_bias,
-    update_coverage_persistent,
     update_velocity_persistent,
 )
 from surefoot.estimator.updates.contact import (
@@ -18,7 +17,8 @@ from surefoot.estimator.updates.contact import (
     propagate_contacts,
     update_contacts,
 )
-from surefoot.estimator.updates.coverage import update_coverage, update_coverage_within
+from surefoot.estimator.updates.coverage import update_coverage
+from surefoot.estimator.updates.outliers import UNLIMITED
 from surefoot.estimator.updates.velocity import update_velocity
 from surefoot.sim.common.kernels import kernel
 
@@ -69,13 +69,12 @@ def march(kind, steps, seed, memory, persistent, contacts, noise, feet_I, check)
                 size = wild * np.sqrt(P[3, 3] + P[4, 4] + P[5, 5])
             v = size * np.random.randn(3)
             if kind == 0:
-                update_coverage(mean, P, 0, v, epsilon, 0.8)
+                update_coverage(mean, P, v, epsilon, 0.8, 1, UNLIMITED, 1, counts)
             elif kind == 1:
                 update_velocity(mean, P, 0, v, R)
-            elif kind == 6:
-                update_coverage_within(mean, P, 0, v, epsilon, 0.8, 1, persistent.max_error, counts)
-            elif kind == 2:
-                update_coverage_persistent(mean, P, v, epsilon, 0.8, 1, persistent, counts)
+            elif kind == 6 or kind == 2:
+                most, window = persistent.max_error, persistent.window
+                update_coverage(mean, P, v, epsilon, 0.8, 1, most, window, counts)
             else:
                 update_velocity_persistent(mean, P, v, R, persistent, counts)
         elif kind == 4 or kind == 5:

@@ -12,6 +12,7 @@ from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.initial import InitialStd, start_covariance
 from surefoot.estimator.updates.coverage import update_coverage
+from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
 from surefoot.estimator.updates.velocity_output import velocity_output
 from surefoot.sim.common.errors import SurefootError
 
@@ -140,4 +141,5 @@ def test_the_feasible_set_is_the_papers(state, rng):
     middle = -(inverse @ D - y)[:3]
     assert_allclose(residual, middle, atol=1e-13)
     log_pi, _, _ = box_moments(np.zeros(3), S, middle - epsilon, middle + epsilon)
-    assert_allclose(update_coverage(mean, P, 0, v_I, epsilon, 0.8), np.exp(log_pi), rtol=1e-8)
+    pi = update_coverage(mean, P, v_I, epsilon, 0.8, 1, UNLIMITED, 1, fresh_counts())
+    assert_allclose(pi, np.exp(log_pi), rtol=1e-8)

@@ -16,10 +16,10 @@ from surefoot.estimator.updates.bias_states import (
     PersistentError,
     PersistentModel,
     propagate_bias,
-    update_coverage_persistent,
     update_velocity_persistent,
 )
-from surefoot.estimator.updates.outliers import UNLIMITED
+from surefoot.estimator.updates.coverage import update_coverage
+from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
 from surefoot.sim.common.errors import SurefootError
 
 INF = np.full(3, np.inf)
@@ -41,12 +41,9 @@ def prior(rng, size=1e-3):
 def gather(mean, P, samples, v_I, window):
     """IMU steps with a measurement after each, all gathered; nothing wanders and nothing is new."""
     work = np.zeros((24, 6)), np.zeros((9, 3))
-    model = PersistentModel(np.zeros((3, 3)), np.inf, window, INF)
     for (gyro, accel), v in zip(samples, v_I, strict=True):
         propagate(mean, P, gyro, accel, 0.02, np.zeros((4, 3)), *work)
-        update_coverage_persistent(
-            mean, P, v, np.ones(3), 0.8, 1, model, np.zeros(2, dtype=np.int64)
-        )
+        update_coverage(mean, P, v, np.ones(3), 0.8, 1, INF, window, fresh_counts())
 
 
 def test_the_windows_mean_by_differences():
@@ -237,13 +234,12 @@ def test_a_window_holds_minus_its_share_of_the_errors_until_it_ends():
     at the end it starts from zero, whatever the update made of it."""
     mean, P = NavState(v_GI=np.array([0.5, 0.0, 0.0])).pack(EXTRAS), np.zeros((24, 24))
     mean[7] = [0.0, 0.1, 0.0]
-    model, counts = PersistentModel(np.zeros((3, 3)), np.inf, 3, INF), np.zeros(2, dtype=np.int64)
+    counts = fresh_counts()
     off = np.array([[0.3, 0.0, -0.1], [0.1, -0.2, 0.0], [0.0, 0.0, 0.0]])
     expected, pi = mean[3] + mean[7], np.nan
     for k in range(3):
-        pi = update_coverage_persistent(
-            mean, P, expected + off[k], np.full(3, 0.5), 0.8, 1, model, counts
-        )
+        bounds = np.full(3, 0.5)
+        pi = update_coverage(mean, P, expected + off[k], bounds, 0.8, 1, INF, 3, counts)
         if k < 2:
             assert np.isnan(pi)
             assert_allclose(mean[8], -off[: k + 1].sum(axis=0) / 3, atol=1e-15)

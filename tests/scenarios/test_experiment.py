@@ -227,7 +227,7 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
         ('name = "as built"', 'name = "as drawn"', "two conditions are named as drawn"),
         ('name = "as built"', "", "[[condition]] 2 name is missing"),
         ("contact_delay", "smell", "[[condition]] 2 sensors: unknown key 'smell'"),
-        ("contact_delay = 0.004", "contact_delay = -1.0", "must not be negative"),
+        ("contact_delay = 0.004", "contact_delay = -1.0", "must lie between"),
         ("built.toml", "rebuilt.toml", "rebuilt.toml: No such file"),
         ("[observer]", "[further]\nmethods = ['none']\n[observer]", "method none: choose"),
         ("steps = 4", "stairs = 5", "[observer] unknown key 'stairs'"),

@@ -105,7 +105,7 @@ def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
     joined = joined_trajectory(estimated_in_chunks(one, cut, None, Learnt()))
     at = Beginning(*initial_state(feet), feet.rate, feet=feet.legs)
     stream = one.start(None, Learnt(), tuned(None).of(one), at)  # pyright: ignore[reportArgumentType]
-    steps = with_mounting(stepped(stream, feet, every_row(feet.t, None)), tuned(None).mounting)
+    steps = with_mounting(stepped(stream, feet, every_row(feet.t)), tuned(None).mounting)
     for other in (joined, steps):
         np.testing.assert_allclose(other.p_GI, whole.p_GI, rtol=0, atol=1e-9)
         assert other.covariance is not None

@@ -110,7 +110,7 @@ def assert_same(a: Trajectory, b: Trajectory, tolerance: float):
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))
 def test_step_by_step_and_in_pieces_it_is_the_same(name, log, robot, learnt):
-    rows = every_row(log.t, None)
+    rows = every_row(log.t)
     one_by_one = stepped(begun(name, log, robot, learnt), log, rows)
     in_pieces = joined_trajectory(estimated_raw(name, log, robot, learnt))
     whole = begun(name, log, robot, learnt)
@@ -126,7 +126,7 @@ def test_step_by_step_and_in_pieces_it_is_the_same(name, log, robot, learnt):
 def estimated_raw(name, log, robot, learnt):
     """The pieces of one stream; the mounting's tolerance left out."""
     stream, seen = begun(name, log, robot, learnt), 0
-    stride = int(every_row(log.t, None)[1])
+    stride = int(every_row(log.t)[1])
     for part in pieces(log):
         rows = np.arange(-seen % stride, len(part.t), stride)
         yield stream.run(part, rows, True)
@@ -145,7 +145,7 @@ def test_a_log_that_comes_in_pieces_gives_the_trajectory_of_the_whole(name, log,
 def test_joint_rates_that_are_missing_are_the_same_in_pieces(log, robot):
     frame = log.frame.drop(columns=[name for name in log.frame if str(name).startswith("dq_")])
     bare = replace(log, frame=frame)
-    rows = every_row(log.t, None)
+    rows = every_row(log.t)
     whole = begun("leg", bare, robot, Learnt()).run(bare, rows)
     assert_same(joined_trajectory(estimated_raw("leg", bare, robot, Learnt())), whole, 0.0)
     assert_same(stepped(begun("leg", bare, robot, Learnt()), bare, rows), whole, 0.0)

@@ -17,7 +17,7 @@ from surefoot.sim.physics.scene import TIMESTEP, World, robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
 from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.sensors.contact import swings
+from surefoot.sim.sensors.stances import swings
 from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walk import plan, simulate_motion, walk
 

@@ -153,8 +153,8 @@ def test_footholds_and_periods_vary_and_the_robot_walks_on():
     ("options", "message"),
     [
         ({"duty": 0.2}, "duty must lie between 0.4 and 0.9, is 0.2"),
-        ({"stiffness": -1.0}, "stiffness must not be negative"),
-        ({"period_jitter": 0.5}, "period_jitter must not exceed 0.2"),
+        ({"stiffness": -1.0}, "stiffness must lie between 0 and"),
+        ({"period_jitter": 0.5}, "period_jitter must lie between 0 and 0.2"),
     ],
 )
 def test_a_gait_that_cannot_be_is_refused(options, message):

@@ -1,28 +1,16 @@
-"""Convolution, median slope and first-order recursion against those of scipy; level of noise."""
+"""Convolution and first-order recursion against those of scipy; level of noise."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import fftconvolve, lfilter
-from scipy.stats import theilslopes
 
 from surefoot.sim.common.series import convolve, recursion, white_noise
-from surefoot.sim.effects.median_slope import median_slope
 
 
 def test_a_convolution_is_that_of_scipy():
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=300), rng.normal(size=211)
     assert_allclose(convolve(a, b), fftconvolve(a, b), rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("points", [5, 8, 13])
-def test_a_median_slope_and_its_interval_are_those_of_scipy(points):
-    rng = np.random.default_rng(points)
-    # Whole numbers, so that some are equal.
-    x, y = np.sort(rng.normal(size=points)), rng.integers(-3, 4, points).astype(float)
-    known = theilslopes(y, x)
-    assert_allclose(median_slope(x, y), (known.slope, known.low_slope, known.high_slope))
 
 
 def test_a_recursion_in_two_pieces_is_that_of_scipy():
