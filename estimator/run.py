@@ -129,10 +129,10 @@ def trajectory(
     end = len(t) if good.all() else int(np.argmin(good))
     t, mean, covariance = t[:end], mean[:end], found.covariance[:end]
     diverged = end < len(found.rows)
-    return Trajectory(t, *unpacked(mean), covariance, updates, innovations, diverged)
+    return Trajectory(t, *state_parts(mean), covariance, updates, innovations, diverged)
 
 
-def unpacked(
+def state_parts(
     mean: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """R_GI (L, 3, 3), v_GI, p_GI, b_a and b_g (L, 3) of packed means (L, 7, 3)."""

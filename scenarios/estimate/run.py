@@ -17,7 +17,7 @@ from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord, reference
 from surefoot.estimator.metrics import Metrics, evaluate
-from surefoot.estimator.run import output_stride, unpacked
+from surefoot.estimator.run import output_stride, state_parts
 from surefoot.scenarios.estimate.contract import (
     Beginning,
     Estimator,
@@ -294,7 +294,7 @@ def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:
             covariances.append(stream.covariance)
     mean = np.array([state.pack() for state in states]).reshape(-1, 7, 3)
     covariance = np.array(covariances).reshape(-1, 15, 15)
-    t, parts = log.t[rows[: len(states)]], unpacked(mean)
+    t, parts = log.t[rows[: len(states)]], state_parts(mean)
     return Trajectory(t, *parts, covariance, _record(updates), diverged=diverged)
 
 

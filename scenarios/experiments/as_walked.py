@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import errors_in
 from surefoot.sim.common.toml import Positive, read_typed, typed
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.carry import carried, scale_of
@@ -64,10 +64,8 @@ class AsWalked:
     def __post_init__(self):
         Robot.load(self.robot)
         for name in ("sensors", "on_slopes", "on_sheets"):
-            try:
+            with errors_in(name):
                 typed(getattr(self, name), Sensors if name == "sensors" else GaitOptions)
-            except SurefootError as error:
-                raise SurefootError(f"{name}: {error}") from None
 
     def effects_on(self, robot: Robot) -> tuple[Effect, ...]:
         """The measured effects scaled to `robot` (`sim.effects.carry`)."""

@@ -16,7 +16,7 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.catalog import experiment_file
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, errors_in, unknown
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import FileName, Level, Name, Seed, read_toml, typed
@@ -162,10 +162,8 @@ class Experiment(Grid):
         path = experiment_file(name_or_path)
         protect(path)
         table = read_toml(path, "experiment")
-        try:
+        with errors_in(f"experiment {path}"):
             return _experiment(typed(table, _File), path)
-        except SurefootError as error:
-            raise SurefootError(f"experiment {path}: {error}") from None
 
     def with_seeds(self, seeds: tuple[int, ...]) -> "Experiment":
         """The same with other seeds; the sweep keeps those of its own that are among them."""
@@ -278,10 +276,8 @@ class _ConditionTable:
     walked: str | None = None
 
     def __post_init__(self):
-        try:
+        with errors_in("sensors"):
             typed(self.sensors, Sensors)
-        except SurefootError as error:
-            raise SurefootError(f"sensors: {error}") from None
 
     def condition(self, folder: Path) -> Condition:
         """Load the files that it names, relative to the experiment's folder."""

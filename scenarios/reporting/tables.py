@@ -154,4 +154,5 @@ def _spreadsheet_text(value: object) -> object:
     if not isinstance(value, str) or _is_number(value):
         return value
     text = printable(value, "\n\t")
-    return f"'{text}" if text.startswith(tuple("=+-@\t")) else text
+    formula = text.startswith(tuple("=+-@\t")) and not re.fullmatch(r"[-+.\d]+ to [-+.\d]+", text)
+    return f"'{text}" if formula else text

@@ -153,7 +153,7 @@ def realism(
     ]
     parts = card_sections(found)
     drifts = drift_table(found)
-    parts.insert(0, Section(f"Drift of the `{FILTER}` filter", DRIFT_WORDS, drifts))
+    parts.insert(0, Section(f"Drift of the {FILTER} filter", DRIFT_WORDS, drifts))
     tables = {
         "realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows],
         "drift": drifts,

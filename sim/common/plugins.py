@@ -24,7 +24,7 @@ from inspect import getfile, getsourcelines
 from pathlib import Path
 from typing import Any
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import is_file
 
 
@@ -84,11 +84,8 @@ class Registry(Mapping[str, Any]):
         missing = [attribute for attribute in self.needs if not hasattr(member, attribute)]
         if missing:
             raise SurefootError(f"{_what(point)}: lacks {', '.join(missing)}")
-        try:
-            with of_plugin("it is not valid", (point,)):
-                self.check(name, member)
-        except SurefootError as error:
-            raise SurefootError(f"{_what(point)}: {error}") from None
+        with errors_in(_what(point)), of_plugin("it is not valid", (point,)):
+            self.check(name, member)
         _IN_USE[point.value] = point
         return member
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.clock import (
@@ -204,10 +204,8 @@ def _motor_law(rules: ImportMap, joints: tuple[str, ...]) -> dict[str, list[floa
     given = rules.sections.motor_law
     if given is None:
         return None
-    try:
+    with errors_in(str(rules.path)):
         gains = {key: by_name(f"motor_law.{key}", one, joints) for key, one in vars(given).items()}
-    except SurefootError as error:
-        raise SurefootError(f"{rules.path}: {error}") from None
     return {key: [by_joint[joint] for joint in joints] for key, by_joint in gains.items()}
 
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import apsw
 import lz4.frame
@@ -22,6 +23,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import reader as ros1
 from rosbags.rosbag2 import reader as ros2
 from rosbags.rosbag2 import storage_mcap as mcap
+from rosbags.rosbag2.reader import zstd  # pyright: ignore[reportPrivateImportUsage]
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
@@ -73,7 +75,7 @@ def _bounded(unpacker: Callable[[], Unpacker]) -> Callable[..., bytes]:
     return lambda packed, *_: unpacked(unpacker(), packed, "bytes of a chunk or message")
 
 
-class _PackedFile(ros2.zstd.ZstdFile):
+class _PackedFile(zstd.ZstdFile):
     def read(self, size: int | None = -1) -> bytes:
         found = super().read(size)
         check_unpacked(os.fstat(self.fileno()).st_size, self.tell(), "bytes of a file", False)
@@ -85,12 +87,18 @@ def _bound_database(database: apsw.Connection) -> None:
     database.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)  # which may have rows without end
 
 
-# rosbags unpacks whatever is in a file, and whatever size that becomes.
-_lz4, _zstd = _bounded(lz4.frame.LZ4FrameDecompressor), _bounded(ros2.zstd.ZstdDecompressor)
-ros1.decompressors.update(bz2=_bounded(bz2.BZ2Decompressor), lz4=_lz4)
-mcap.DECOMPRESSORS.update(lz4=_lz4, zstd=_zstd)
-ros2.zstd = SimpleNamespace(decompress=_zstd, open=_PackedFile)
-apsw.connection_hooks.append(_bound_database)
+@contextmanager
+def _within_limits() -> Iterator[None]:
+    """Context in which rosbags, which unpacks whatever a file has, does so within the limits."""
+    lz4_, zstd_ = _bounded(lz4.frame.LZ4FrameDecompressor), _bounded(zstd.ZstdDecompressor)
+    hooks = [*apsw.connection_hooks, _bound_database]
+    with (
+        patch.dict(ros1.decompressors, bz2=_bounded(bz2.BZ2Decompressor), lz4=lz4_),
+        patch.dict(mcap.DECOMPRESSORS, lz4=lz4_, zstd=zstd_),
+        patch.object(ros2, "zstd", SimpleNamespace(decompress=zstd_, open=_PackedFile)),
+        patch.object(apsw, "connection_hooks", hooks),
+    ):
+        yield
 
 
 @contextmanager
@@ -107,6 +115,7 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         raise SurefootError(f"{path}: has several bags, name one of them: {names}")
     with (
         parsed_as("a readable bag", path, _remedy(files)),
+        _within_limits(),
         AnyReader(
             [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as bag,

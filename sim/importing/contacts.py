@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.importing.sections import ContactTable
 from surefoot.sim.log import Log
@@ -34,11 +34,9 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
     """
     given = rule.of != "torque" and log.has("foot")
     needed = ("q", "tau") if rule.of == "torque" else ("foot" if given else "q",)
-    try:
+    with errors_in(f"[contact] of {rule.of}"):
         log.require("imu", *needed)
         robot = None if given else Robot.for_log(log)
-    except SurefootError as error:
-        raise SurefootError(f"[contact] of {rule.of}: {error}") from None
     legs = log.legs if robot is None else robot.limbs.legs
     feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
     up = up_in_imu(log.t, log.gyro, log.accel)

@@ -44,7 +44,7 @@ def layout_of(path: Path) -> dict[str, Any]:
     if len(lines) < 2:
         return {}
     separator = _separator(lines[-1])
-    rows = [cells_of(line, separator) for line in lines]
+    rows = [text_cells(line, separator) for line in lines]
     width = len(rows[-1])
     first = next(k for k, row in enumerate(rows) if len(row) == width)
     # A comment as wide as the table contains its column names.
@@ -108,7 +108,7 @@ def _are_numbers(cells: list[str]) -> bool:
     return all(is_number(cell) or _COMMA.fullmatch(cell) for cell in cells)
 
 
-def cells_of(line: str, separator: str) -> list[str]:
+def text_cells(line: str, separator: str) -> list[str]:
     """The cells of a line; between spaces, without the sign of a comment before them."""
     if separator == SPACES:
         words = line.split()

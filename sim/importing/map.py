@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.importing.columns import EULER, Entries, MapColumn, read_column, read_columns
 from surefoot.sim.importing.map_catalog import map_file
@@ -54,10 +54,8 @@ class ImportMap:
         """
         path = map_file(path)
         file = read_typed(path, MapFile)
-        try:
+        with errors_in(str(path)):
             return file.checked(path)
-        except SurefootError as error:
-            raise SurefootError(f"{path}: {error}") from None
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.layout import SPACES, cells_of, encoding_of, no_table
+from surefoot.sim.importing.layout import SPACES, encoding_of, no_table, text_cells
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, parsed_as
 
@@ -58,7 +58,7 @@ def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], s
             stream.readline()
         line = stream.readline()
     separator = source.separator or _separator(line)
-    names = [name.strip() for name in cells_of(line, separator)]
+    names = [name.strip() for name in text_cells(line, separator)]
     apart = source.header and separator == SPACES and names != line.split()
     if not any(names):
         raise SurefootError(f"{path}: line {source.skip + 1}: no header")
