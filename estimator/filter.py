@@ -202,7 +202,15 @@ class _VelocityFilter:
         return self._covariance[:15, :15].copy()
 
     def _update_coverage(self, v_I, epsilon, gamma, iterations, max_error) -> float:
-        """`update_coverage` of either filter."""
+        """`update_coverage` of either filter.
+
+        Args:
+            v_I: (3,) m/s, velocity in the frame of the IMU.
+            epsilon: (3,) m/s, half widths of the bounds.
+            gamma: joint level of the bounds.
+            iterations: of the projection.
+            max_error: (3,) m/s, errors beyond are rejected as outliers.
+        """
         update = compiled(update_coverage_checked, UPDATE_COVERAGE)
         try:
             given = _array(v_I, _FLOAT), _array(epsilon, _FLOAT), float(gamma), int(iterations)

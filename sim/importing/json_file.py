@@ -37,7 +37,15 @@ def read_json(path: Path) -> RecordedTable:
 def _collect(
     node: object, name: str, cells: dict[str, np.ndarray], path: Path, deeper: int = _DEEPEST
 ) -> None:
-    """Add the lists and records in a node to cells. Raises SurefootError for too many fields."""
+    """Add the lists and records in a node to cells. Raises SurefootError for too many fields.
+
+    Args:
+        node: of the parsed file.
+        name: its path, "" for the whole.
+        cells: of each list or record by its path, added to.
+        path: of the file.
+        deeper: number of levels that are still read.
+    """
     if isinstance(node, dict) and deeper:
         for key, value in node.items():
             _collect(value, f"{name}.{key}" if name else key, cells, path, deeper - 1)

@@ -295,8 +295,7 @@ def _by_place(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _change(row: Mapping[str, Any]) -> dict[str, Any]:
     place = f"{row['file']}:{row['line']}"
-    code = {name: f"`{row[name]}`".replace("|", "\\|") for name in ("before", "after")}
-    return {"key": row["key"], "line": place, **code}
+    return {"key": row["key"], "line": place, "before": row["before"], "after": row["after"]}
 
 
 def _counts(

@@ -156,7 +156,8 @@ def test_what_libraries_accept_in_a_variable_is_accepted(name, value):
     environment = os.environ | {name: value}
     arguments = [sys.executable, "-m", "surefoot", "robots", "spot_class"]
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    assert name not in done.stderr  # which may say that kernels are compiled
 
 
 def test_a_mistyped_suite_is_corrected(tmp_path):
