@@ -349,7 +349,7 @@ def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
             values = rows[column].astype(float)
             ranked = values
             if column in _CONSISTENCY:
-                consistent = values[values.between(*ONE_WALK)]
+                consistent = values[values.between(ONE_WALK[0], ONE_WALK[1])]
                 ranked = np.abs(np.log(np.maximum(consistent, 1e-12) / CONSISTENT))
             if ranked.empty:
                 continue

@@ -130,7 +130,7 @@ def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
     with processes(settings.workers) as pool:
         results = stage(pool, "searches", searches)
     found = {key: result for key, result in results.items() if "left_out" not in result}
-    lines = [to_markdown([_row(*key, result) for key, result in found.items()]), _LEGEND]
+    lines = [to_markdown([_row(known, name, one) for (known, name), one in found.items()]), _LEGEND]
     for (known, name), result in results.items():
         if why := result.get("left_out"):
             if name in filters:

@@ -335,7 +335,7 @@ def _experiment(file: _File, path: Path) -> Experiment:
             known_robot(robot)
     conditions = tuple(c.condition(path.parent) for c in file.condition) or (PLAIN,)
     sweep = replace(file.sweep, seeds=file.sweep.seeds or (0,)) if file.sweep.gammas else Sweep()
-    grid = {one.name: getattr(file, one.name) for one in fields(Grid)} | {"sweep": sweep}
+    grid = {one.name: getattr(replace(file, sweep=sweep), one.name) for one in fields(Grid)}
     found = Experiment(file.title or path.stem, scenarios, file.observer, conditions, **grid)
     _check(found)
     return found

@@ -5,6 +5,8 @@ base. The bounds are wide: CAD models omit cables, screws and covers, a tenth to
 mass, and a gantry carries a hundred kilograms.
 """
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -104,7 +106,7 @@ class LinkInertia(_LinkEffect):
         return log, _with_links(self, robot, inertia=self.value)
 
 
-def _with_links(one: Effect, robot: Robot, **change: float) -> Robot:
+def _with_links(one: Effect, robot: Robot, **change: Any) -> Robot:
     """The robot with this change of each of the effect's links declared."""
     joints = [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
     return declared_on(robot, links=tuple(LinkChange(joint, **change) for joint in joints))

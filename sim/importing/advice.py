@@ -43,7 +43,7 @@ def advised_lines(
                 for section, entries in own.items():
                     for column in (one for one in named if one in entries):
                         there = changed.setdefault(section, {})
-                        before = there.get(column, entries[column])
+                        before: Any = there.get(column, entries[column])
                         there[column] = _changed(column, entries.get(found[3], before), changes)
             elif found := _IN_SECTION.fullmatch(line):
                 _add(changed, rules, name, found[1], tomllib.loads(found[2]))

@@ -30,7 +30,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
 from surefoot.sim.common.limits import (
     SMALL,
-    Unpacker,
     admitted,
     bounded_text,
     check_limit,
@@ -71,7 +70,7 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
         return _read(bag, path, wanted)
 
 
-def _bounded(unpacker: Callable[[], Unpacker]) -> Callable[..., bytes]:
+def _bounded(unpacker: Callable[[], Any]) -> Callable[..., bytes]:
     return lambda packed, *_: unpacked(unpacker(), packed, "bytes of a chunk or message")
 
 
@@ -256,7 +255,7 @@ def _getter(column: str, path: Path) -> Callable[[Any, int, int], float]:
 
 def _item(parent: Any, values: Any, index: str) -> Any:
     """The element at an index, or at that of `index` in the message's `name`."""
-    names = list(getattr(parent, "name", None) or ())
+    names: list[Any] = list(getattr(parent, "name", None) or ())
     if not index.isdigit() and index not in names:
         return None
     place = int(index) if index.isdigit() else names.index(index)

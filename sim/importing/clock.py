@@ -282,7 +282,7 @@ def span(t: np.ndarray) -> str:
     return f"from {seconds(t[0])} to {seconds(t[-1])} s"
 
 
-def seconds(t: float) -> str:
+def seconds(t: float | np.ndarray) -> str:
     """A time [s] with all digits down to a microsecond."""
     return f"{t:.6f}".rstrip("0").rstrip(".")
 

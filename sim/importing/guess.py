@@ -211,8 +211,8 @@ def _missing(
         found.append("no name says what a column is: which of those not used below is what?")
     if main.seconds is None and rate is None:
         found.append("no times found: which column are they, or what is the [source] rate?")
-    timed = main.seconds is not None and len(main.seconds) > 1
-    step = np.median(np.diff(main.seconds)) if timed else 0.0
+    times = np.zeros(0) if main.seconds is None else main.seconds
+    step = np.median(np.diff(times)) if len(times) > 1 else 0.0
     if step > 1.0 / SLOWEST:
         found.append(
             f"rows at {1.0 / step:.3g} Hz are too slow for filters: is there a faster log?"

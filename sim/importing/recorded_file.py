@@ -91,7 +91,7 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
         unread = dict.fromkeys((n for n in table.cells if n not in there), UNREADABLE)
-        found[0] = replace(found[0], skipped=unread | table.skipped)
+        found[0] = replace(found[0], skipped={**unread, **table.skipped})
     return found
 
 

@@ -166,7 +166,7 @@ def _streams(
         group = groups.setdefault((place, log_name if alone else ""), {})
         group[log_name] = rows, column.read(values)
     found: dict[str, Stamped] = {}
-    t, notes = np.zeros(0), []
+    t, first, notes = np.zeros(0), "", []
     for (place, log_name), members in groups.items():
         column = columns[next(iter(members))] if alone or place != ours else clock
         kept, _, said = _kept(table, members, times[place], column)

@@ -208,7 +208,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, cause)
     else:
         apart = accel.mean(axis=0) - felt.mean(axis=0)
-        up = view.R_GI[view.ok].apply(accel - felt).mean(axis=0) - GRAVITY_G
+        up = view.R_GI[view.ok].apply(accel - felt).mean(axis=0) - GRAVITY_G  # pyright: ignore[reportArgumentType]
         aside = up[:2]
         lean = float(np.degrees(np.arctan2(np.linalg.norm(aside), GRAVITY)))
         if lean > NOT_LEVEL and np.linalg.norm(aside) > 1.05 * np.linalg.norm(apart):
@@ -389,7 +389,7 @@ def _in_body(view: LogView, axes: np.ndarray) -> bool:
     if up is not None:
         as_is, put_right = (float(x @ up) / np.linalg.norm(mean) for x in (mean, mean @ axes))
         if abs(as_is - put_right) > 1.0 - np.cos(np.radians(TURNED_IMU)):
-            return put_right > as_is
+            return bool(put_right > as_is)
     if view.stance is None:
         return False
     gyro = view.gyro[view.stance.which]

@@ -384,7 +384,7 @@ def _misread(view: LogView, legs: Stance, moving: Moving) -> tuple[float, list[F
         which = mends & (best == way)
         joints = np.array(view.log.joints)[chains[which]]
         gain = float(np.median(base[which] / left[which]))
-        findings.append(_misread_finding(joints, *ways[way], gain))
+        findings.append(_misread_finding(joints, *ways[int(way)], gain))
     mended = np.nansum(np.where(mends, left, base))
     return float(np.nansum(base) / max(mended, 1e-12)), findings
 

@@ -102,7 +102,7 @@ def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
     span = t[rows[2]] - t[rows[0]]
     which, rows, span = which[span > 0], rows[:, span > 0], span[span > 0]
     rates = foot_rates(feet, rows, span)
-    return Stance(which, rows, span, feet(rows[1]), rates, log.contact[rows].all(axis=0))
+    return Stance(which, rows, span, feet(rows[1]), rates, np.all(log.contact[rows], axis=0))
 
 
 def feet_at(log: Log, robot: Robot | None) -> Callable[[np.ndarray], np.ndarray] | None:

@@ -280,6 +280,7 @@ def test_a_bad_sample_is_refused_alone(what, at):
         alone.step(sample)
     assert len(refused) == (0 if (at, what) == (0, "repeated") or (at, what) == (0, "late") else 1)
     assert online.state is not None
+    assert alone.state is not None
     if at > 1:
         np.testing.assert_array_equal(online.state.p_GI, alone.state.p_GI)
 
@@ -293,12 +294,14 @@ def test_samples_may_share_a_buffer():
         online.step(sample._replace(gyro=buffer))
         alone.step(sample)
     np.testing.assert_array_equal(online.covariance, alone.covariance)
+    assert online.state is not None
+    assert alone.state is not None
     np.testing.assert_array_equal(online.state.R_GI, alone.state.R_GI)
 
 
 def test_samples_that_never_end_half_a_second_are_bounded(monkeypatch):
     monkeypatch.setattr(streaming, "MOST_WAITING", 10)
-    online, first = StreamingEstimator("imu", None), Sample(0.0, np.zeros(3), [0, 0, 9.8])
+    online, first = StreamingEstimator("imu", None), Sample(0.0, np.zeros(3), np.array([0, 0, 9.8]))
     for row in range(10):
         online.step(first._replace(t=1e-9 * row))
     with pytest.raises(SampleError, match="10 samples"):

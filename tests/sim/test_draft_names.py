@@ -36,12 +36,12 @@ def table(**arrays: np.ndarray) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def drafted_table(folder: Path, robot: str | None = None, **arrays: np.ndarray) -> Draft:
+def drafted_table(folder: Path, robot: str | None = None, /, **arrays: np.ndarray) -> Draft:
     table(**arrays).to_csv(folder / "run.csv", index=False)
     return guess_map([folder / "run.csv"], robot)
 
 
-def drafted_arrays(folder: Path, robot: str | None = None, **arrays: np.ndarray) -> Draft:
+def drafted_arrays(folder: Path, robot: str | None = None, /, **arrays: np.ndarray) -> Draft:
     np.savez(folder / "run.npz", **arrays)  # pyright: ignore[reportArgumentType]
     return guess_map([folder / "run.npz"], robot)
 
@@ -317,7 +317,7 @@ def test_position_beside_a_quaternion_is_a_pose(tmp_path):
         "position": 1e3 * TRIPLE,
         "quaternion": np.column_stack([np.cos(half), zero, zero, np.sin(half)]),
     }
-    np.savez(tmp_path / "mocap.npz", t=T, **pose)
+    np.savez(tmp_path / "mocap.npz", t=T, **pose)  # pyright: ignore[reportArgumentType]
     np.savez(tmp_path / "run.npz", t=T, gyro=GYRO, accel=ACCEL, joint_pos=ANGLES, joint_vel=RATES)
     draft = guess_map([tmp_path / "run.npz", tmp_path / "mocap.npz"], "spot_class")
     found = theirs(draft)

@@ -3,6 +3,7 @@
 import json
 import pickle
 import tracemalloc
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -434,7 +435,7 @@ def test_measured_recordings_come_in_as_they_are(recording, rules, rows, joints)
 
 def test_a_missing_list_is_an_empty_reading_of_each_of_its_places():
     cells = np.array([[0.1, 0.2], None, "", (0.5, 0.6)], dtype=object)
-    table = RecordedTable("run.json", {"q": cells})
+    table = RecordedTable(Path("run.json"), {"q": cells})
     rows, values = column_readings(table, "q[1]", Source(sparse=True))
     assert rows.tolist() == [0, 3]
     assert values.tolist() == [0.2, 0.6]
@@ -565,7 +566,9 @@ def test_complex_numbers_are_refused_by_column(tmp_path, form):
     if form == "npz":
         np.savez(path, **columns)
     elif form == "npy":
-        np.save(path, np.rec.fromarrays(list(columns.values()), names="t,turn"))
+        np.save(
+            path, np.rec.fromarrays(list(columns.values()), dtype=[("t", float), ("turn", float)])
+        )
     elif form == "mat":
         scipy.io.savemat(path, columns)
     else:

@@ -5,6 +5,7 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -665,7 +666,7 @@ def test_one_cause_has_one_finding_and_what_it_says_to_paste_repairs(log, name):
 
 def pasted(log: Log, text: str) -> Log:
     """A log with the columns that an import would give with these lines in its map."""
-    columns: dict[str, np.ndarray] = {}
+    columns: dict[str, Any] = {}
     for line in text.split("; "):
         key, value = line.split(" = ", 1)
         if key == "[reference] q_IM":
