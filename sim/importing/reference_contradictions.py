@@ -48,7 +48,7 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     after = np.searchsorted(beside.t, beside.t + half, side="right") - 1
     change = np.linalg.norm(v[after] - v[before], axis=1)
     bad = change > max(_LEAST, _OUTLYING * float(np.median(change)))
-    if not bad.any() or bad.mean() > _MOST:
+    if np.median(change) > _LEAST or not bad.any() or bad.mean() > _MOST:
         return found
     out = _closed(beside.t, bad)
     if out.mean() > 2.0 * _MOST or _missed_about_axes(beside, ~out) > MOST_MISSED_ROTATION:

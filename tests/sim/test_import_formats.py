@@ -566,9 +566,8 @@ def test_complex_numbers_are_refused_by_column(tmp_path, form):
     if form == "npz":
         np.savez(path, **columns)
     elif form == "npy":
-        np.save(
-            path, np.rec.fromarrays(list(columns.values()), dtype=[("t", float), ("turn", float)])
-        )
+        kinds = [(name, values.dtype) for name, values in columns.items()]
+        np.save(path, np.rec.fromarrays(list(columns.values()), dtype=kinds))
     elif form == "mat":
         scipy.io.savemat(path, columns)
     else:
