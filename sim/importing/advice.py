@@ -44,7 +44,7 @@ def advised_lines(
                     for column in (one for one in named if one in entries):
                         there = changed.setdefault(section, {})
                         before: Any = there.get(column, entries[column])
-                        there[column] = _changed(column, entries.get(found[3], before), changes)
+                        there[column] = _changed(column, entries.get(found[3]) or before, changes)
             elif found := _IN_SECTION.fullmatch(line):
                 _add(changed, rules, name, found[1], tomllib.loads(found[2]))
     lines: list[str] = []
