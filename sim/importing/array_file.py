@@ -125,12 +125,14 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
     for name, (episodes, rows, *_) in ((n, v.shape) for n, v in wide.items() if v.ndim == 3):
         shared = all(one.shape[:2] == (episodes, rows) for one in wide.values())
         if shared and (episodes <= rows or len({one.shape[2:] for one in wide.values()}) > 1):
+            parts = f"{episodes} episodes" if episodes <= rows else f"{rows} robots"
             raise SurefootError(
-                f"{path}: {name} is of {episodes} episodes of {rows} rows, and a log is of one: "
-                "save each to a file of its own"
+                f"{path}: {name} is of {parts} of {max(episodes, rows)} rows, and a log is of one:"
+                " save each to a file of its own"
             )
-    cells, parameters = rows_first(cells)
-    skipped = dict.fromkeys(parameters, "parameters: not one for each row")
+    scalars = [f"{name} = {one}" for name, one in cells.items() if one.ndim == 0]
+    cells, parameters = rows_first({name: one for name, one in cells.items() if one.ndim})
+    skipped = dict.fromkeys((*parameters, *scalars), "parameters: not one for each row")
     return RecordedTable(path, cells, skipped=skipped)
 
 
@@ -146,10 +148,12 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
         rows = max(range(one.ndim), key=lambda k, shape=one.shape: shape[k] * shared[shape[k]])
         found[name] = np.moveaxis(one, rows, 0)
     longest = dict(sorted((n, len(one)) for one in found.values() for n in one.shape[1:]))
+    recorded = {len(one) for one in found.values() if one[0].size > 1}
     parameters = tuple(
         name
         for name, one in found.items()
-        if one.dtype.kind != "U" and longest.get(len(one), 0) > len(one)
+        if one.dtype.kind != "U"
+        and (longest.get(len(one), 0) > len(one) or len(one) in {*longest} - recorded)
     )
     return {n: one for n, one in found.items() if n not in parameters}, parameters
 
@@ -165,10 +169,14 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})
-        elif value.dtype.kind in "fiubcU" and value.ndim == 3 and len(value) == 1 and value.size:
-            cells[name] = value[0]  # the only episode, as gym-quadruped writes it
-        elif value.dtype.kind in "fiubcU" and value.ndim in (1, 2, 3) and value.size:
-            cells[name] = np.asarray(value)
+        elif value.dtype.kind == "M":
+            cells |= _arrays({name: value.astype("datetime64[ns]").astype(float) * 1e-9})
+        elif value.dtype.kind == "S":
+            cells |= _arrays({name: np.char.decode(value, errors="replace")})
+        elif value.dtype.kind in "fiubcU" and value.ndim <= 3 and value.size:
+            # Of the only episode, as gym-quadruped writes it, or the only robot.
+            single = [k for k in (0, 1) if value.ndim == 3 and value.shape[k] == 1]
+            cells[name] = value.take(0, single[0]) if single else value
     return cells
 
 

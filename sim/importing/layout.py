@@ -13,6 +13,7 @@ SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
 _WORDS = re.compile(r"[^\s,;|]+")
+_PAIR = re.compile(r"([A-Za-z_]\w*)=(\S+)")
 _MOST_KINDS = 20
 """Largest number of kinds of lines in a text."""
 _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
@@ -57,8 +58,8 @@ def layout_of(path: Path) -> dict[str, Any]:
     begin = named[-1] if named else max(after, first)
     if begin:
         found["skip"] = begin
-    numbers = [k for k, cell in enumerate(rows[-1]) if _are_numbers([cell])]
-    if numbers and all(_are_numbers([rows[begin][k].strip() or "0"]) for k in numbers):
+    numbers = [k for k, cell in enumerate(rows[-1]) if are_numbers([cell])]
+    if numbers and all(are_numbers([rows[begin][k].strip() or "0"]) for k in numbers):
         found["header"] = False
     if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
         found |= {"separator": separator, "decimal": ","}
@@ -80,7 +81,13 @@ def no_table(path: Path, skip: int) -> str:
         if kinds := _kinds(rows, place):
             what = f"lines of several kinds, by their word {place + 1}: {', '.join(kinds)}"
             start = ("^" if place == 0 else "^[^ ,]*[ ,]") + kinds[0] + "[ ,]"
-            return f"has {what}; make a file of each: grep '{start}' {path.name} > {kinds[0]}.txt"
+            alone = re.sub(r"\W+", "", kinds[0]) or "first"  # "$" is of the shell
+            return f"has {what}; make a file of each: grep '{start}' {path.name} > {alone}.txt"
+    pairs = [[_PAIR.fullmatch(word) for word in row] for row in rows]
+    if pairs and all(len(row) > 1 and all(row) for row in pairs):
+        names = " ".join(pair[1] for pair in pairs[0] if pair)
+        values = f"sed -E 's/[A-Za-z_][A-Za-z0-9_]*=//g' {path.name}"
+        return f"has a name in every cell; take it off: (echo {names}; {values}) > values.txt"
     return ""
 
 
@@ -100,11 +107,12 @@ def _separator(line: str) -> str:
     for separator in (";", "\t", "|"):
         if separator in line:
             return separator
-    decimal_commas = re.search(r"\S +\S", line) and _are_numbers(line.split())
+    decimal_commas = re.search(r"\S +\S", line) and are_numbers(line.split())
     return "," if "," in line and not decimal_commas else SPACES
 
 
-def _are_numbers(cells: list[str]) -> bool:
+def are_numbers(cells: list[str]) -> bool:
+    """Whether every cell is a number, with a point or a comma."""
     return all(is_number(cell) or _COMMA.fullmatch(cell) for cell in cells)
 
 

@@ -26,9 +26,15 @@ from surefoot.sim.importing.clock import (
 from surefoot.sim.importing.columns import EULER, MapColumn
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import poses_of, quaternions_of
+from surefoot.sim.importing.reference import poses_of, quaternions_of, reference_offset
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, parsed_as
+from surefoot.sim.importing.table import (
+    NoReadings,
+    RecordedTable,
+    column_readings,
+    parsed_as,
+    with_stamps,
+)
 from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import Log
 
@@ -37,6 +43,8 @@ _Rows = tuple[np.ndarray, np.ndarray]
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""
 Files = str | Path | Sequence[str | Path]
+_MANY = 0.1
+"""Share of the rows from which it is said that they are cut."""
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
 
@@ -89,6 +97,11 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     shared = on_clock(clock, streams, str(main))
     rules = replace(rules, robot=_robot_file(rules, main))
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
+    if poses is not None:
+        begin, end = poses.t[[0, -1]] + reference_offset(rules, main.stem)
+        outside = int(np.sum((kept["t"] < begin) | (kept["t"] > end)))
+        if outside > _MANY * len(kept["t"]):
+            notes.append(f"reference: {outside} of {len(kept['t'])} rows are outside of its time, left out")
     return RawRecording(kept, poses, rules, main, (*notes, *gap_lines(clock, streams)))
 
 
@@ -104,7 +117,7 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    return reader(path) if reader else read_text(path, source)
+    return with_stamps(reader(path) if reader else read_text(path, source))
 
 
 def is_text(path: Path) -> bool:
@@ -263,8 +276,12 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, lis
     if EULER[0] in table:
         angles = np.column_stack([table.pop(name) for name in EULER])
         table |= quaternions_of(angles)
-    else:
-        unit_quaternions(path, table, read.row, numbers)
+        return table, said
+    lost = np.all([table[f"ref_q_{axis}"] == 0.0 for axis in "wxyz"], axis=0)
+    if lost.any() and not lost.all():
+        table, numbers = {name: x[~lost] for name, x in table.items()}, numbers[~lost]
+        said.append(f"{path}: left out: {lost.sum()} samples without an attitude (0, 0, 0, 0)")
+    unit_quaternions(path, table, read.row, numbers)
     return table, said
 
 

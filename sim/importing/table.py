@@ -3,10 +3,11 @@
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.sections import Source
@@ -30,6 +31,8 @@ def parsed_as(what: str, path: Path, remedy: str = "") -> Iterator[None]:
         ) from error
 
 
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d\d?:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
+_SECONDS = re.compile(r"(.*?)([._/]?)secs?", re.IGNORECASE)
 _PLACE = re.compile(r"(.+)\[([^\[\]]+)\]$")
 _SHOWN = 12
 _MOST_PLACES = 1024
@@ -53,6 +56,30 @@ class RecordedTable:
     row: str = "row"
     first: int = 1
     skipped: Mapping[str, str] = field(default_factory=dict)
+
+
+def with_stamps(table: RecordedTable) -> RecordedTable:
+    """The table with dates and times of day in seconds, and with a stamp that is split, such as
+    `stamp.sec` and `stamp.nanosec`, as one column `stamp` [s].
+    """
+    cells: dict[str, np.ndarray] = {}
+    for name, one in table.cells.items():
+        first = one[0] if len(one) else None
+        date = _DATE.fullmatch(first.strip()) if isinstance(first, str) else None
+        if date and date[1]:
+            stamps = pd.to_datetime(pd.Series(one), errors="coerce", format="ISO8601", utc=True)
+            one = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy()
+        elif date:
+            one = pd.to_timedelta(pd.Series(one), errors="coerce").dt.total_seconds().to_numpy()
+        cells[name] = one
+    for name in [*cells]:
+        if split := _SECONDS.fullmatch(name):
+            stem, between = split[1], split[2]
+            parts = (f"{stem}{between}{part}" for part in ("nsec", "nsecs", "nanosec", "nanosecs"))
+            rest = next((one for one in parts if one in cells), None)
+            if rest and cells[name].dtype.kind in "fiu" and cells[rest].dtype.kind in "fiu":
+                cells[stem or "stamp"] = cells.pop(name) + 1e-9 * cells.pop(rest)
+    return replace(table, cells=cells)
 
 
 def column_readings(table: RecordedTable, column: str, source: Source, word: str | None = None):
@@ -89,11 +116,17 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
 def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
     """All numeric columns by their names in a map, with elements of lists as separate columns."""
     found: dict[str, np.ndarray] = {}
-    for name, cells in table.cells.items():
-        for place in _places(cells[0]) if len(cells) else ():
-            with suppress(SurefootError):
-                found[f"{name}{place}"] = column_readings(table, f"{name}{place}", Source())[1]
+    for name in elements(table):
+        with suppress(SurefootError):
+            found[name] = column_readings(table, name, Source())[1]
     return found
+
+
+def elements(table: RecordedTable) -> Iterator[str]:
+    """Names in a map of the columns and, of lists, of their elements."""
+    for name, cells in table.cells.items():
+        first = next((one for one in cells if not _empty(one)), None) if len(cells) else None
+        yield from (f"{name}{place}" for place in _places(first))
 
 
 def _places(cell: object, deeper: int = 2) -> list[str]:

@@ -9,7 +9,13 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.layout import SPACES, encoding_of, no_table, text_cells
+from surefoot.sim.importing.layout import (
+    SPACES,
+    are_numbers,
+    encoding_of,
+    no_table,
+    text_cells,
+)
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, parsed_as
 
@@ -20,7 +26,7 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         encoding = encoding_of(path)
         if source.long is None and (why := no_table(path, source.skip)):
             raise SurefootError(f"{path}: {why}")
-        header, separator, apart = _first_line(path, source, encoding)
+        header, separator, apart, units = _first_lines(path, source, encoding)
         with warnings.catch_warnings():
             # pandas only warns of a first line that is too long, and shifts the columns.
             warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -28,8 +34,9 @@ def read_text(path: Path, source: Source) -> RecordedTable:
                 path,
                 sep=separator,
                 header=0 if source.header and not apart else None,
-                skiprows=source.skip + apart,
+                skiprows=[*range(source.skip + apart), *[source.skip + 1] * units],
                 comment=source.comment,
+                na_values=["-", "--"],
                 decimal=source.decimal,
                 index_col=False,
                 encoding=encoding,
@@ -48,15 +55,17 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     twice = [name for name, count in Counter(header).items() if count > 1]
     cells = {name: frame[name].to_numpy()[:rows] for name in header if name not in twice}
     skipped = dict.fromkeys(twice, "is there more than once")
-    return RecordedTable(path, cells, "line", source.skip + 1 + source.header, skipped)
+    return RecordedTable(path, cells, "line", source.skip + 1 + source.header + units, skipped)
 
 
-def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
-    """Column names, separator, and whether a comment sign precedes the names."""
+def _first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool, bool]:
+    """Column names, separator, whether a comment sign precedes the names, and whether the line
+    after them is words alone, such as units, and numbers follow.
+    """
     with path.open(newline="", encoding=encoding) as stream:
         for _ in range(source.skip):
             stream.readline()
-        line = stream.readline()
+        line, *after = (stream.readline() for _ in range(3))
     separator = source.separator or _separator(line)
     names = [name.strip() for name in text_cells(line, separator)]
     apart = source.header and separator == SPACES and names != line.split()
@@ -64,7 +73,10 @@ def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], s
         raise SurefootError(f"{path}: line {source.skip + 1}: no header")
     check_limit("columns", len(names), f"{path}: cells of the header")
     header = names if source.header else [str(k) for k in range(len(names))]
-    return header, separator, apart
+    second, third = (text_cells(one, separator) for one in after)
+    words = any(map(str.strip, second)) and not any(are_numbers([cell]) for cell in second)
+    units = source.header and words and any(are_numbers([cell]) for cell in third)
+    return header, separator, apart, units
 
 
 def _separator(line: str) -> str:
