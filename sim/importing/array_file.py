@@ -1,4 +1,4 @@
-"""Tables from files of arrays: NumPy, MATLAB and HDF5.
+"""Tables from files of arrays: NumPy, MATLAB, HDF5 and Parquet.
 
 No code in a file is executed, and a file that declares itself larger than a log is not read.
 """
@@ -12,6 +12,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pyarrow.parquet as pq
 import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
@@ -78,6 +79,15 @@ def read_hdf5(path: Path) -> RecordedTable:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
         return _table(path, arrays | _matlab_strings(every))
+
+
+def read_parquet(path: Path) -> RecordedTable:
+    """Read the columns of a Parquet file."""
+    with parsed_as("a Parquet file", path):
+        about = pq.read_metadata(path)
+        _bounded(path, 8.0 * about.num_rows * about.num_columns)
+        frame = pq.read_table(path).to_pandas(ignore_metadata=True)
+    return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
 
 
 def _datasets(

@@ -7,6 +7,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit
+from surefoot.sim.importing.sections import Source
+
 _LOOKED_AT = 65536
 """Number of characters at the beginning of a text that are examined."""
 SPACES = r"\s+"
@@ -64,6 +68,35 @@ def layout_of(path: Path) -> dict[str, Any]:
     if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
         found |= {"separator": separator, "decimal": ","}
     return found
+
+
+def first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool, bool]:
+    """Column names, separator, whether a comment sign precedes the names, and whether the line
+    after them is words alone, such as units, and numbers follow.
+    """
+    with path.open(newline="", encoding=encoding) as stream:
+        for _ in range(source.skip):
+            stream.readline()
+        line, *after = (stream.readline() for _ in range(3))
+    separator = source.separator or _separator_of_header(line)
+    names = [name.strip() for name in text_cells(line, separator)]
+    apart = source.header and separator == SPACES and names != line.split()
+    if not any(names):
+        raise SurefootError(f"{path}: line {source.skip + 1}: no header")
+    check_limit("columns", len(names), f"{path}: cells of the header")
+    header = names if source.header else [str(k) for k in range(len(names))]
+    second, third = (text_cells(one, separator) for one in after)
+    words = any(map(str.strip, second)) and not any(are_numbers([cell]) for cell in second)
+    units = source.header and words and any(are_numbers([cell]) for cell in third)
+    return header, separator, apart, units
+
+
+def _separator_of_header(line: str) -> str:
+    """The most frequent separator; without any, spaces if there are some."""
+    most = max(",;\t|", key=line.count)
+    if line.count(most):
+        return most
+    return SPACES if " " in line.strip() else ","
 
 
 def no_table(path: Path, skip: int) -> str:

@@ -5,12 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_file
-from surefoot.sim.common.limits import admitted, check_unpacked
-from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
+from surefoot.sim.common.limits import admitted
+from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, read_parquet
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
 from surefoot.sim.importing.bag import is_bag, read_bag, topic_of
 from surefoot.sim.importing.clock import (
@@ -28,13 +27,7 @@ from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import poses_of, quaternions_of, reference_offset
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import (
-    NoReadings,
-    RecordedTable,
-    column_readings,
-    parsed_as,
-    with_stamps,
-)
+from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, with_stamps
 from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import Log
 
@@ -99,9 +92,9 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
     if poses is not None:
         begin, end = poses.t[[0, -1]] + reference_offset(rules, main.stem)
-        outside = int(np.sum((kept["t"] < begin) | (kept["t"] > end)))
-        if outside > _MANY * len(kept["t"]):
-            notes.append(f"reference: {outside} of {len(kept['t'])} rows are outside of its time, left out")
+        outside = (kept["t"] < begin) | (kept["t"] > end)
+        if outside.mean() > _MANY:
+            notes.append(f"reference: {outside.sum()} rows are outside of its time, and left out")
     return RawRecording(kept, poses, rules, main, (*notes, *gap_lines(clock, streams)))
 
 
@@ -285,20 +278,11 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, lis
     return table, said
 
 
-def _parquet(path: Path) -> RecordedTable:
-    with parsed_as("a Parquet file", path):
-        about = pq.read_metadata(path)
-        size = 8.0 * about.num_rows * about.num_columns
-        check_unpacked(path.stat().st_size, size, f"{path}: bytes of columns")
-        frame = pq.read_table(path).to_pandas(ignore_metadata=True)
-    return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
-
-
 _READERS = {
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
     **dict.fromkeys((".npz", ".npy"), read_npz),
     **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
     ".mat": read_mat,
-    ".parquet": _parquet,
+    ".parquet": read_parquet,
 }
 """Reader by suffix; any other file is read as text."""

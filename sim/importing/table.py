@@ -31,8 +31,8 @@ def parsed_as(what: str, path: Path, remedy: str = "") -> Iterator[None]:
         ) from error
 
 
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d\d?:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
-_SECONDS = re.compile(r"(.*?)([._/]?)secs?", re.IGNORECASE)
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
+_NANOSECONDS = re.compile(r"(.*?)(nsecs?|nanosecs?)")
 _PLACE = re.compile(r"(.+)\[([^\[\]]+)\]$")
 _SHOWN = 12
 _MOST_PLACES = 1024
@@ -62,23 +62,18 @@ def with_stamps(table: RecordedTable) -> RecordedTable:
     """The table with dates and times of day in seconds, and with a stamp that is split, such as
     `stamp.sec` and `stamp.nanosec`, as one column `stamp` [s].
     """
-    cells: dict[str, np.ndarray] = {}
+    cells = dict(table.cells)
     for name, one in table.cells.items():
-        first = one[0] if len(one) else None
-        date = _DATE.fullmatch(first.strip()) if isinstance(first, str) else None
-        if date and date[1]:
-            stamps = pd.to_datetime(pd.Series(one), errors="coerce", format="ISO8601", utc=True)
-            one = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy()
-        elif date:
-            one = pd.to_timedelta(pd.Series(one), errors="coerce").dt.total_seconds().to_numpy()
-        cells[name] = one
-    for name in [*cells]:
-        if split := _SECONDS.fullmatch(name):
-            stem, between = split[1], split[2]
-            parts = (f"{stem}{between}{part}" for part in ("nsec", "nsecs", "nanosec", "nanosecs"))
-            rest = next((one for one in parts if one in cells), None)
-            if rest and cells[name].dtype.kind in "fiu" and cells[rest].dtype.kind in "fiu":
-                cells[stem or "stamp"] = cells.pop(name) + 1e-9 * cells.pop(rest)
+        date = _DATE.fullmatch(one[0].strip()) if len(one) and isinstance(one[0], str) else None
+        if date:
+            texts = pd.Series(one) if date[1] else "1970-01-01 " + pd.Series(one)
+            stamps = pd.to_datetime(texts, errors="coerce", format="ISO8601", utc=True)
+            cells[name] = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy()
+        elif split := _NANOSECONDS.fullmatch(name):
+            whole = next((n for n in (f"{split[1]}sec", f"{split[1]}secs") if n in cells), None)
+            if whole and one.dtype.kind in "fiu" and cells[whole].dtype.kind in "fiu":
+                stem = split[1].rstrip("._/") or "stamp"
+                cells[stem] = cells.pop(whole) + 1e-9 * cells.pop(name)
     return replace(table, cells=cells)
 
 

@@ -8,14 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.layout import (
-    SPACES,
-    are_numbers,
-    encoding_of,
-    no_table,
-    text_cells,
-)
+from surefoot.sim.importing.layout import encoding_of, first_lines, no_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, parsed_as
 
@@ -26,7 +19,7 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         encoding = encoding_of(path)
         if source.long is None and (why := no_table(path, source.skip)):
             raise SurefootError(f"{path}: {why}")
-        header, separator, apart, units = _first_lines(path, source, encoding)
+        header, separator, apart, units = first_lines(path, source, encoding)
         with warnings.catch_warnings():
             # pandas only warns of a first line that is too long, and shifts the columns.
             warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -56,32 +49,3 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     cells = {name: frame[name].to_numpy()[:rows] for name in header if name not in twice}
     skipped = dict.fromkeys(twice, "is there more than once")
     return RecordedTable(path, cells, "line", source.skip + 1 + source.header + units, skipped)
-
-
-def _first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool, bool]:
-    """Column names, separator, whether a comment sign precedes the names, and whether the line
-    after them is words alone, such as units, and numbers follow.
-    """
-    with path.open(newline="", encoding=encoding) as stream:
-        for _ in range(source.skip):
-            stream.readline()
-        line, *after = (stream.readline() for _ in range(3))
-    separator = source.separator or _separator(line)
-    names = [name.strip() for name in text_cells(line, separator)]
-    apart = source.header and separator == SPACES and names != line.split()
-    if not any(names):
-        raise SurefootError(f"{path}: line {source.skip + 1}: no header")
-    check_limit("columns", len(names), f"{path}: cells of the header")
-    header = names if source.header else [str(k) for k in range(len(names))]
-    second, third = (text_cells(one, separator) for one in after)
-    words = any(map(str.strip, second)) and not any(are_numbers([cell]) for cell in second)
-    units = source.header and words and any(are_numbers([cell]) for cell in third)
-    return header, separator, apart, units
-
-
-def _separator(line: str) -> str:
-    """The most frequent separator; without any, spaces if there are some."""
-    most = max(",;\t|", key=line.count)
-    if line.count(most):
-        return most
-    return SPACES if " " in line.strip() else ","
