@@ -135,14 +135,12 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
     for name, (episodes, rows, *_) in ((n, v.shape) for n, v in wide.items() if v.ndim == 3):
         shared = all(one.shape[:2] == (episodes, rows) for one in wide.values())
         if shared and (episodes <= rows or len({one.shape[2:] for one in wide.values()}) > 1):
-            parts = f"{episodes} episodes" if episodes <= rows else f"{rows} robots"
             raise SurefootError(
-                f"{path}: {name} is of {parts} of {max(episodes, rows)} rows, and a log is of one:"
-                " save each to a file of its own"
+                f"{path}: {name} is of {min(episodes, rows)} episodes or robots of"
+                f" {max(episodes, rows)} rows, and a log is of one: save each to a file of its own"
             )
-    scalars = [f"{name} = {one}" for name, one in cells.items() if one.ndim == 0]
-    cells, parameters = rows_first({name: one for name, one in cells.items() if one.ndim})
-    skipped = dict.fromkeys((*parameters, *scalars), "parameters: not one for each row")
+    cells, parameters = rows_first(cells)
+    skipped = dict.fromkeys(parameters, "parameters: not one for each row")
     return RecordedTable(path, cells, skipped=skipped)
 
 
@@ -183,7 +181,7 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({name: value.astype("datetime64[ns]").astype(float) * 1e-9})
         elif value.dtype.kind == "S":
             cells |= _arrays({name: np.char.decode(value, errors="replace")})
-        elif value.dtype.kind in "fiubcU" and value.ndim <= 3 and value.size:
+        elif value.dtype.kind in "fiubcU" and value.ndim in (1, 2, 3) and value.size:
             # Of the only episode, as gym-quadruped writes it, or the only robot.
             single = [k for k in (0, 1) if value.ndim == 3 and value.shape[k] == 1]
             cells[name] = value.take(0, single[0]) if single else value

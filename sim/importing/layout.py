@@ -17,7 +17,6 @@ SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
 _WORDS = re.compile(r"[^\s,;|]+")
-_PAIR = re.compile(r"([A-Za-z_]\w*)=(\S+)")
 _MOST_KINDS = 20
 """Largest number of kinds of lines in a text."""
 _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
@@ -70,9 +69,9 @@ def layout_of(path: Path) -> dict[str, Any]:
     return found
 
 
-def first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool, bool]:
-    """Column names, separator, whether a comment sign precedes the names, and whether the line
-    after them is words alone, such as units, and numbers follow.
+def first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
+    """Column names, separator, and whether the line after the names is words alone, such as units,
+    and numbers follow.
     """
     with path.open(newline="", encoding=encoding) as stream:
         for _ in range(source.skip):
@@ -80,7 +79,6 @@ def first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], s
         line, *after = (stream.readline() for _ in range(3))
     separator = source.separator or _separator_of_header(line)
     names = [name.strip() for name in text_cells(line, separator)]
-    apart = source.header and separator == SPACES and names != line.split()
     if not any(names):
         raise SurefootError(f"{path}: line {source.skip + 1}: no header")
     check_limit("columns", len(names), f"{path}: cells of the header")
@@ -88,7 +86,7 @@ def first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], s
     second, third = (text_cells(one, separator) for one in after)
     words = any(map(str.strip, second)) and not any(are_numbers([cell]) for cell in second)
     units = source.header and words and any(are_numbers([cell]) for cell in third)
-    return header, separator, apart, units
+    return header, separator, units
 
 
 def _separator_of_header(line: str) -> str:
@@ -114,13 +112,8 @@ def no_table(path: Path, skip: int) -> str:
         if kinds := _kinds(rows, place):
             what = f"lines of several kinds, by their word {place + 1}: {', '.join(kinds)}"
             start = ("^" if place == 0 else "^[^ ,]*[ ,]") + kinds[0] + "[ ,]"
-            alone = re.sub(r"\W+", "", kinds[0]) or "first"  # "$" is of the shell
-            return f"has {what}; make a file of each: grep '{start}' {path.name} > {alone}.txt"
-    pairs = [[_PAIR.fullmatch(word) for word in row] for row in rows]
-    if pairs and all(len(row) > 1 and all(row) for row in pairs):
-        names = " ".join(pair[1] for pair in pairs[0] if pair)
-        values = f"sed -E 's/[A-Za-z_][A-Za-z0-9_]*=//g' {path.name}"
-        return f"has a name in every cell; take it off: (echo {names}; {values}) > values.txt"
+            # Quoted, as "$" is of the shell.
+            return f"has {what}; make a file of each: grep '{start}' {path.name} > '{kinds[0]}.txt'"
     return ""
 
 

@@ -25,7 +25,7 @@ from surefoot.sim.importing.clock import (
 from surefoot.sim.importing.columns import EULER, MapColumn
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import poses_of, quaternions_of, reference_offset
+from surefoot.sim.importing.reference import poses_of, quaternions_of
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, with_stamps
 from surefoot.sim.importing.text_file import read_text
@@ -36,8 +36,6 @@ _Rows = tuple[np.ndarray, np.ndarray]
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""
 Files = str | Path | Sequence[str | Path]
-_MANY = 0.1
-"""Share of the rows from which it is said that they are cut."""
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
 
@@ -90,11 +88,6 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     shared = on_clock(clock, streams, str(main))
     rules = replace(rules, robot=_robot_file(rules, main))
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
-    if poses is not None:
-        begin, end = poses.t[[0, -1]] + reference_offset(rules, main.stem)
-        outside = (kept["t"] < begin) | (kept["t"] > end)
-        if outside.mean() > _MANY:
-            notes.append(f"reference: {outside.sum()} rows are outside of its time, and left out")
     return RawRecording(kept, poses, rules, main, (*notes, *gap_lines(clock, streams)))
 
 

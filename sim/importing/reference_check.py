@@ -72,40 +72,24 @@ class ReferenceCheck:
     """Result of the checks of a reference.
 
     Attributes:
-        samples: number of samples.
-        rate: [Hz].
-        judged: number of steps at a steady speed, whose frames can be counted.
-        miscounted: number of these that are off by a frame.
-        jumps: number of steps that jump.
+        sampled: its samples, rate and gaps in words.
+        doubtful: share of the steps at a steady speed, whose frames can be counted, that are off by
+            a frame.
+        judged: number of these steps.
+        jumps: steps that jump, the largest first.
         held: number of steps that repeat the pose exactly while the body moves.
-        gaps: number of intervals over MAX_GAP.
-        longest_gap: [s].
-        largest: of the jumps.
     """
 
-    samples: int
-    rate: float
+    sampled: str
+    doubtful: float
     judged: int
-    miscounted: int
-    jumps: int
+    jumps: tuple[Jump, ...]
     held: int
-    gaps: int
-    longest_gap: float
-    largest: Jump | None = None
-
-    @property
-    def doubtful(self) -> float:
-        """Share of the judged steps whose stamps are off by a frame."""
-        return self.miscounted / self.judged if self.judged else 0.0
 
     @property
     def lines(self) -> tuple[str, ...]:
         """Description in words, followed by the faults."""
-        said = (
-            f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
-            f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
-        )
-        return (said, *self._faults(_SHOWN_DOUBTFUL))
+        return (self.sampled, *self._faults(_SHOWN_DOUBTFUL))
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -120,10 +104,10 @@ class ReferenceCheck:
                 f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
                 "neighbours' (frames miscounted)"
             )
-        if self.largest:
+        if self.jumps:
             said.append(
-                f"reference: {self.jumps} jumps of position or attitude, the largest by "
-                f"{self.largest.words}"
+                f"reference: {len(self.jumps)} jumps of position or attitude, the largest by "
+                f"{self.jumps[0].words}"
             )
         if self.held:
             said.append(
@@ -135,23 +119,21 @@ class ReferenceCheck:
 def check_reference(poses: Poses) -> ReferenceCheck:
     """Check the K samples of a reference by themselves."""
     step = np.diff(poses.t)
-    if len(step) < 2 * _NEIGHBOURS + 1:
-        return ReferenceCheck(len(poses.t), 0.0, 0, 0, 0, 0, 0, float(step.max(initial=0.0)))
-    miscounted, judged = miscounts(poses)
+    few = len(step) < 2 * _NEIGHBOURS + 1
+    rate, gaps = (0.0, 0) if few else (1.0 / np.median(step), np.sum(step > MAX_GAP))
+    sampled = (
+        f"reference: {len(poses.t)} samples, {rate:.3g} Hz; longest gap "
+        f"{1e3 * step.max(initial=0.0):.0f} ms, {gaps} over {1e3 * MAX_GAP:.0f} ms"
+    )
+    if few:
+        return ReferenceCheck(sampled, 0.0, 0, (), 0)
+    miscounted, judged = (int(one.sum()) for one in miscounts(poses))
     _, around = _speeds(poses)
     same = ~np.diff(np.column_stack([poses.p, poses.q]), axis=0).any(axis=1)
-    jumped = np.flatnonzero(jumps(poses))
-    return ReferenceCheck(
-        samples=len(poses.t),
-        rate=float(1.0 / np.median(step)),
-        judged=int(judged.sum()),
-        miscounted=int(miscounted.sum()),
-        jumps=len(jumped),
-        held=int((same & (around > _SLOWEST)).sum()),
-        gaps=int((step > MAX_GAP).sum()),
-        longest_gap=float(step.max()),
-        largest=max((_jump(poses, int(k)) for k in jumped), key=_times_least, default=None),
-    )
+    jumped = [_jump(poses, int(k)) for k in np.flatnonzero(jumps(poses))]
+    jumped.sort(key=lambda one: -max(one.moved / _LEAST_JUMP, one.turned / _LEAST_TURN))
+    held = int((same & (around > _SLOWEST)).sum())
+    return ReferenceCheck(sampled, miscounted / max(judged, 1), judged, tuple(jumped), held)
 
 
 def _jump(poses: Poses, step: int) -> Jump:
@@ -170,10 +152,6 @@ def _jump(poses: Poses, step: int) -> Jump:
         turned=float((R[0].inv() * R[1]).magnitude()),
         within=within,
     )
-
-
-def _times_least(jump: Jump) -> float:
-    return max(jump.moved / _LEAST_JUMP, jump.turned / _LEAST_TURN)
 
 
 def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

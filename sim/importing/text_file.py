@@ -19,15 +19,15 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         encoding = encoding_of(path)
         if source.long is None and (why := no_table(path, source.skip)):
             raise SurefootError(f"{path}: {why}")
-        header, separator, apart, units = first_lines(path, source, encoding)
+        header, separator, units = first_lines(path, source, encoding)
         with warnings.catch_warnings():
             # pandas only warns of a first line that is too long, and shifts the columns.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             frame = pd.read_csv(
                 path,
                 sep=separator,
-                header=0 if source.header and not apart else None,
-                skiprows=[*range(source.skip + apart), *[source.skip + 1] * units],
+                header=None,
+                skiprows=source.skip + source.header + units,
                 comment=source.comment,
                 na_values=["-", "--"],
                 decimal=source.decimal,
