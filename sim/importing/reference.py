@@ -89,14 +89,10 @@ def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
     inside = (t >= poses.t[0]) & (t <= poses.t[-1])
     if not inside.any():
         longer = np.ptp(t) / max(float(np.ptp(poses.t)), 1e-12)
-        units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-        what = "another clock? surefoot align finds [reference] offset"
-        for key, ratio in (("columns", longer), ("reference.columns", 1.0 / max(longer, 1e-12))):
-            for unit in (one for one, size in units.items() if 0.3 < ratio / size < 3.0):
-                what = f'is [{key}] t in {unit}? t = {{ column = ..., unit = "{unit}" }}'
+        unit = "" if 0.01 < longer < 100.0 else 'is the t of one in another unit (unit = "ms")? Or '
         raise SurefootError(
             f"{source}: the reference ({span(poses.t)}) and the recording ({span(t)}) do not"
-            f" overlap: {what}"
+            f" overlap: {unit}another clock? surefoot align finds [reference] offset"
         )
     main = {column: values[inside] for column, values in main.items()}
     p, q, ok = interpolate_reference(main["t"], poses.t, poses.p, poses.q)
