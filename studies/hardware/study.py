@@ -31,6 +31,7 @@ from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.trace.words import summary
+from surefoot.sim.common.errors import unknown
 from surefoot.sim.common.files import file_digest, refuse_overwrite
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.recording import read_recording
@@ -395,7 +396,7 @@ def run_hardware(options: HardwareStudy) -> list[Section]:
     """
     for name in options.only:
         if name not in STUDIES:
-            raise SurefootError(f"--only {name}: unknown; choose {' | '.join(STUDIES)}")
+            raise SurefootError(f"--only: {unknown('study', name, STUDIES)}")
     data = options.data or options.out / "cases"
     sections: list[Section] = []
     for name in options.only or tuple(STUDIES):
