@@ -116,9 +116,7 @@ class Learnt:
         wanted = [one for one in self.observers if loss in (None, one.loss)]
         pairs = [(o, b) for o in wanted for b in self.bounds if b.observer == o.hash]
         if not pairs:
-            raise SurefootError(
-                f"needs bounds of its observer (loss {loss or 'any'}): calibrate it"
-            )
+            raise SurefootError(f"needs bounds of its observer, loss {loss or 'any'}: calibrate")
         return min(pairs, key=lambda pair: pair[0].loss != "mse")
 
 

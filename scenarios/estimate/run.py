@@ -262,8 +262,8 @@ def begin(
     by_joints = robot is not None and log.has("q")  # they say how feet roll, too
     feet = log.legs if log.has("foot") and not by_joints else ()
     at = Beginning(state, covariance, log.rate, joints, log.meta.derived, feet)
-    known = cast(Robot, robot)  # None for those alone whose needs say that it may be
-    return estimator.start(known, learnt, values, at)
+    # The robot is None for those alone whose needs say that it may be.
+    return estimator.start(cast(Robot, robot), learnt, values, at)
 
 
 def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:
