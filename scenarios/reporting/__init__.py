@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from surefoot.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from surefoot.scenarios.cache import contents_digest
+    from surefoot.scenarios.cache import contents_digest, finished_case, read_case
     from surefoot.scenarios.reporting.html import Picture, Section
     from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
     from surefoot.scenarios.reporting.palette import (
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     )
     from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
     from surefoot.scenarios.reporting.progress import percent_bar
-    from surefoot.scenarios.reporting.rows import finished_case, read_case
     from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
     from surefoot.scenarios.stages import processes, stage
     from surefoot.sim.common.files import file_digest, refuse_full, refuse_overwrite, whole_folder
