@@ -18,10 +18,9 @@ from surefoot import Log, Robot, SimulateSettings, TrainSettings, simulate, trai
 from surefoot.extend import SurefootError, declared_model, prediction_errors
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.registry import ARCHITECTURES
-from surefoot.scenarios.cache import contents_digest
+from surefoot.scenarios.cache import contents_digest, finished_case
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
-from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.progress import bar as drawn_bar

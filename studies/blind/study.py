@@ -14,7 +14,7 @@ from studies.blind.report import write_report_of
 from studies.blind.trial import run_case
 from studies.command import OutputFolder
 from surefoot.models.attribution.evidence import candidates_digest
-from surefoot.scenarios.reporting.rows import finished_case, read_case
+from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.stages import processes, stage
 from surefoot.sim.common.toml import read_toml
 

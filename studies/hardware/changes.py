@@ -22,7 +22,7 @@ from studies.hardware.impulses import SizeKey, WindowRows, window_rows
 from studies.hardware.shared_sizes import Calibration, HeldOutRun
 from surefoot import Log
 from surefoot.extend import known_effects
-from surefoot.scenarios.reporting.rows import finished_case
+from surefoot.scenarios.cache import finished_case
 from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Modelled

@@ -25,11 +25,11 @@ from studies.hardware.stream_lags import lags
 from studies.measured import measured_folder
 from surefoot import Log, Robot, TraceOptions, import_log, load_machine, trace
 from surefoot.extend import SurefootError, known_robots
+from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.plotting import save_png
 from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.files import file_digest, refuse_overwrite
 from surefoot.sim.importing.assemble import RawRecording

@@ -52,8 +52,8 @@ from surefoot.extend import (
 )
 from surefoot.models.calibration.bias_model import estimate_bias_model
 from surefoot.models.calibration.regions import calibrator, second_moment
+from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.datasets.cluster import run_on_cluster
-from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.stages import processes, stage
 
 AT_GAMMA, PER_AXIS = "gamma", "gamma^(1/3)"

@@ -18,11 +18,11 @@ from studies.command import OutputFolder
 from studies.walking.grounds import grounds_for
 from surefoot import Scenario
 from surefoot.extend import Motion, SurefootError, known_robots
+from surefoot.scenarios.cache import finished_case, read_case
 from surefoot.scenarios.datasets.index import DRY, recipe, walk_facts
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.reporting.rows import finished_case, read_case
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.sim.common.files import bundled, refuse_overwrite, whole_file, whole_folder
 from surefoot.sim.common.limits import check_limit
