@@ -43,7 +43,7 @@ def test_a_study_without_its_recording_is_skipped_with_a_line(tmp_path, capsys):
 
 
 def test_an_unknown_study_and_files_in_the_way_are_one_line(tmp_path):
-    with pytest.raises(SurefootError, match="--only: unknown study 'arm'; known: ak80_pendulum"):
+    with pytest.raises(SurefootError, match="--only arm: unknown; choose ak80_pendulum"):
         run_hardware(HardwareStudy(tmp_path, only=("arm",)))
     (tmp_path / "measured" / "ak80_pendulum").mkdir(parents=True)
     (tmp_path / "report.html").write_text("mine")
