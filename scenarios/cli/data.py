@@ -94,22 +94,22 @@ class Import(CheckedSettings, OutputSettings):
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
         findings = findings_of(log)
-        advice = [(one.streams, one.map_line) for one in findings]
-        lines = advised_lines(advice, recording.rules, recording.name)
-        if not self.strict:
-            findings = tuple(
-                replace(one, map_line="") if advised_lines([of], recording.rules, log.name) else one
-                for one, of in zip(findings, advice, strict=True)
-            )
-        warnings = warned({log.name: findings}, self.strict).get(log.name, ())
+        lines, follow = advised_lines([one.changes for one in findings], recording.rules, log.name)
+        findings = tuple(
+            replace(one, changes={}) if followed else one
+            for one, followed in zip(findings, follow, strict=True)
+        )
+        try:
+            warnings = warned({log.name: findings}, self.strict).get(log.name, ())
+        finally:
+            if lines:
+                print("for the import map, in place of its own, what these advise:")
+                print("\n".join((*lines, "")))
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
         for line in import_lines(log, *recording.reference(), notes=recording.notes):
             print(line)
-        if lines:
-            print("\nfor the import map, in place of its own, what the warnings advise:")
-            print("\n".join(lines))
 
     def _draft(self, files: tuple[str, ...]) -> None:
         from surefoot.sim.common.files import write_whole
