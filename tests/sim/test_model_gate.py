@@ -87,6 +87,29 @@ def test_flexible_bodies_are_bounded(tmp_path, inside):
     assert refusal(model(tmp_path, inside))
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "refused"),
+    [
+        ("m.obj", b"v 0.1 0.2 0.3\n" * 150_001, True),
+        ("m.OBJ", b"v\t1\t2\t3\n" * 150_001, True),
+        ("obj.stl", b"v 0.1 0.2 0.3\n" * 150_001, True),
+        ("m.msh", struct.pack("<4i", 150_001, 0, 0, 0) + bytes(12 * 150_001), True),
+        ("m.stl", bytes(80) + struct.pack("<I", 200_000) + bytes(50 * 200_000), False),
+        ("text.stl", b"vertex 0.1 0.2 0.3\n" * 200_000, False),
+        ("n.obj", b"v 0.1 0.2 0.3\nvn 0 0 1\nvt 0 1\n" * 100_000, False),
+        ("n.msh", struct.pack("<4i", 100_000, 0, 0, 0) + bytes(12 * 100_000), False),
+    ],
+)
+def test_the_points_of_a_mesh_are_counted(tmp_path, name, content, refused):
+    (tmp_path / name).write_bytes(content)
+    path = tmp_path / "robot.xml"
+    path.write_text(f'<mujoco><asset><mesh name="m" file="{name}"/></asset></mujoco>')
+    if refused:
+        assert "points" in refusal(path)
+    else:
+        check_model_file(path)
+
+
 def test_a_small_cloth_is_none_of_its_business(tmp_path):
     check_model_file(model(tmp_path, '<flexcomp name="f" type="grid" count="9 9 9" mass="1"/>'))
 
