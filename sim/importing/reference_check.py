@@ -43,53 +43,44 @@ _JUMP_RATIO = 8.0
 
 
 @dataclass(frozen=True)
-class Jump:
-    """A jump of a reference, including the adjacent samples, over which trackers often spread it.
-
-    Attributes:
-        after: time since the first sample [s].
-        moved: displacement beyond the usual speed [m].
-        turned: rotation [rad].
-        within: duration [s].
-    """
-
-    after: float
-    moved: float
-    turned: float
-    within: float
-
-    @property
-    def words(self) -> str:
-        """Size and time in words."""
-        return (
-            f"{1e3 * self.moved:.0f} mm and {np.degrees(self.turned):.1f} deg within "
-            f"{1e3 * self.within:.0f} ms, {self.after:.2f} s after the first sample"
-        )
-
-
-@dataclass(frozen=True)
 class ReferenceCheck:
     """Result of the checks of a reference.
 
     Attributes:
-        sampled: its samples, rate and gaps in words.
-        doubtful: share of the steps at a steady speed, whose frames can be counted, that are off by
-            a frame.
-        judged: number of these steps.
-        jumps: steps that jump, the largest first.
+        samples: number of samples.
+        rate: [Hz].
+        judged: number of steps at a steady speed, whose frames can be counted.
+        miscounted: number of these that are off by a frame.
+        jumps: number of steps that jump.
         held: number of steps that repeat the pose exactly while the body moves.
+        gaps: number of intervals over MAX_GAP.
+        longest_gap: [s].
+        largest: size and time of the largest jump, in words, "" without one.
     """
 
-    sampled: str
-    doubtful: float
+    samples: int
+    rate: float
     judged: int
-    jumps: tuple[Jump, ...]
+    miscounted: int
+    jumps: int
     held: int
+    gaps: int
+    longest_gap: float
+    largest: str = ""
+
+    @property
+    def doubtful(self) -> float:
+        """Share of the judged steps whose stamps are off by a frame."""
+        return self.miscounted / self.judged if self.judged else 0.0
 
     @property
     def lines(self) -> tuple[str, ...]:
         """Description in words, followed by the faults."""
-        return (self.sampled, *self._faults(_SHOWN_DOUBTFUL))
+        said = (
+            f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
+            f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
+        )
+        return (said, *self._faults(_SHOWN_DOUBTFUL))
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -104,10 +95,10 @@ class ReferenceCheck:
                 f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
                 "neighbours' (frames miscounted)"
             )
-        if self.jumps:
+        if self.largest:
             said.append(
-                f"reference: {len(self.jumps)} jumps of position or attitude, the largest by "
-                f"{self.jumps[0].words}"
+                f"reference: {self.jumps} jumps of position or attitude, the largest by "
+                f"{self.largest}"
             )
         if self.held:
             said.append(
@@ -119,25 +110,30 @@ class ReferenceCheck:
 def check_reference(poses: Poses) -> ReferenceCheck:
     """Check the K samples of a reference by themselves."""
     step = np.diff(poses.t)
-    few = len(step) < 2 * _NEIGHBOURS + 1
-    rate, gaps = (0.0, 0) if few else (1.0 / np.median(step), np.sum(step > MAX_GAP))
-    sampled = (
-        f"reference: {len(poses.t)} samples, {rate:.3g} Hz; longest gap "
-        f"{1e3 * step.max(initial=0.0):.0f} ms, {gaps} over {1e3 * MAX_GAP:.0f} ms"
-    )
-    if few:
-        return ReferenceCheck(sampled, 0.0, 0, (), 0)
-    miscounted, judged = (int(one.sum()) for one in miscounts(poses))
+    if len(step) < 2 * _NEIGHBOURS + 1:
+        return ReferenceCheck(len(poses.t), 0.0, 0, 0, 0, 0, 0, float(step.max(initial=0.0)))
+    miscounted, judged = miscounts(poses)
     _, around = _speeds(poses)
     same = ~np.diff(np.column_stack([poses.p, poses.q]), axis=0).any(axis=1)
-    jumped = [_jump(poses, int(k)) for k in np.flatnonzero(jumps(poses))]
-    jumped.sort(key=lambda one: -max(one.moved / _LEAST_JUMP, one.turned / _LEAST_TURN))
-    held = int((same & (around > _SLOWEST)).sum())
-    return ReferenceCheck(sampled, miscounted / max(judged, 1), judged, tuple(jumped), held)
+    jumped = np.flatnonzero(jumps(poses))
+    return ReferenceCheck(
+        samples=len(poses.t),
+        rate=float(1.0 / np.median(step)),
+        judged=int(judged.sum()),
+        miscounted=int(miscounted.sum()),
+        jumps=len(jumped),
+        held=int((same & (around > _SLOWEST)).sum()),
+        gaps=int((step > MAX_GAP).sum()),
+        longest_gap=float(step.max()),
+        largest=max((_jump(poses, int(k)) for k in jumped), default=(0.0, ""))[1],
+    )
 
 
-def _jump(poses: Poses, step: int) -> Jump:
-    """The jump over a step, including the adjacent steps."""
+def _jump(poses: Poses, step: int) -> tuple[float, str]:
+    """Size of the jump over a step, relative to the least one, and its description.
+
+    It includes the adjacent samples, over which trackers often spread it.
+    """
     a, b = max(step - 1, 0), min(step + 2, len(poses.t) - 1)
     around = slice(max(a - _NEIGHBOURS, 0), b + _NEIGHBOURS + 1)
     t, p = poses.t[around], poses.p[around]
@@ -146,12 +142,13 @@ def _jump(poses: Poses, step: int) -> Jump:
     usual = np.median((np.diff(p, axis=0) / np.diff(t)[:, None])[beside], axis=0)
     within = float(poses.t[b] - poses.t[a])
     R = Rotation.from_quat(poses.q[[a, b]], scalar_first=True)
-    return Jump(
-        after=float(poses.t[step + 1] - poses.t[0]),
-        moved=float(np.linalg.norm(poses.p[b] - poses.p[a] - usual * within)),
-        turned=float((R[0].inv() * R[1]).magnitude()),
-        within=within,
+    moved = float(np.linalg.norm(poses.p[b] - poses.p[a] - usual * within))
+    turned = float((R[0].inv() * R[1]).magnitude())
+    words = (
+        f"{1e3 * moved:.0f} mm and {np.degrees(turned):.1f} deg within {1e3 * within:.0f} ms, "
+        f"{poses.t[step + 1] - poses.t[0]:.2f} s after the first sample"
     )
+    return max(moved / _LEAST_JUMP, turned / _LEAST_TURN), words
 
 
 def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

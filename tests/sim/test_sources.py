@@ -275,3 +275,11 @@ def test_what_surefoot_offers_is_followed_to_its_home(tmp_path):
     asking.write_text("from surefoot import trace\nfrom surefoot.extend import Calibrator\n")
     found = imported_sources("asking", str(asking))
     assert {"surefoot.scenarios.trace.run", "surefoot.models.calibration.regions"} <= set(found)
+
+
+def test_of_a_public_module_only_what_is_requested_counts(tmp_path):
+    asking = tmp_path / "asking.py"
+    asking.write_text("from surefoot.scenarios.reporting import to_csv\n")
+    found = imported_sources("asking", str(asking))
+    assert "surefoot.scenarios.reporting.tables" in found
+    assert "surefoot.scenarios.reporting.pages" not in found
