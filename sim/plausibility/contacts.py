@@ -197,7 +197,7 @@ def inverted(view: LogView) -> Iterator[Finding]:
     lifted = np.array([_lasting(view.t, contact) for contact in view.log.contact.T])
     # A contact that hardly changes has no other height.
     higher = both / np.where(power > _VARIES * len(on), power, np.inf)
-    wrong = np.flatnonzero((higher > HIGHER) & (alike > _CLEAR) & (lifted >= STRIDE))
+    wrong = np.flatnonzero((higher > HIGHER) & (alike > _CLEAR) & (lifted > STRIDE))
     if wrong.size:
         columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
         seen = f"feet are {1e3 * higher[wrong].mean():.0f} mm higher in contact than lifted"

@@ -87,7 +87,7 @@ COMMANDS = (
 )
 SLOW = ("compare", "realism", "trace")
 """Commands that simulate or draw for longer than a refusal may take: they must not end badly."""
-SAMPLE = 40
+SAMPLE = 100
 """Every so many cases are run by `make test`."""
 CASES = [(log, command) for log in LOGS for command in COMMANDS]
 
