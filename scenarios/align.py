@@ -35,11 +35,8 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     for name in _OUTPUTS:
         refuse_overwrite(out / name, settings.force)
     log, poses, about = _read(settings.file, settings.map)
-    if min(float(np.ptp(t)) if len(t) else 0.0 for t in (log.t, poses.t)) < LEAST_OVERLAP:
-        raise SurefootError(
-            f"{log.name}: too short to be aligned, IMU and reference of {LEAST_OVERLAP:g} s are "
-            "needed"
-        )
+    if len(poses.t) < 2 or min(np.ptp(log.t), np.ptp(poses.t)) < LEAST_OVERLAP:
+        raise SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, settings.most, about=about)
     with whole_folder(out, settings.force) as folder:
