@@ -239,23 +239,17 @@ class View(OutputSettings):
             hint = did_you_mean(self.file, bundled_scenarios())
             what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
             raise SurefootError(f"{self.file}: no such file or scenario; view opens {what}{hint}")
+        from surefoot.scenarios.viewer.preview import write_preview
         from surefoot.scenarios.viewer.view import view
 
-        if path.suffix == ".rrd" or (is_there(path) and path.suffix not in (".parquet", ".toml")):
-            if self.out:
-                raise SurefootError(f"-o: {self.file} is a recording already")
-            view(path, self.web)
-            return
-        from surefoot.scenarios.viewer.preview import write_preview
-
-        if self.out:
-            write_preview(self.file, self.out, self.robot, self.seed, self.force)
-            print(self.out)
-            return
         with TemporaryDirectory(prefix="surefoot_") as folder:
-            made = Path(folder) / f"{path.stem}.rrd"
-            write_preview(self.file, made, self.robot, self.seed)
-            view(made, self.web)
+            shown = path
+            if path.suffix in (".parquet", ".toml") or not is_there(path):
+                shown = self.out or Path(folder) / f"{path.stem}.rrd"
+                write_preview(self.file, shown, self.robot, self.seed, self.force)
+            elif self.out:
+                raise SurefootError(f"-o: {self.file} is a recording already")
+            print(shown) if self.out else view(shown, self.web)
 
 
 @options.command

@@ -6,7 +6,7 @@ import mujoco
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.robot.model_gate import check_compiled, check_model_file
+from surefoot.sim.robot.model_gate import POINTS, check_compiled, check_model_file
 
 BASE = '<body name="base"><freejoint/><geom size="0.1" mass="1"/>{}</body>'
 ATTACHED = (
@@ -90,14 +90,14 @@ def test_flexible_bodies_are_bounded(tmp_path, inside):
 @pytest.mark.parametrize(
     ("name", "content", "refused"),
     [
-        ("m.obj", b"v 0.1 0.2 0.3\n" * 150_001, True),
-        ("m.OBJ", b"v\t1\t2\t3\n" * 150_001, True),
-        ("obj.stl", b"v 0.1 0.2 0.3\n" * 150_001, True),
-        ("m.msh", struct.pack("<4i", 150_001, 0, 0, 0) + bytes(12 * 150_001), True),
+        ("m.obj", b"v 0.1 0.2 0.3\n" * (POINTS + 1), True),
+        ("m.OBJ", b"v\t1\t2\t3\n" * (POINTS + 1), True),
+        ("obj.stl", b"v 0.1 0.2 0.3\n" * (POINTS + 1), True),
+        ("m.msh", struct.pack("<4i", POINTS + 1, 0, 0, 0) + bytes(12 * (POINTS + 1)), True),
         ("m.stl", bytes(80) + struct.pack("<I", 200_000) + bytes(50 * 200_000), False),
         ("text.stl", b"vertex 0.1 0.2 0.3\n" * 200_000, False),
         ("n.obj", b"v 0.1 0.2 0.3\nvn 0 0 1\nvt 0 1\n" * 100_000, False),
-        ("n.msh", struct.pack("<4i", 100_000, 0, 0, 0) + bytes(12 * 100_000), False),
+        ("n.msh", struct.pack("<4i", POINTS, 0, 0, 0) + bytes(12 * POINTS), False),
     ],
 )
 def test_the_points_of_a_mesh_are_counted(tmp_path, name, content, refused):
