@@ -683,11 +683,9 @@ def test_one_cause_has_one_finding_and_what_it_says_to_paste_repairs(log, name):
     assert found_in(pasted(changed, found.changes)) == []
 
 
-@pytest.mark.parametrize("lacks", ["tau_", "x_"])
-@pytest.mark.parametrize("leg", ["FL", "RR"])
+@pytest.mark.parametrize(("leg", "lacks"), [("FL", "x_"), ("RR", "tau_")])
 def test_a_hip_of_the_opposite_sign_shows_when_a_robot_walks_straight_ahead(ahead, leg, lacks):
     """It moves about 0 rad, so that standing feet hardly move."""
-    assert found_in(without(ahead, lacks)) == []
     changed = times(-1.0, "q_", "dq_", "tau_", ends=f"{leg}_hip")(ahead)
     (found,) = check_log(without(changed, lacks), SPOT)
     assert found.changes == {"robot": {"joint_sign": {f"{leg}_hip": -1.0}}}
