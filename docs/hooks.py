@@ -142,7 +142,9 @@ their logs before they use them, and warn of numbers that cannot be, or hardly. 
 there. An imported log, a trajectory, an observer, bounds and the reports keep what was warned of.
 In Python,
 `surefoot.sim.plausibility.check_log` gives the same: columns, evidence, likely cause and, where
-there is one, the line of the import map that mends it."""
+they are known, the changes of the import map that correct it. These are relative to the map: a
+sign, gain, offset or rotation comes on top of its own. `import`, which has the map, prints whole
+lines to put in place of its own, with all changes made."""
     order = str(rules.__doc__).partition("\n\n")[2].strip()
     parts = ["# What is plausible", intro, order, to_markdown(rules_table(), markup=True)]
     return "\n\n".join(parts) + "\n"

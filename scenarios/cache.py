@@ -1,9 +1,12 @@
-"""Cache of products of experiments, valid as long as all that determines them is unchanged.
+"""Results of long computations that are kept on disk, valid as long as all that determines them is
+unchanged.
 
-A product is a file named by a key, a hash of all that determines it.
+The row of a case is a JSON file under the case's name that contains what determines it, so that a
+folder of rows is readable. A product is a file named by a key, a hash of all that determines it;
+its digest and facts are the row of that key.
 
-A key hashes the inputs of a product and the source of the code that makes it. An input that is
-itself a product enters by its contents, not by its key: changed code that reproduces the same bits
+What determines them are inputs and the source of the code that makes them. An input that is itself
+a product enters by its contents, not by its key: changed code that reproduces the same bits
 invalidates nothing downstream.
 """
 
@@ -38,6 +41,42 @@ class Product:
     facts: dict[str, Any]
 
 
+def finished_case(
+    folder: Path,
+    name: str,
+    inputs: Mapping[str, Any],
+    module: str,
+    make: Callable[[], Mapping[str, Any]],
+) -> dict[str, Any]:
+    """Return the row of a case, from disk if the same code finished it, else newly made.
+
+    Args:
+        folder: of the study's rows; committed ones are in docs/data/STUDY.
+        name: of the case, and of its file.
+        inputs: all that determines the case besides the code, as JSON.
+        module: dotted name of the module that runs it; it and all its imports count.
+        make: runs the case and returns its row, as JSON.
+    """
+    row = read_case(folder, name, inputs, module)
+    if row is None:
+        row = dict(make())
+        _write_case(folder, name, inputs, module, row)
+    return json.loads(json.dumps(row, default=float))
+
+
+def read_case(
+    folder: Path, name: str, inputs: Mapping[str, Any], module: str
+) -> dict[str, Any] | None:
+    """The row of a case finished by the same code; None where there is none, or a damaged one."""
+    values = kept_json(folder / f"{name}.json")
+    current = sources_digest(module), json.loads(json.dumps(inputs, default=float))
+    if values is None or (values.get("code"), values.get("inputs")) != current:
+        return None
+    row = values.get("row")
+    intact = values.get("sha256") == json_digest(row)
+    return row if intact else say_made_again(folder / f"{name}.json")
+
+
 def product(
     folder: Path,
     kind: str,
@@ -54,25 +93,19 @@ def product(
         inputs: all that determines it, as JSON; for another product, its digest.
         code: the module that makes it, such as "surefoot.sim.walking.batch"; it and all its imports
             count.
-        suffix: of the file.
+        suffix: of the file; not ".json", which is that of its row.
         make: writes the file at the given path and returns the facts.
     """
-    key = product_key(kind, inputs, code)
     private_folder(folder)
+    key = product_key(kind, inputs, code)
     path = folder / kind / f"{key}{suffix}"
-    card = path.with_name(f"{key}.json") if suffix != ".json" else path.with_suffix(".card")
-    found = _read(card, path)
-    if found:
-        return found
-    with kept_file(path) as temporary:
-        facts = make(temporary)
-        digest = file_digest(temporary)
-    # The card is written last: a file without one is incomplete and is made again.
-    with kept_file(card) as temporary:
-        values = {"inputs": dict(inputs), "digest": digest, "facts": facts}
-        values["card"] = json_digest(values)
-        temporary.write_text(json.dumps(values, indent=1), encoding="utf-8")
-    return Product(path, digest, facts)
+    row = read_case(path.parent, key, inputs, code)
+    if row is None or not as_made(path, row["digest"]):
+        with kept_file(path) as temporary:
+            row = {"facts": make(temporary), "digest": file_digest(temporary)}
+        # The row is written last: a file without one is incomplete and is made again.
+        _write_case(path.parent, key, inputs, code, row)
+    return Product(path, row["digest"], row["facts"])
 
 
 def product_key(kind: str, inputs: Mapping[str, Any], code: str) -> str:
@@ -87,12 +120,10 @@ def contents_digest(log: Log) -> str:
     return hashlib.sha256(about.encode() + rows.tobytes()).hexdigest()
 
 
-def _read(card: Path, path: Path) -> Product | None:
-    """The product of a card; None where either is missing or damaged."""
-    values = kept_json(card)
-    if values is None:
-        return None
-    if values.pop("card", None) != json_digest(values):
-        return say_made_again(card)
-    whole = as_made(path, values["digest"])
-    return Product(path, values["digest"], values["facts"]) if whole else None
+def _write_case(
+    folder: Path, name: str, inputs: Mapping[str, Any], module: str, row: Mapping[str, Any]
+) -> None:
+    values = {"code": sources_digest(module), "inputs": inputs, "row": row}
+    values["sha256"] = json_digest(row)
+    with kept_file(folder / f"{name}.json") as temporary:
+        temporary.write_text(json.dumps(values, indent=1, default=float), encoding="utf-8")

@@ -1,17 +1,17 @@
 """Work in stages, each distributed over processes of this machine and shown by a bar."""
 
 import multiprocessing
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from os import _exit
 from threading import Thread
 from typing import Any
 
 from surefoot.sim.common.files import remove_unfinished
-from surefoot.sim.common.plugins import naming_plugins
+from surefoot.sim.common.plugins import exits_raised, naming_plugins
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.terminal import printing_plainly
 
@@ -62,7 +62,7 @@ def submitted(pool: ProcessPoolExecutor, task: tuple) -> Future:
 
 def _run(work: Callable[..., Any], *arguments: Any) -> Any:
     """In a worker: run a task, whose errors reach the other process without their places."""
-    with printing_plainly(), naming_plugins():
+    with printing_plainly(), naming_plugins(), exits_raised():
         return work(*arguments)
 
 
@@ -74,7 +74,7 @@ def _end_with_parent() -> None:
         if parent is not None:
             parent.join()
             remove_unfinished()
-            os._exit(1)
+            _exit(1)
 
     Thread(target=wait, daemon=True).start()
 

@@ -23,12 +23,12 @@ import numpy as np
 
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import Metrics, evaluate
+from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.estimate.contract import Learnt, Parameters
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
 from surefoot.scenarios.estimate.run import declared_model, estimated
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import Tuned, read_tuned, tuned, tuned_file
-from surefoot.scenarios.reporting.rows import finished_case
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.stages import processes, stage

@@ -15,19 +15,25 @@ import pandas as pd
 
 from studies.command import OutputFolder, run_study
 from surefoot import Log, Robot, SimulateSettings, TrainSettings, simulate, train
-from surefoot.extend import SurefootError, declared_model, prediction_errors
-from surefoot.models.observer.decimate import RATE
-from surefoot.models.registry import ARCHITECTURES
-from surefoot.scenarios.cache import contents_digest
-from surefoot.scenarios.reporting.html import Section
-from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
-from surefoot.scenarios.reporting.rows import finished_case
-from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.files import bundled
-from surefoot.sim.common.progress import bar as drawn_bar
-from surefoot.sim.common.sources import code_digest
+from surefoot.extend import (
+    ARCHITECTURES,
+    OBSERVER_RATE,
+    SurefootError,
+    declared_model,
+    prediction_errors,
+)
+from surefoot.scenarios.reporting import (
+    Section,
+    code_digest,
+    contents_digest,
+    finished_case,
+    origin_of,
+    progress_bar,
+    to_markdown,
+    write_page,
+    write_results,
+)
 
-COURSES = bundled("surefoot.scenarios", "courses")
 _MODULE = "studies.observers"
 _TITLE = "Observers compared"
 PROSE = (
@@ -39,7 +45,7 @@ DIRECTIONS = ("forward", "lateral", "vertical", "all")
 
 @dataclass(frozen=True)
 class SuiteWalks:
-    """Scenario files below this folder: one for training, and those for tests."""
+    """Bundled scenarios of this folder: one for training, and those for tests."""
 
     folder: str
     train: str
@@ -87,7 +93,7 @@ def observer_study(options: ObserverStudy) -> pd.DataFrame:
         for model in ARCHITECTURES
     ]
     rows = []
-    for suite, read, model, seed in drawn_bar(tasks, desc="architectures", unit="training"):
+    for suite, read, model, seed in progress_bar(tasks, desc="architectures", unit="training"):
         inputs = {"suite": suite, "inputs": read, "model": model, "seed": seed}
         inputs |= {"loss": options.loss, "steps": options.steps}
         row = finished_case(
@@ -129,8 +135,8 @@ def mean_and_spread(rows: pd.DataFrame) -> pd.DataFrame:
 def _logs(suite: SuiteWalks, out: Path) -> dict[str, Log]:
     """The suite's logs with declared effects compensated; simulated if they do not exist yet."""
     names = (suite.train, *suite.tests)
-    files = [COURSES / suite.folder / f"{name}.toml" for name in names]
-    rows = simulate(SimulateSettings(tuple(files), out / "logs"))
+    courses = tuple(f"{suite.folder}/{name}" for name in names)
+    rows = simulate(SimulateSettings(courses, out / "logs"))
     for row in rows:
         if row.falls:
             raise SurefootError(f"{row.scenario}: the robot fell at {row.fell_at:.1f} s")
@@ -185,7 +191,7 @@ def _sees(model: str) -> str:
         return "past and future"
     if architecture.receptive_field is None:
         return "all the past"
-    return f"{(architecture.receptive_field - 1) / RATE:.2f} s"
+    return f"{(architecture.receptive_field - 1) / OBSERVER_RATE:.2f} s"
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from surefoot.estimator.leg import LegFilter
     from surefoot.estimator.metrics import align_first, nees
     from surefoot.estimator.updates.bias_states import PersistentError
+    from surefoot.models.bootstrap import block_bootstrap_counts
+    from surefoot.models.calibration.bias_model import BOUNDED_MEAN, estimate_bias_model
     from surefoot.models.calibration.conformal import (
         BoundsError,
         conformal_quantile,
@@ -23,9 +25,11 @@ if TYPE_CHECKING:
         level_per_axis,
     )
     from surefoot.models.calibration.regions import Calibrator, Conformal, Region, mahalanobis
+    from surefoot.models.observer.decimate import RATE as OBSERVER_RATE
     from surefoot.models.observer.network import Architecture
     from surefoot.models.observer.predict import prediction_errors
-    from surefoot.models.residuals.binning import BIN, bin_mean
+    from surefoot.models.registry import ARCHITECTURES
+    from surefoot.models.residuals.binning import BIN, ReferenceMotion, bin_mean
     from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
     from surefoot.scenarios.estimate.contract import (
         Beginning,
@@ -44,9 +48,12 @@ if TYPE_CHECKING:
     from surefoot.scenarios.estimate.run import declared_model, estimated
     from surefoot.sim.common.copies import copy_corner, copy_row
     from surefoot.sim.common.errors import SurefootError, did_you_mean
-    from surefoot.sim.common.gravity import GRAVITY
+    from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
     from surefoot.sim.common.kernels import kernel
+    from surefoot.sim.common.limits import check_limit
     from surefoot.sim.common.quaternion import quaternion_from_matrix
+    from surefoot.sim.common.series import white_noise
+    from surefoot.sim.common.toml import Count, Level, NonNegative, Positive, read_toml, read_typed
     from surefoot.sim.effects import compensate_all, effect, known_effects
     from surefoot.sim.effects.base import Effect, with_columns
     from surefoot.sim.effects.body import FootRolling
@@ -54,11 +61,17 @@ if TYPE_CHECKING:
     from surefoot.sim.gait.patterns import Pattern
     from surefoot.sim.ground.terrain import Ground, HeightField, Patch, Strip
     from surefoot.sim.log import Log, joint_velocity, reference_velocity
+    from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+    from surefoot.sim.physics.leg_loads import STICTION_RATE
     from surefoot.sim.robot import Robot
     from surefoot.sim.robot.catalog import known_robots, robot_file
+    from surefoot.sim.robot.inertia import LinkChange
     from surefoot.sim.robot.legs import JOINTS
     from surefoot.sim.robot.limbs import Limbs
+    from surefoot.sim.robot.machine import Modelled
     from surefoot.sim.scenario import Ranges, Scenario, Segment
+    from surefoot.sim.scenario_catalog import bundled_scenarios
+    from surefoot.sim.sensors.stances import stance_phase
     from surefoot.sim.sensors.streams import Motion, Sensors, Streams
     from surefoot.sim.walking.dm_environment import WalkingEnvironment
 

@@ -9,7 +9,7 @@ from typing import Any
 
 def lazy_names(module: dict[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """`__getattr__` and `__dir__` of a module for the names that it imports for type checkers, in
-    an `if TYPE_CHECKING:` at its top level.
+    an `if TYPE_CHECKING:` at its top level; they are its `__all__` too.
 
     Args:
         module: its globals.
@@ -30,6 +30,8 @@ def lazy_names(module: dict[str, Any]) -> tuple[Callable[[str], Any], Callable[[
         }
 
     def getattribute(name: str) -> Any:
+        if name == "__all__":  # of `from ... import *`
+            return sorted(homes())
         # Python itself asks for names such as __path__.
         if name.startswith("__") or name not in homes():
             raise AttributeError(f"module {name_of_module!r} has no attribute {name!r}")

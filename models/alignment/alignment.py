@@ -250,8 +250,8 @@ def _faults(
     for axis, s, d in zip("xyz", sign, shift, strict=True):
         if s < 0 or d:
             found.append(
-                f"accel_{axis} is no specific force; in the map: "
-                f"accel_{axis} = {{ ..., sign = {s:.0f}, offset = {d:.2f} }}"
+                f"accel_{axis} is no specific force; in the map, on top of its own: "
+                f"sign = {s:.0f}, offset = {d:.2f} in the entry of accel_{axis}"
             )
     return tuple(found)
 

@@ -17,6 +17,10 @@ from surefoot.sim.log import Log
 
 LACKING = ": not used, the log lacks "
 """Text of a note between a channel and the columns that it lacks."""
+_TURNS = 0.02
+"""Deviation of a gyro from which a body does not rest [rad/s]."""
+_CONSTANT = 1e-6
+"""Range of a reference that does not move [m, or of a quaternion]: motion capture has 1e-4."""
 OF_FEET = ("imu", "contact", "reference")
 """Groups of columns, beside the feet, that a trace by feet alone reads."""
 
@@ -90,6 +94,20 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
         return (
             f"too little reference: {fit} to fit on, {select} to choose on, {report} to report on"
         )
+    return next((why for case in cases if not case.fixed and (why := _frozen(case.log))), "")
+
+
+def _frozen(log: Log) -> str:
+    """Say which part of a log's reference never changes although the body turns; "" if none."""
+    turns = float(log.gyro.std(axis=0).max()) if log.has("imu") else 0.0
+    if turns < _TURNS or not log.has("reference"):
+        return ""
+    for name, values in {"ref_p": log.ref_p, "ref_q": log.ref_q}.items():
+        if np.ptp(values[log.ref_ok], axis=0).max() < _CONSTANT:
+            return (
+                f"{name} never changes while the gyro does, by {turns:.2g} rad/s "
+                "(standard deviation): no reference was measured; leave the columns ref_ out"
+            )
     return ""
 
 
@@ -172,13 +190,9 @@ def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> 
         f"channels not used, {needing}: {', '.join(of_joints)}",
         f"effects not tried, {needing}: {', '.join(effects)}",
     ]
-    if any(map(_has_forces, cases)):
+    if any(case.log.has("force") or case.log.has("force_xyz") for case in cases):
         notes.append("forces of the feet: not used, their sum needs the robot's mass")
     return notes
-
-
-def _has_forces(case: LogUnderModel) -> bool:
-    return case.log.has("force") or case.log.has("force_xyz")
 
 
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:

@@ -32,6 +32,7 @@ from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import (
     ResidualTable,
+    filled,
     motion_under_model,
     residual,
     with_ground,
@@ -390,15 +391,10 @@ class _Linear:
         self, change: np.ndarray, log: Log, robot: Machine, step: float
     ) -> None:
         """Add to `change` (M, W), by differences, the channels without a chain rule."""
-        layout, table = self.parts.layout, self.parts.table
         inputs = ResidualInputs(log, robot, self.motion)
-        for name, columns in layout.channels.items():
-            if not channels()[name].has_chain_rule and channels()[name].is_defined_for(
-                log, self.motion
-            ):
-                values = channels()[name].residual(inputs)
-                if values is not None:
-                    change[:, columns] += np.nan_to_num(values - table[:, columns]) / step
+        names = [name for name, channel in channels().items() if not channel.has_chain_rule]
+        after = filled(self.parts.layout, inputs, names)
+        change += np.nan_to_num(after - self.parts.table) / step
 
     def _derivative_at_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])

@@ -61,6 +61,22 @@ class Bounds:
     persistent: BiasModel | None = None
     warnings: tuple[str, ...] = ()
 
+    def __post_init__(self):
+        """Raises ValueError where a value is no number of its kind."""
+        if np.shape(self.epsilon) != (3,) or not np.all(np.greater(self.epsilon, 0)):
+            raise ValueError("epsilon is not three positive numbers")
+        if not np.all(np.isfinite(self.epsilon)):
+            raise ValueError("epsilon is not finite")
+        check_rotation(self.R_BI)
+        if not (0 < self.gamma < 1 and 0 < self.level_per_axis < 1):
+            raise ValueError("gamma and level_per_axis must lie between 0 and 1")
+        if not all(isinstance(count, int) and count > 0 for count in (self.K, self.n)):
+            raise ValueError("K and n must be whole and positive")
+        if self.confidence is not None and not 0 < self.confidence < 1:
+            raise ValueError("confidence must lie between 0 and 1")
+        if not isinstance(self.observer, str):
+            raise ValueError("observer is not a hash")
+
     def epsilon_at(self, R_BI: np.ndarray) -> np.ndarray:
         """Bounds (3,) for a rotated IMU: the smallest box along its axes that contains ours.
 
@@ -121,18 +137,4 @@ def _checked(values: dict[str, Any]) -> Bounds:
     part = None if part is None else BiasModel.from_plain(part)
     warnings = tuple(map(str, values.get("warnings", ())))
     values = values | arrays | {"mixing": curve, "persistent": part, "warnings": warnings}
-    bounds = Bounds(**values)
-    if bounds.epsilon.shape != (3,) or not np.all(bounds.epsilon > 0):
-        raise ValueError("epsilon is not three positive numbers")
-    if not np.all(np.isfinite(bounds.epsilon)):
-        raise ValueError("epsilon is not finite")
-    check_rotation(bounds.R_BI)
-    if not (0 < bounds.gamma < 1 and 0 < bounds.level_per_axis < 1):
-        raise ValueError("gamma and level_per_axis must lie between 0 and 1")
-    if not all(isinstance(count, int) and count > 0 for count in (bounds.K, bounds.n)):
-        raise ValueError("K and n must be whole and positive")
-    if bounds.confidence is not None and not 0 < bounds.confidence < 1:
-        raise ValueError("confidence must lie between 0 and 1")
-    if not isinstance(bounds.observer, str):
-        raise ValueError("observer is not a hash")
-    return bounds
+    return Bounds(**values)

@@ -19,6 +19,7 @@ from surefoot.models.calibration.conformal import (
     level_per_axis,
 )
 from surefoot.models.registry import CALIBRATORS
+from surefoot.sim.common.errors import unknown
 
 CONFIDENCE = 0.95
 """Confidence of `scenario` bounds, over possible calibrations."""
@@ -163,5 +164,5 @@ def mahalanobis(errors: np.ndarray, shape: np.ndarray) -> np.ndarray:
 def calibrator(method: str, gamma: float, confidence: float = CONFIDENCE) -> Calibrator:
     """The method of that name. Raises BoundsError where there is none, or gamma is out of range."""
     if method not in CALIBRATORS:
-        raise BoundsError(f"method {method}: choose {' | '.join(CALIBRATORS)}")
+        raise BoundsError(unknown("method", method, CALIBRATORS))
     return CALIBRATORS[method](gamma, confidence)

@@ -13,6 +13,8 @@ imports pandas; a --help that prints this length need not wait for it.
 
 def errors_needed(how: Calibrator) -> int:
     """Least number of independent errors for a method, including those for `fit`."""
+    if not 0.0 <= how.fit_share < 1.0:
+        raise ValueError(f"fit_share must be from 0 to below 1, is {how.fit_share}")
     least = how.samples_needed()
     return next(m for m in count(least) if m - int(how.fit_share * m) >= least)
 

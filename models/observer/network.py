@@ -94,7 +94,7 @@ class Network(torch.nn.Module):
             self.odometry.initialise()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        features = self.body(x)
+        features = self.body(x.clone())  # an architecture may write to its input
         outputs = self.head(features)
         if self.odometry is None:
             return outputs

@@ -28,7 +28,7 @@ from surefoot.models.observer.odometry import (
     contact_points,
 )
 from surefoot.models.registry import ARCHITECTURES, LOSSES
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.limits import admitted
 from surefoot.sim.common.quaternion import check_rotation
@@ -212,8 +212,7 @@ def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
     """Input groups as a tuple, from "q,dq,tau" too. Raises ObserverError for other subsets."""
     names = tuple(inputs.replace(" ", "").split(",")) if isinstance(inputs, str) else tuple(inputs)
     if names not in INPUTS:
-        choices = " | ".join(",".join(choice) for choice in INPUTS)
-        raise ObserverError(f"inputs {','.join(names)}: choose {choices}")
+        raise ObserverError(unknown("inputs", ",".join(names), map(",".join, INPUTS)))
     return names
 
 
@@ -248,7 +247,7 @@ def check_model(model: str) -> str:
 
 def _known(what: str, name: str, names: Collection[str]) -> str:
     if name not in names:
-        raise ObserverError(f"{what} {name}: choose {' | '.join(names)}")
+        raise ObserverError(unknown(what, name, names))
     return name
 
 

@@ -58,7 +58,7 @@ def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np
         if name in names and channels()[name].is_defined_for(inputs.log, inputs.motion):
             values = channels()[name].residual(inputs)
             if values is not None:
-                table[:, columns] = values
+                np.copyto(table[:, columns], values, casting="same_kind")  # no complex numbers
     return table
 
 

@@ -94,22 +94,22 @@ class Import(CheckedSettings, OutputSettings):
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
         findings = findings_of(log)
-        advice = [(one.streams, one.map_line) for one in findings]
-        lines = advised_lines(advice, recording.rules, recording.name)
-        if not self.strict:
-            findings = tuple(
-                replace(one, map_line="") if advised_lines([of], recording.rules, log.name) else one
-                for one, of in zip(findings, advice, strict=True)
-            )
-        warnings = warned({log.name: findings}, self.strict).get(log.name, ())
+        lines, follow = advised_lines([one.changes for one in findings], recording.rules, log.name)
+        findings = tuple(
+            replace(one, changes={}) if followed else one
+            for one, followed in zip(findings, follow, strict=True)
+        )
+        try:
+            warnings = warned({log.name: findings}, self.strict).get(log.name, ())
+        finally:
+            if lines:
+                print("for the import map, in place of its own, what these advise:")
+                print("\n".join((*lines, "")))
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
         for line in import_lines(log, *recording.reference(), notes=recording.notes):
             print(line)
-        if lines:
-            print("\nfor the import map, in place of its own, what the warnings advise:")
-            print("\n".join(lines))
 
     def _draft(self, files: tuple[str, ...]) -> None:
         from surefoot.sim.common.files import write_whole
@@ -239,23 +239,17 @@ class View(OutputSettings):
             hint = did_you_mean(self.file, bundled_scenarios())
             what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
             raise SurefootError(f"{self.file}: no such file or scenario; view opens {what}{hint}")
+        from surefoot.scenarios.viewer.preview import write_preview
         from surefoot.scenarios.viewer.view import view
 
-        if path.suffix == ".rrd" or (is_there(path) and path.suffix not in (".parquet", ".toml")):
-            if self.out:
-                raise SurefootError(f"-o: {self.file} is a recording already")
-            view(path, self.web)
-            return
-        from surefoot.scenarios.viewer.preview import write_preview
-
-        if self.out:
-            write_preview(self.file, self.out, self.robot, self.seed, self.force)
-            print(self.out)
-            return
         with TemporaryDirectory(prefix="surefoot_") as folder:
-            made = Path(folder) / f"{path.stem}.rrd"
-            write_preview(self.file, made, self.robot, self.seed)
-            view(made, self.web)
+            shown = path
+            if path.suffix in (".parquet", ".toml") or not is_there(path):
+                shown = self.out or Path(folder) / f"{path.stem}.rrd"
+                write_preview(self.file, shown, self.robot, self.seed, self.force)
+            elif self.out:
+                raise SurefootError(f"-o: {self.file} is a recording already")
+            print(shown) if self.out else view(shown, self.web)
 
 
 @options.command

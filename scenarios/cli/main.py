@@ -17,7 +17,7 @@ import surefoot
 from surefoot.scenarios.cli import data, estimate, study
 from surefoot.scenarios.cli.runs import guarded
 from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.plugins import naming_plugins, with_plugins
+from surefoot.sim.common.plugins import exits_raised, naming_plugins, with_plugins
 from surefoot.sim.common.terminal import one_line, plain_terminals, printing_plainly
 
 COMMANDS: dict[str, type] = {
@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         given = sys.argv[1:] if arguments is None else arguments
         name, command = _parsed(with_plugins(given))
-        with printing_plainly(), naming_plugins(), guarded(name, command):
+        with printing_plainly(), naming_plugins(), exits_raised(), guarded(name, command):
             command.run()
         sys.stdout.flush()
     except SurefootError as error:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
+from surefoot.scenarios.estimate.estimators import check_filter
 from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.log_file import check_first_bytes
@@ -51,11 +51,6 @@ def file_there(path: str | Path) -> None:
         raise SurefootError(f"{path}: no such file")
 
 
-def _known_filter(name: str) -> None:
-    if name not in ESTIMATORS:
-        estimator_named(name)
-
-
 def _known_effect(name: str) -> None:
     known = (*EFFECT_NAMES, *plugins("surefoot.effects"))
     if name not in known:
@@ -71,7 +66,7 @@ _NEEDED = {
 _LOGS = {"log", "logs", "holdout", "on"}
 """Options that are logs."""
 _LOOKED_UP = {
-    "filter": _known_filter,
+    "filter": check_filter,
     "robot": machine_file,
     "walker": robot_file,
     "scenarios": scenario_file,

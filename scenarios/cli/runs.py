@@ -104,7 +104,8 @@ def _alone(out: Path) -> Iterator[None]:
             stack.enter_context(folder_of(out))
             check_space(out.parent, SPACE)
             clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
-            stack.enter_context(_locked(out.with_name(f".{out.name}.lock"), out))
+            if fcntl:
+                stack.enter_context(_locked(out.with_name(f".{out.name}.lock"), out))
         except OSError as error:
             raise SurefootError(f"-o {str(out)[:120]}: {error.strerror or error}") from error
         yield
@@ -112,9 +113,7 @@ def _alone(out: Path) -> Iterator[None]:
 
 @contextmanager
 def _locked(lock: Path, out: Path) -> Iterator[None]:
-    if fcntl is None:
-        yield
-        return
+    assert fcntl
     while True:
         stream = os.fdopen(open_plain(lock), "ab")
         try:

@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from os import _exit
 from types import FrameType
 
 from surefoot.sim.common.files import remove_unfinished
@@ -51,4 +52,4 @@ def _end(number: int, _frame: FrameType | None) -> None:
         line = f"{chr(10) * os.isatty(2)}surefoot: {one_line(_line())}\n"
         os.write(2, line.encode(errors="replace"))
     remove_unfinished()
-    os._exit(128 + number)
+    _exit(128 + number)

@@ -41,8 +41,7 @@ def entry_point() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         try:
-            _check_numbers()
-            _check_backends()
+            _check_environment()
             arguments = with_plugins(sys.argv[1:])
             # Imported after the plug-ins, since importing the commands fixes the choices of
             # options.
@@ -54,20 +53,17 @@ def entry_point() -> None:
         ignore_signals()
 
 
-def _check_numbers() -> None:
-    """Raise SurefootError for an invalid number in the environment; an empty one is unset."""
+def _check_environment() -> None:
+    """Raise SurefootError for an invalid number in the environment, or for a backend that its
+    library does not know; the library is imported only where the user has chosen one. An empty
+    number is unset.
+    """
     for name, (pattern, what) in NUMBERS.items():
         text = os.environ.get(name, "").strip()
         if not text:
             os.environ.pop(name, None)
         elif not re.fullmatch(pattern, text):
             raise SurefootError(f"{name} must be {what}, is '{text}'")
-
-
-def _check_backends() -> None:
-    """Raise SurefootError for a backend that its library does not know; the library is imported
-    only where the user has chosen one.
-    """
     for name, library in BACKENDS.items():
         text = os.environ.get(name)
         if not text or text == "disable":

@@ -105,27 +105,19 @@ class Learnt:
     def gaussian(self) -> Observer:
         """The observer that predicts a covariance. Raises SurefootError naming the option."""
         found = [o for o in self.observers if o.loss == "gml"]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise SurefootError("observer: two observers were trained with gml; give one")
-        if self.observers:
-            raise SurefootError("observer: this one was trained with mse; train one with loss gml")
-        raise SurefootError("needs observer, one trained with loss gml")
+        if len(found) != 1:
+            raise SurefootError(f"needs observer: one trained with loss gml, not {len(found)}")
+        return found[0]
 
     def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
         """The observer and its bounds; of two, the `mse` one unless `loss` selects another."""
-        if not self.observers:
+        if not (self.observers and self.bounds):
             raise SurefootError("needs observer and bounds")
-        if not self.bounds:
-            raise SurefootError("needs bounds: calibrate the observer")
-        pairs = [(o, b) for o in self.observers for b in self.bounds if b.observer == o.hash]
+        wanted = [one for one in self.observers if loss in (None, one.loss)]
+        pairs = [(o, b) for o in wanted for b in self.bounds if b.observer == o.hash]
         if not pairs:
-            raise SurefootError("bounds belong to another observer; calibrate this one")
-        wanted = [pair for pair in pairs if loss is None or pair[0].loss == loss]
-        if not wanted:
-            raise SurefootError(f"needs bounds of an observer trained with loss {loss}")
-        return min(wanted, key=lambda pair: pair[0].loss != "mse")
+            raise SurefootError(f"needs bounds of its observer, loss {loss or 'any'}: calibrate")
+        return min(pairs, key=lambda pair: pair[0].loss != "mse")
 
 
 @dataclass(frozen=True)
@@ -262,6 +254,8 @@ LARGEST_READINGS = {
     "foot_I": MOST_REACH,
 }
 """Field of a sample -> its largest magnitude."""
+GROUPS_OF_FIELDS = {"q": "q", "dq": "dq", "tau": "tau", "contact": "contact", "foot": "foot_I"}
+"""Group of a log's columns -> field of a sample, of what may be missing."""
 IMU_SHAPES: Mapping[str, tuple[int, ...]] = {"gyro": (3,), "accel": (3,)}
 LATEST_STAMP = 1e10
 """Largest magnitude of a stamp [s], after year 2200 of any epoch; float64 resolves it to 2 us."""
@@ -326,8 +320,7 @@ def _readings(what: str, value: object, shape: tuple[int, ...] | None, most: flo
 def samples(log: Log) -> Iterator[Sample]:
     """The rows of a log one by one, with the groups that it has."""
     t, gyro, accel = log.t, log.gyro, log.accel
-    groups = {"q": "q", "dq": "dq", "tau": "tau", "contact": "contact", "foot": "foot_I"}
-    others = [getattr(log, name) if log.has(group) else None for group, name in groups.items()]
+    others = [getattr(log, f) if log.has(g) else None for g, f in GROUPS_OF_FIELDS.items()]
     names = [name for name in log.frame.columns if str(name).startswith("x_")]
     extra = log.frame.loc[:, names].to_dict(orient="records") if names else None
     for k in range(len(log.frame)):

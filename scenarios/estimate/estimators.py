@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.common.sources import code_digest
 
@@ -35,17 +35,18 @@ ESTIMATORS = Registry(
 """Name -> class."""
 
 
-def estimator_named(name: str) -> Estimator:
-    """The estimator of that name. Raises SurefootError naming the known ones."""
+def check_filter(name: str) -> None:
+    """Raise SurefootError, naming the known estimators, for another name."""
     if name not in ESTIMATORS:
-        hint = did_you_mean(name, ESTIMATORS)
-        raise SurefootError(f"filter {name}: unknown; choose {' | '.join(ESTIMATORS)}{hint}")
+        raise SurefootError(unknown("filter", name, ESTIMATORS))
+
+
+def estimator_named(name: str) -> Estimator:
+    """The estimator of that name. Raises SurefootError like `check_filter`."""
+    check_filter(name)
     kind = ESTIMATORS[name]
     with ESTIMATORS.running(name):
-        found = kind()
-    if found.name != name:
-        raise SurefootError(f"filter {name}: its class calls itself {found.name}")
-    return found
+        return kind()
 
 
 @dataclass(frozen=True)

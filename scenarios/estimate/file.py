@@ -1,5 +1,6 @@
 """Estimate the file of a log, piece by piece: a short log is one piece."""
 
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -30,6 +31,7 @@ from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import refuse_overwrite, whole_file
+from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log, LogReader
 
 LONG = 1800.0
@@ -53,8 +55,9 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
 
     Returns its metrics, None where it has no reference or the filter diverged, and its health. A
     log longer than LONG is processed in pieces, using the memory of one, unless it declares
-    effects, whose compensation needs the whole log. What is implausible in its start is printed to
-    stderr. Raises SurefootError saying what is missing or wrong.
+    effects, whose compensation needs the whole log. What is implausible in its start, and that it
+    starts in motion where the filter assumes rest, is printed to stderr. Raises SurefootError
+    saying what is missing or wrong.
     """
     reader = LogReader(settings.log)
     if settings.out:
@@ -74,6 +77,9 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
     first, robot = declared_model(first, robot_of(first, settings.robot))
+    starts_at_rest = not first.has("reference") and chosen.state.v_GI is None
+    if starts_at_rest and chosen.start.velocity is None and (moves := start_line(first, robot)):
+        print(f"note: {first.name}: {moves}", file=sys.stderr)
     judge = _Judge(None if whole else reader)
     parts: list[RunSummary] = []
     waiting: deque[Log] = deque()  # pieces that were read but not estimated

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from surefoot.estimator.core.checks import DivergedError
+from surefoot.estimator.core.checks import DivergedError, numbers
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.evaluation.health import Health, health
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
@@ -221,17 +221,19 @@ def estimated_in_chunks(
         while log is not None:
             estimator.needs.check(log, robot)
             more = following is not None
+            t = log.t
             log = _prepared(estimator, log, robot, more or stream is not None)
             if stream is None:
                 stream = begin(estimator, log, robot, learnt, settings)
                 stride = output_stride(log.t)
-            rows = np.arange(-seen % stride, len(log.t), stride)
+            rows = np.arange(-seen % stride, len(t), stride)
             run: Any = getattr(stream, "run", None)
             part = stepped(stream, log, rows) if run is None else run(log, rows, more)
+            _check_part(part, t[rows])
             yield with_mounting(part, mounting)
             if part.diverged:
                 return
-            seen += len(log.t)
+            seen += len(t)
             log, following = following, next(remaining, None)
 
 
@@ -260,8 +262,8 @@ def begin(
     by_joints = robot is not None and log.has("q")  # they say how feet roll, too
     feet = log.legs if log.has("foot") and not by_joints else ()
     at = Beginning(state, covariance, log.rate, joints, log.meta.derived, feet)
-    known = cast(Robot, robot)  # None for those alone whose needs say that it may be
-    return estimator.start(known, learnt, values, at)
+    # The robot is None for those alone whose needs say that it may be.
+    return estimator.start(cast(Robot, robot), learnt, values, at)
 
 
 def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:
@@ -271,6 +273,19 @@ def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bo
     if in_chunks and prepared is not log:
         raise SurefootError(f"{estimator.name} takes a whole log at once, not one in pieces")
     return prepared
+
+
+def _check_part(part: Trajectory, t: np.ndarray) -> None:
+    """Raise SurefootError where estimates are not at t (L,) [s], at least until the filter
+    diverged, or not real and finite.
+    """
+    n = len(part.t)
+    if not np.array_equal(part.t, t[:n]) or (n < len(t) and not part.diverged):
+        raise SurefootError("the estimates are not at the rows that were asked for")
+    for name in ("R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance"):
+        value = getattr(part, name)
+        if value is not None:
+            numbers(f"{name} of the estimate", value, value.shape)
 
 
 def stepped(stream: Stream, log: Log, rows: np.ndarray) -> Trajectory:
@@ -306,7 +321,7 @@ def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:
     bounded = epsilon[0] is not None
     return UpdateRecord(
         np.array(t),
-        np.array(v_I),
+        numbers("v_I of the updates", v_I, (len(t), 3)),
         np.array(epsilon) if bounded else None,
         np.array(pi, dtype=float) if bounded else None,
         np.array(active),

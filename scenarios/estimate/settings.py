@@ -42,8 +42,9 @@ from surefoot.estimator.initial import (
     still_gyro_bias,
 )
 from surefoot.scenarios.estimate.contract import Estimator, Parameters
-from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.sim.common.errors import SurefootError, errors_in, unknown
+from surefoot.scenarios.estimate.estimators import check_filter
+from surefoot.scenarios.estimate.tuned import overridden
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.limits import check_toml_keys
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.common.toml import Positive, read_toml, typed
@@ -106,21 +107,17 @@ class FilterSettings:
 
     def __post_init__(self):
         for name in self.filters:
-            if name not in ESTIMATORS:
-                raise SurefootError(f"[filters.{name}]: choose {' | '.join(ESTIMATORS)}")
+            with errors_in("[filters]"):
+                check_filter(name)
 
     def parameters(self, estimator: Estimator, values: Parameters) -> dict[str, float]:
         """Parameters of an estimator: these, or else those of `values`.
 
         Raises SurefootError for one that it does not have.
         """
-        own = self.filters.get(estimator.name, {})
-        for name in own:
-            if name not in values:
-                where = f"[filters.{estimator.name}]"
-                raise SurefootError(f"{where}: {unknown('parameter', name, values)}")
         given = {name: value for name, value in _given(self.noise).items() if name in values}
-        return {**values, **given, **own}
+        own = self.filters.get(estimator.name, {})
+        return overridden({**values, **given}, own, f"[filters.{estimator.name}]")
 
     def beginning(self, log: Log) -> tuple[NavState, np.ndarray]:
         """`surefoot.estimator.initial.initial_state` of a log, with the given parts replaced."""

@@ -18,7 +18,9 @@ from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import STILL_WINDOW
+from surefoot.estimator.run import state_parts
 from surefoot.scenarios.estimate.contract import (
+    GROUPS_OF_FIELDS,
     IMU_SHAPES,
     LARGEST_READINGS,
     CheckedSample,
@@ -36,14 +38,7 @@ from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.robot import Robot
 
-_GROUPS = {
-    "imu": ("gyro", "accel"),
-    "q": ("q",),
-    "dq": ("dq",),
-    "tau": ("tau",),
-    "contact": ("contact",),
-    "foot": ("foot_I",),
-}
+_GROUPS = {"imu": ("gyro", "accel")} | {g: (field,) for g, field in GROUPS_OF_FIELDS.items()}
 """Groups of a log's columns, and the corresponding fields of a sample."""
 MOST_WAITING = 50_000
 """Largest number of samples before the start: half a second at 100 kHz."""
@@ -144,10 +139,8 @@ class StreamingEstimator:
         """Covariance (15, 15) of its right-invariant error, including the mounting tolerance."""
         if self._stream is None:
             return None
-        state = self._stream.state
-        parts = (state.R_GI, state.v_GI, state.p_GI, state.b_a, state.b_g)
-        fields = (np.asarray(value)[None] for value in parts)
-        now = Trajectory(np.zeros(1), *fields, covariance=self._stream.covariance[None])
+        parts = state_parts(self._stream.state.pack()[None])
+        now = Trajectory(np.zeros(1), *parts, covariance=self._stream.covariance[None])
         found = with_mounting(now, self._mounting).covariance
         assert found is not None
         return found[0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from surefoot.scenarios.estimate.contract import Estimator
+from surefoot.scenarios.estimate.contract import Estimator, Parameters
 from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
@@ -35,12 +35,18 @@ class Tuned:
         """Value of each parameter of an estimator. Raises SurefootError for one that it does not
         have.
         """
-        own = self.filters.get(estimator.name, {})
         values = {parameter.name: parameter.default for parameter in estimator.parameters}
-        for name in own:
-            if name not in values:
-                raise SurefootError(f"{estimator.name}: {unknown('parameter', name, values)}")
-        return values | own
+        return overridden(values, self.filters.get(estimator.name, {}), estimator.name)
+
+
+def overridden(values: Parameters, own: Parameters, where: str) -> dict[str, float]:
+    """Parameters with those of `own` instead. Raises SurefootError, beginning with `where`, for one
+    that is not among `values`.
+    """
+    for name in own:
+        if name not in values:
+            raise SurefootError(f"{where}: {unknown('parameter', name, values)}")
+    return {**values, **own}
 
 
 def tuned(robot: Robot | None) -> Tuned:

@@ -12,7 +12,7 @@ import msgspec
 from surefoot.models.observer.observer import check_inputs, check_loss, check_model
 from surefoot.models.observer.settings import TRAIN_DEFAULT
 from surefoot.models.registry import CALIBRATORS, LOSSES
-from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, check_filter, estimator_named
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.catalog import experiment_file
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
@@ -304,13 +304,13 @@ class _File(Grid):
         if self.sweep.seeds and not self.sweep.gammas:
             raise SurefootError("[sweep] gammas is missing")
         for name in self.filters:
-            if name not in ESTIMATORS:
-                raise SurefootError(f"filters: {unknown('filter', name, ESTIMATORS)}")
+            with errors_in("filters"):
+                check_filter(name)
 
 
 def _check_method(method: str) -> None:
     if method not in CALIBRATORS:
-        raise SurefootError(f"method {method}: choose {' | '.join(CALIBRATORS)}")
+        raise SurefootError(unknown("method", method, CALIBRATORS))
 
 
 def _each_once(key: str, values: Sequence) -> None:

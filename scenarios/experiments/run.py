@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.models.calibration.conformal import BoundsError
-from surefoot.scenarios.cache import Product
+from surefoot.scenarios.cache import Product, finished_case, read_case
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.experiments.file import Cell, Experiment, Group, Learning, cells_of
 from surefoot.scenarios.experiments.products import (
@@ -25,7 +25,6 @@ from surefoot.scenarios.experiments.products import (
     make_recording,
     make_walk,
 )
-from surefoot.scenarios.reporting.rows import finished_case, read_case
 from surefoot.scenarios.settings import GridSettings
 from surefoot.scenarios.stages import processes, stage
 

@@ -51,7 +51,7 @@ class Limits:
     magnitude: float = 1e12
     """Magnitude of a reading, in SI units; sums of larger squares lose all precision."""
     items: float = 1e5
-    """Entries of an array in a file, segments of a course, row groups of a log."""
+    """Entries of an array in a file, segments of a course, columns of short row groups of a log."""
     bodies: float = 1e4
     """Bodies, shapes, joints and sites of a model; pieces of ground."""
     arena: float = 1e9

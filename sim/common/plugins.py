@@ -40,7 +40,7 @@ class Registry(Mapping[str, Any]):
         group: str,
         bundled: Mapping[str, Any],
         needs: tuple[str, ...] = (),
-        check: Callable[[str, Any], None] = lambda name, member: None,
+        check: Callable[[Any], None] = lambda member: None,
     ):
         """Define a group.
 
@@ -48,7 +48,7 @@ class Registry(Mapping[str, Any]):
             group: of entry points, such as "surefoot.effects".
             bundled: name -> bundled member, or its "module:attribute".
             needs: attributes that each plug-in must have.
-            check: raises SurefootError for an invalid name or plug-in.
+            check: raises SurefootError for an invalid plug-in.
         """
         self.group, self.bundled, self.needs, self.check = group, bundled, needs, check
 
@@ -65,8 +65,8 @@ class Registry(Mapping[str, Any]):
         """The member of that name.
 
         Raises KeyError if there is none. Raises SurefootError, in one line that names the plug-in,
-        if it cannot be imported, lacks an attribute, fails the check, or has the name of another
-        member.
+        if it cannot be imported, lacks an attribute, calls itself differently, fails the check, or
+        has the name of another member.
         """
         points = plugins(self.group).get(name, ())
         if name in self.bundled:
@@ -81,18 +81,26 @@ class Registry(Mapping[str, Any]):
             raise SurefootError(f"{_what(point)}: {others[0].value} has that name too")
         with of_plugin(f"{_what(point)}: cannot be imported"):
             member = point.load()
-        missing = [attribute for attribute in self.needs if not hasattr(member, attribute)]
-        if missing:
-            raise SurefootError(f"{_what(point)}: lacks {', '.join(missing)}")
         with errors_in(_what(point)), of_plugin("it is not valid", (point,)):
-            self.check(name, member)
+            self.check_member(name, member)
         _IN_USE[point.value] = point
         return member
 
+    def check_member(self, name: str, member: Any) -> None:
+        """Raise SurefootError where a member is not valid, or calls itself differently."""
+        missing = [attribute for attribute in self.needs if not hasattr(member, attribute)]
+        if missing:
+            raise SurefootError(f"lacks {', '.join(missing)}")
+        if "name" in self.needs and member.name != name:
+            raise SurefootError(f"its class calls itself {member.name}")
+        self.check(member)
+
     def running(self, name: str) -> AbstractContextManager[None]:
-        """Context in which code of that member runs (`of_plugin`); a bundled one's is our own."""
+        """Context in which code of that member runs (`naming_plugins`); a bundled one's is our
+        own.
+        """
         points = plugins(self.group).get(name)
-        return of_plugin(f"{_what(points[0])}: failed", points) if points else nullcontext()
+        return naming_plugins(points) if points else nullcontext()
 
     def usable(self) -> tuple[dict[str, Any], dict[str, str]]:
         """Name -> member, of those that can be used, and name -> reason, of the others."""
@@ -107,38 +115,57 @@ class Registry(Mapping[str, Any]):
 
 @contextmanager
 def of_plugin(what: str, points: Sequence[EntryPoint] = ()) -> Iterator[None]:
-    """Context in which code of a user's own runs: whatever else than a SurefootError it raises, or
-    an exit, becomes one, in a line that starts with `what` and names the place in these plug-ins,
-    else where it was raised.
+    """Context in which code of a user's own is loaded: whatever else than a SurefootError it
+    raises, or an exit, becomes one, in a line that starts with `what` and names the place in these
+    plug-ins, else where it was raised.
     """
     try:
-        yield
-    except SurefootError:
+        with exits_raised():
+            yield
+    except (SurefootError, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         raise SurefootError(f"{what} {_reason(error, points)}") from error
 
 
 @contextmanager
-def naming_plugins() -> Iterator[None]:
-    """Context of a command or of a worker's task: an error or exit in code of a plug-in becomes a
-    SurefootError that names it and the place. So does surefoot's own error while plug-ins are in
-    use, since one may have returned what is invalid.
+def naming_plugins(points: Sequence[EntryPoint] = ()) -> Iterator[None]:
+    """Context in which plug-ins run, by default those in use: an error or exit in their code
+    becomes a SurefootError that names them and the place. So does surefoot's own error, since a
+    plug-in may have returned what is invalid; a SurefootError names them too.
     """
     try:
         yield
-    except (SurefootError, BrokenPipeError):
+    except (BrokenPipeError, KeyboardInterrupt, GeneratorExit):
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        among = points or tuple(_IN_USE.values())
         raised_in = {package for package, *_ in _places(error)}
-        named = [point for point in _IN_USE.values() if _package(point.module) in raised_in]
+        named = [point for point in among if _package(point.module) in raised_in]
+        names = ", ".join(map(_what, named or among))
+        if isinstance(error, SurefootError):
+            if not names or names in str(error):
+                raise
+            raise SurefootError(f"{error} (with {names})") from error
         what = "failed"
         if not named and not isinstance(error, SystemExit | OSError | MemoryError | ImportError):
-            named, what = list(_IN_USE.values()), "may have returned something invalid"
+            named, what = among, "may have returned something invalid"
         if not named:
             raise
-        names = ", ".join(map(_what, named))
         raise SurefootError(f"{names}: {what} {_reason(error, named)}") from error
+
+
+@contextmanager
+def exits_raised() -> Iterator[None]:
+    """Context in which `os._exit`, which would end the process without a word, exits like
+    `sys.exit`, so that an exit in code of a plug-in is an error that names it.
+    """
+    before = os._exit
+    os._exit = sys.exit
+    try:
+        yield
+    finally:
+        os._exit = before
 
 
 def _reason(error: BaseException, points: Sequence[EntryPoint]) -> str:

@@ -1,9 +1,14 @@
 """The sources that a module depends on: its own and those of all modules that it imports, directly
-or not.
+or not, and the data files that these name.
 
 Compiled kernels and results of long runs are stored with a digest of their code. Docstrings,
 comment lines and empty lines do not count, nor do installed packages (such as numpy) and the
 standard library, except for the package of the module itself.
+
+A data file counts where a string of a module is its path relative to the module's folder, such as
+"table.toml" or "data/table.csv". A string that names a folder does not count: which of its files
+is read depends on an input, whose content enters as one. Nor do the strings of a script, which name
+what it reads and writes.
 """
 
 import ast
@@ -21,6 +26,7 @@ from typing import Any, NamedTuple
 LIBRARY = "surefoot"
 INSTALLED = {"site-packages", "dist-packages"}
 _MEMBER = re.compile(r"([\w.]+):[\w.]+")
+_FILE = re.compile(r"\w[\w./-]*\.(?!py$)\w+")
 
 
 def code_digest(*members: Any) -> str:
@@ -61,7 +67,7 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
     Includes imports inside functions, relative imports, the packages that contain a module,
     compiled modules, "module:attribute" entries of a Registry, and what a module with __getattr__
     imports for type checkers, as names are requested. Other imports for type checkers are excluded.
-    Imports by other strings are not detected.
+    Imports by other strings are not detected. A data file is found under "package/path".
     """
     found: dict[str, Path] = {}
     waiting = [module]
@@ -75,6 +81,9 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
             continue
         found[name] = path
         package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        for text in _contents(path).files if name != "__main__" else ():
+            if (path.parent / text).is_file():
+                found[f"{package}/{text}"] = path.parent / text
         for level, base, names in _contents(path).imports:
             if level:
                 base = resolve_name("." * level + base, package) if package else base
@@ -87,11 +96,12 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
 
 class _Contents(NamedTuple):
     """Contents of a source: level, module and names of each import; name -> module of those that
-    it imports on request; lines of code.
+    it imports on request; strings that may name a file; lines of code.
     """
 
     imports: tuple[tuple[int, str, tuple[str, ...]], ...]
     late: dict[str, str]
+    files: frozenset[str]
     code: bytes
 
 
@@ -114,7 +124,7 @@ def _imported_late(base: str, names: tuple[str, ...], own: str) -> list[str]:
 
 def _contents(path: Path) -> _Contents:
     if path.suffix != ".py":
-        return _Contents((), {}, path.read_bytes())
+        return _Contents((), {}, frozenset(), path.read_bytes())
     stat = path.stat()
     return _parsed(path, stat.st_mtime_ns, stat.st_size)
 
@@ -154,7 +164,9 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
             imports.append((node.level, node.module or "", tuple(a.name for a in node.names)))
     if b"__getattr__" in source:
         late = {a.asname or a.name: node.module or "" for node in typed for a in node.names}
-    return _Contents(tuple(imports), late, _code(source, texts))
+    strings = {node.value for node in texts if isinstance(node, ast.Constant)}
+    files = {one for one in strings if isinstance(one, str) and _FILE.fullmatch(one)}
+    return _Contents(tuple(imports), late, frozenset(files), _code(source, texts))
 
 
 def _code(source: bytes, texts: Iterable[ast.expr | ast.Expr]) -> bytes:

@@ -1,5 +1,6 @@
 """Effects that a real robot has and a model may lack: one small class each, and their catalogue."""
 
+# ruff: noqa: F401
 from surefoot.sim.effects.base import AXES, Effect
 from surefoot.sim.effects.catalogue import (
     CATALOGUE,
@@ -9,14 +10,3 @@ from surefoot.sim.effects.catalogue import (
     effect,
     known_effects,
 )
-
-__all__ = [
-    "AXES",
-    "CATALOGUE",
-    "Effect",
-    "add",
-    "compensate_all",
-    "declared_effects",
-    "effect",
-    "known_effects",
-]

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.effects.targets import AXES, Part, groups, parts
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -147,7 +147,7 @@ class Effect:
 
     @classmethod
     def _unknown(cls, target: str, known: tuple[str, ...]) -> str:
-        return f"effect {cls.name}: unknown target '{target}'; known: {', '.join(known)}"
+        return f"effect {cls.name}: {unknown('target', target, known)}"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         """Inject the effect into the simulated world."""

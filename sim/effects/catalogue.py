@@ -6,7 +6,7 @@ Packages add effects by the entry point group `surefoot.effects`, scripts by `@a
 from collections.abc import Iterable
 from typing import Any, TypeVar, get_args
 
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, errors_in, unknown
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects import body, contact, elastic, imu, joint, links, timing
 from surefoot.sim.effects.base import Effect
@@ -53,7 +53,8 @@ def add(kind: K) -> K:
 
     Raises SurefootError if the class lacks a required attribute, or its name is taken.
     """
-    _check(getattr(kind, "name", ""), kind)
+    with errors_in(f"effect {kind.__name__}"):
+        _EFFECTS.check_member(getattr(kind, "name", ""), kind)
     known = CATALOGUE.setdefault(kind.name, kind)
     if (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise SurefootError(f"effect {kind.name}: the catalogue has one of that name")
@@ -61,23 +62,16 @@ def add(kind: K) -> K:
     return kind
 
 
-def _check(name: str, kind: Any) -> None:
+def _check(kind: Any) -> None:
     if not (isinstance(kind, type) and issubclass(kind, Effect)):
         raise SurefootError(f"{kind!r} is no class of Effect")
-    needs = ("name", "unit", "bounds", "channels", "targets") + ("step",) * kind.is_compensated()
-    lacking = [one for one in needs if not hasattr(kind, one)]
-    if lacking:
-        raise SurefootError(f"effect {kind.__name__}: lacks {', '.join(lacking)}")
     if not isinstance(kind.targets, tuple) and kind.targets not in get_args(Part):
-        raise SurefootError(
-            f"effect {kind.__name__}: targets must be a tuple of words or one of "
-            f"{', '.join(get_args(Part))}"
-        )
-    if kind.name != name:
-        raise SurefootError(f"its effect is named {kind.name}")
+        raise SurefootError(f"targets: a tuple of words or one of {', '.join(get_args(Part))}")
+    if kind.is_compensated() and not getattr(kind, "step", 0.0) > 0.0:
+        raise SurefootError("step must be a number above 0")
 
 
-_EFFECTS = Registry(GROUP, CATALOGUE, check=_check)
+_EFFECTS = Registry(GROUP, CATALOGUE, ("name", "unit", "bounds", "channels", "targets"), _check)
 
 
 def effect(name: str, target: str, value: float) -> Effect:
@@ -112,5 +106,7 @@ def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, 
                     f"effect {one.name}: needs joint angles and a robot model; {log.name} gives "
                     "the feet alone"
                 )
+            if one.name not in CATALOGUE:
+                log = log.with_columns({})  # a plug-in may write to its frame
             log, known = one.compensate(log, known)
     return log, known

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.plugins import Registry
 
 
@@ -40,13 +40,14 @@ _BUNDLED = {
 }
 
 
-def _check(name: str, pattern: Pattern) -> None:
+def _check(pattern: Pattern) -> None:
     """Raise SurefootError for an invalid gait."""
     phase = np.asarray(pattern.phase, dtype=float)
     if phase.shape != (4,) or not ((phase >= 0.0) & (phase < 1.0)).all():
         raise SurefootError("phase must be four numbers from 0 to below 1")
-    if not (0.0 <= pattern.duty <= 0.9 and 0.1 <= pattern.period <= 10.0):
-        raise SurefootError("duty must lie between 0 and 0.9, period between 0.1 and 10")
+    duty, period, sway = pattern.duty, pattern.period, getattr(pattern, "sway", 0.0)
+    if not (0.0 <= duty <= 0.9 and 0.1 <= period <= 10.0 and 0.0 <= sway <= 1.0):
+        raise SurefootError("duty must be from 0 to 0.9, period from 0.1 to 10, sway from 0 to 1")
 
 
 PATTERNS = Registry("surefoot.gaits", _BUNDLED, ("phase", "duty", "period"), _check)
@@ -56,6 +57,5 @@ PATTERNS = Registry("surefoot.gaits", _BUNDLED, ("phase", "duty", "period"), _ch
 def pattern_named(name: str) -> Pattern:
     """The gait of that name. Raises SurefootError naming the known ones."""
     if name not in PATTERNS:
-        hint = did_you_mean(name, PATTERNS)
-        raise SurefootError(f"pattern must be one of {', '.join(PATTERNS)}, is '{name}'{hint}")
+        raise SurefootError(unknown("pattern", name, PATTERNS))
     return PATTERNS[name]

@@ -1,125 +1,163 @@
-"""Lines of an import map that follow what the findings of a log advise, all of them together."""
+"""Changes to an import map that findings of a log advise: in words, and as lines of the map."""
 
-import re
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.importing.columns import ColumnEntry, kind_of, map_line, read_column
+from surefoot.sim.importing.columns import ColumnEntry, map_line, read_column
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.sections import ReferenceTable
+from surefoot.sim.importing.sections import EvenTable
 
-_OF_COLUMNS = re.compile(
-    r"([\w, ]+?)(, \.\.\.)? = \{ (?:\.\.\.|column = <their column of (\w+)>)(?:, (.+))? \}"
-)
-_NO_TURN = (1.0, 0.0, 0.0, 0.0)
-_IN_SECTION = re.compile(r"\[([\w.]+)\] (.+ = .+)")
+Changes = Mapping[str, Mapping[str, Any]]
+"""By section and key of a map, the value that it is to have. Those of _COMBINED are relative to the
+map's own.
+
+In "columns", which stands for those of the reference too, a value has the keys of a `ColumnEntry`
+that change, relative to its conversion to SI: `sign`, `gain` and `offset` follow it, `wrap` is in
+SI. `of` is the log's column whose entry is taken instead.
+"""
+_Values = dict[tuple[str, str], Any]
+"""Values of a map by section and key."""
+
+
+def entries(columns: Iterable[str], **keys: Any) -> Changes:
+    """The same change of the entries of some columns of the log."""
+    return {"columns": dict.fromkeys(columns, keys)}
+
+
+def scaled(column: str, factor: float) -> Changes:
+    """The change of the entry of a column whose values are `factor` times too large."""
+    return entries((column,), gain=float(f"{1.0 / factor:.4g}"))
+
+
+def quaternion(R: Rotation) -> tuple[float, ...]:
+    """A rotation as w, x, y, z for a map."""
+    return _rounded(R.as_quat(canonical=True, scalar_first=True))
+
+
+def advice_words(changes: Changes) -> str:
+    """Changes to a map that is not known, in words."""
+    words: dict[str, list[str]] = {}
+    for section, values in changes.items():
+        for key, value in values.items():
+            if section != "columns":
+                words[f"{map_line(key, value)} in [{section}]"] = []
+                continue
+            keys = [f"the column of {x}" if k == "of" else map_line(k, x) for k, x in value.items()]
+            words.setdefault(f"{', '.join(keys)} in the entry of ", []).append(key)
+    return "; ".join(f"{what}{', '.join(columns)}" for what, columns in words.items())
 
 
 def advised_lines(
-    advice: Iterable[tuple[Sequence[str], str]], rules: ImportMap, name: str
-) -> tuple[str, ...]:
-    """Lines to put in place of those of a map; advice that leaves a choice is left out.
+    advice: Iterable[Changes], rules: ImportMap, name: str
+) -> tuple[tuple[str, ...], tuple[bool, ...]]:
+    """Lines to put in place of those of a map, and which advice they follow: that which the map has
+    a place for.
 
     Args:
-        advice: the columns concerned and the line of each finding.
+        advice: of each finding.
         rules: the map with which the log was imported.
         name: of the recording.
     """
-    own = {"columns": rules.sections.columns}
-    if rules.sections.reference is not None:
-        own["reference.columns"] = rules.sections.reference.columns
-    changed: dict[str, dict[str, Any]] = {}
-    for concerned, text in advice:
-        for line in text.split("; "):
-            if found := _OF_COLUMNS.fullmatch(line):
-                changes = tomllib.loads(f"of = {{ {found[4] or ''} }}")["of"]
-                named = found[1].split(", ")
-                if found[2]:
-                    named = [one for one in concerned if kind_of(one) == kind_of(named[0])]
-                for section, entries in own.items():
-                    for column in (one for one in named if one in entries):
-                        there = changed.setdefault(section, {})
-                        before: Any = there.get(column, entries[column])
-                        there[column] = _changed(column, entries.get(found[3]) or before, changes)
-            elif found := _IN_SECTION.fullmatch(line):
-                _add(changed, rules, name, found[1], tomllib.loads(found[2]))
-    lines: list[str] = []
-    for section, values in changed.items():
-        lines += [
-            f"[{section}]",
-            *(map_line(key, value) for key, value in values.items()),
-        ]
-    return tuple(lines)
+    own = mended = _values(rules)
+    follows, lines = [], []
+    for changes in advice:
+        after = _followed(mended, changes, name)
+        follows.append(after != mended)
+        mended = after
+    for (section, key), value in mended.items():
+        if value != own[section, key]:
+            lines += [f"[{section}]"] * (f"[{section}]" not in lines) + [map_line(key, value)]
+    return tuple(lines), tuple(follows)
 
 
-def _changed(column: str, entry: ColumnEntry | str, changes: Mapping[str, Any]) -> ColumnEntry:
-    """A column's entry, with changes to the values in SI that it gives so far."""
+def _values(rules: ImportMap) -> _Values:
+    """The values of a map that advice may be about."""
+    sections = rules.sections
+    tables: dict[str, Mapping[str, Any]] = {"columns": sections.columns}
+    if sections.reference is not None:
+        tables |= {"reference": vars(sections.reference)}
+        tables |= {"reference.columns": sections.reference.columns}
+    tables |= {"robot": vars(sections.robot)} if sections.robot else {}
+    tables |= {"even": vars(sections.even or EvenTable())}
+    return {(section, key): x for section, table in tables.items() for key, x in table.items()}
+
+
+def _followed(own: _Values, changes: Changes, name: str) -> _Values:
+    """The values of a map with changes made for the recording `name`; as they are where it lacks a
+    section.
+    """
+    if not changes.keys() <= {section for section, _ in own}:
+        return own
+    after = own | _body_by_imu(own, changes)
+    for section, values in changes.items():
+        for key, value in values.items():
+            if section == "columns":
+                places = [x for x in ((section, key), ("reference.columns", key)) if x in own]
+                after |= {place: _changed(own, place, value) for place in places}
+                continue
+            before = after[section, key]
+            if key == "offset" and isinstance(before, dict):
+                value = before | {name: value}
+            after[section, key] = _COMBINED[key](before, value) if key in _COMBINED else value
+    return after
+
+
+def _changed(own: _Values, place: tuple[str, str], keys: Mapping[str, Any]) -> ColumnEntry:
+    """The entry of a column at a place of a map, with changes."""
+    section, column = place
+    entry = own.get((section, keys.get("of", column)), own[place])
     entry = ColumnEntry(entry) if isinstance(entry, str) else entry
-    sign, gain = changes.get("sign", 1.0), changes.get("gain", 1.0)
+    sign, gain = keys.get("sign", 1.0), keys.get("gain", 1.0)
     entry = replace(
         entry,
-        unit=changes.get("unit", entry.unit),
+        unit=keys.get("unit", entry.unit),
         sign=sign * entry.sign,
         gain=gain * entry.gain,
-        offset=sign * gain * entry.offset + changes.get("offset", 0.0),
+        offset=sign * gain * entry.offset + keys.get("offset", 0.0),
     )
-    if "wrap" not in changes:
+    if "wrap" not in keys:
         return entry
-    return replace(entry, wrap=changes["wrap"] / abs(read_column("", column, entry, ()).scale))
+    return replace(entry, wrap=keys["wrap"] / abs(read_column("", column, entry, ()).scale))
 
 
-def _add(
-    changed: dict[str, dict[str, Any]],
-    rules: ImportMap,
-    name: str,
-    section: str,
-    values: dict[str, Any],
-) -> None:
-    """Add advised keys of a section, together with what the map has there.
-
-    Args:
-        changed: values by section and key, which are added to.
-        rules: the map.
-        name: of the recording.
-        section: that is named in the advice.
-        values: advised ones.
+def _body_by_imu(own: _Values, changes: Changes) -> _Values:
+    """The place of a reference's body relative to the IMU as it is to be turned, where it is the
+    base or the IMU itself is turned.
     """
-    if section == "robot.joint_sign":
-        own = rules.sections.robot.joint_sign if rules.sections.robot else {}
-        signs = changed.setdefault("robot", {}).setdefault("joint_sign", dict(own))
-        signs |= {joint: sign * own.get(joint, 1.0) for joint, sign in values.items()}
-        return
-    reference, even = rules.sections.reference, rules.sections.even
-    there = changed.setdefault(section, {})
-    there |= values
-    if section == "reference" and reference is not None:
-        there |= _turned_further(values, reference, rules.model)
-        if "offset" in values and isinstance(reference.offset, dict):
-            there["offset"] = reference.offset | {name: values["offset"]}
-    elif section == "even" and even is not None:
-        if "held" in values:
-            there["held"] = [*dict.fromkeys((*even.held, *values["held"]))]
-        if "late" in values:
-            more = {kind: even.late.get(kind, 0.0) + x for kind, x in values["late"].items()}
-            there["late"] = even.late | more
+    turned = changes.get("reference", {})
+    if turned.keys().isdisjoint(("q_IM", "p_IM")):
+        return {}
+    place = {key: own["reference", key] for key in ("frame", "p_IM", "q_IM")}
+    if place["frame"] == "base":
+        q_BI = own["robot", "imu_orientation"] or (1.0, 0.0, 0.0, 0.0)
+        R_IB = Rotation.from_quat(q_BI, scalar_first=True).inv()
+        p_IB = _rounded(-R_IB.apply(own["robot", "imu_position"]))
+        place = {"frame": "imu", "p_IM": p_IB, "q_IM": quaternion(R_IB)}
+    if "robot" in changes:
+        turn = Rotation.from_quat(turned["q_IM"], scalar_first=True)
+        place["p_IM"] = _rounded(turn.apply(place["p_IM"]))
+    return {("reference", key): value for key, value in place.items()}
 
 
-def _turned_further(
-    values: Mapping[str, Any], reference: ReferenceTable, model: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Advised rotations of a reference, together with those of the map, in the frame "imu"."""
-    of_map = {"q_GW": reference.q_GW, "q_IM": reference.q_IM}
-    made = {}
-    if "q_IM" in values and reference.frame == "base":
-        R_IB = Rotation.from_quat(model.get("q_BI", _NO_TURN), scalar_first=True).inv()
-        made |= {"frame": "imu", "p_IM": (-R_IB.apply(model["p_BI"])).tolist()}
-        of_map["q_IM"] = R_IB.as_quat(scalar_first=True)
-    for key in values.keys() & of_map.keys():
-        both = [Rotation.from_quat(q, scalar_first=True) for q in (values[key], of_map[key])]
-        q = (both[0] * both[1]).as_quat(canonical=True, scalar_first=True)
-        made[key] = (q.round(6) + 0.0).tolist()
-    return made
+def _rounded(p: np.ndarray) -> tuple[float, ...]:
+    return tuple((p.round(6) + 0.0).tolist())
+
+
+def _turned(own: Sequence[float], q: Sequence[float]) -> tuple[float, ...]:
+    before, after = (Rotation.from_quat(x, scalar_first=True) for x in (own, q))
+    return quaternion(after * before)
+
+
+_COMBINED: Mapping[str, Callable[[Any, Any], Any]] = {
+    "q_GW": _turned,
+    "q_IM": _turned,
+    "p_IM": lambda own, moved: _rounded(np.add(own, moved)),
+    "joint_sign": lambda own, new: own | {k: x * own.get(k, 1.0) for k, x in new.items()},
+    "late": lambda own, new: own | {k: x + own.get(k, 0.0) for k, x in new.items()},
+    "held": lambda own, new: tuple(dict.fromkeys((*own, *new))),
+}
+"""How an advised value is combined with the map's own, by key."""

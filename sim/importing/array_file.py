@@ -15,7 +15,7 @@ import numpy as np
 import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import check_unpacked
+from surefoot.sim.common.limits import check_limit, check_unpacked
 from surefoot.sim.importing.table import RecordedTable, parsed_as
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
@@ -32,10 +32,11 @@ def read_npz(path: Path) -> RecordedTable:
     with parsed_as("a readable file of arrays", path):
         if path.suffix == ".npy":
             found = np.load(path, mmap_mode="r", allow_pickle=False)
-            _bounded(path, found.size * found.dtype.itemsize)
+            _bounded(path, found.size * max(found.dtype.itemsize, 1))
             return _table(path, {"array": np.array(found)})
         with np.load(path, allow_pickle=False) as file:
             members = file.zip.infolist()
+            check_limit("columns", len(members), f"{path}: arrays")
             _bounded(path, sum(one.file_size for one in members))
             return _table(path, {name: file[name] for name in file.files})
 
@@ -58,7 +59,12 @@ def read_hdf5(path: Path) -> RecordedTable:
     """
     arrays: dict[str, np.ndarray] = {}
     with parsed_as("a readable file of arrays", path), h5py.File(path, "r") as file:
-        every = dict(_datasets(file, "", {file}))
+        every = dict[str, h5py.Dataset]()
+        for name, node in _datasets(file, "", {file}):
+            if node.is_virtual or node.external:
+                raise SurefootError(f"{path}: {name} lies in another file, which is not read")
+            every[name] = node
+            check_limit("columns", len(every), f"{path}: datasets")
         found = {n: d for n, d in every.items() if d.shape and not n.startswith("#")}
         objects = {n: d for n, d in found.items() if "MATLAB_object_decode" in d.attrs}
         found = {n: d for n, d in found.items() if n not in objects}
@@ -70,10 +76,9 @@ def read_hdf5(path: Path) -> RecordedTable:
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
                 f"arrays{remedy if kind == 'timeseries' else ''}"
             )
-        _bounded(path, sum(node.size * node.dtype.itemsize for node in found.values()))
+        sizes = [node.size * node.dtype.itemsize for node in every.values() if node.shape]
+        _bounded(path, sum(sizes))
         for name, node in found.items():
-            if node.is_virtual or node.external:
-                raise SurefootError(f"{path}: {name} lies in another file, which is not read")
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
@@ -129,6 +134,7 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
                 f"{path}: {name} is of {episodes} episodes of {rows} rows, and a log is of one: "
                 "save each to a file of its own"
             )
+    check_limit("columns", len(cells), f"{path}: arrays")
     cells, parameters = rows_first(cells)
     skipped = dict.fromkeys(parameters, "parameters: not one for each row")
     return RecordedTable(path, cells, skipped=skipped)

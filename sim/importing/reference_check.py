@@ -43,31 +43,6 @@ _JUMP_RATIO = 8.0
 
 
 @dataclass(frozen=True)
-class Jump:
-    """A jump of a reference, including the adjacent samples, over which trackers often spread it.
-
-    Attributes:
-        after: time since the first sample [s].
-        moved: displacement beyond the usual speed [m].
-        turned: rotation [rad].
-        within: duration [s].
-    """
-
-    after: float
-    moved: float
-    turned: float
-    within: float
-
-    @property
-    def words(self) -> str:
-        """Size and time in words."""
-        return (
-            f"{1e3 * self.moved:.0f} mm and {np.degrees(self.turned):.1f} deg within "
-            f"{1e3 * self.within:.0f} ms, {self.after:.2f} s after the first sample"
-        )
-
-
-@dataclass(frozen=True)
 class ReferenceCheck:
     """Result of the checks of a reference.
 
@@ -80,7 +55,7 @@ class ReferenceCheck:
         held: number of steps that repeat the pose exactly while the body moves.
         gaps: number of intervals over MAX_GAP.
         longest_gap: [s].
-        largest: of the jumps.
+        largest: size and time of the largest jump, in words, "" without one.
     """
 
     samples: int
@@ -91,7 +66,7 @@ class ReferenceCheck:
     held: int
     gaps: int
     longest_gap: float
-    largest: Jump | None = None
+    largest: str = ""
 
     @property
     def doubtful(self) -> float:
@@ -123,7 +98,7 @@ class ReferenceCheck:
         if self.largest:
             said.append(
                 f"reference: {self.jumps} jumps of position or attitude, the largest by "
-                f"{self.largest.words}"
+                f"{self.largest}"
             )
         if self.held:
             said.append(
@@ -150,12 +125,15 @@ def check_reference(poses: Poses) -> ReferenceCheck:
         held=int((same & (around > _SLOWEST)).sum()),
         gaps=int((step > MAX_GAP).sum()),
         longest_gap=float(step.max()),
-        largest=max((_jump(poses, int(k)) for k in jumped), key=_times_least, default=None),
+        largest=max((_jump(poses, int(k)) for k in jumped), default=(0.0, ""))[1],
     )
 
 
-def _jump(poses: Poses, step: int) -> Jump:
-    """The jump over a step, including the adjacent steps."""
+def _jump(poses: Poses, step: int) -> tuple[float, str]:
+    """Size of the jump over a step, relative to the least one, and its description.
+
+    It includes the adjacent samples, over which trackers often spread it.
+    """
     a, b = max(step - 1, 0), min(step + 2, len(poses.t) - 1)
     around = slice(max(a - _NEIGHBOURS, 0), b + _NEIGHBOURS + 1)
     t, p = poses.t[around], poses.p[around]
@@ -164,16 +142,13 @@ def _jump(poses: Poses, step: int) -> Jump:
     usual = np.median((np.diff(p, axis=0) / np.diff(t)[:, None])[beside], axis=0)
     within = float(poses.t[b] - poses.t[a])
     R = Rotation.from_quat(poses.q[[a, b]], scalar_first=True)
-    return Jump(
-        after=float(poses.t[step + 1] - poses.t[0]),
-        moved=float(np.linalg.norm(poses.p[b] - poses.p[a] - usual * within)),
-        turned=float((R[0].inv() * R[1]).magnitude()),
-        within=within,
+    moved = float(np.linalg.norm(poses.p[b] - poses.p[a] - usual * within))
+    turned = float((R[0].inv() * R[1]).magnitude())
+    words = (
+        f"{1e3 * moved:.0f} mm and {np.degrees(turned):.1f} deg within {1e3 * within:.0f} ms, "
+        f"{poses.t[step + 1] - poses.t[0]:.2f} s after the first sample"
     )
-
-
-def _times_least(jump: Jump) -> float:
-    return max(jump.moved / _LEAST_JUMP, jump.turned / _LEAST_TURN)
+    return max(moved / _LEAST_JUMP, turned / _LEAST_TURN), words
 
 
 def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

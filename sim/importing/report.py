@@ -6,10 +6,11 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import check_reference, without_jumps
 from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, missed_rotation, reference_noise
+from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.log.reference_vs_imu import compare_with_imu
-from surefoot.sim.robot.machine import machine_for_log
+from surefoot.sim.robot.machine import Machine, machine_for_log
 
 
 def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
@@ -48,36 +49,31 @@ def import_lines(
 ) -> tuple[str, ...]:
     """Lines on an imported log.
 
-    `notes` on how it was read, the radius of its feet, its stamps, its reference, and which of the
-    `poses` were omitted since the IMU contradicts them (`wrong`, (K,) bool). Implausible values are
-    reported by `sim.plausibility`.
+    `notes` on how it was read, the radius of its feet, its stamps, whether it starts in motion, its
+    reference, and which of the `poses` were omitted since the IMU contradicts them (`wrong`, (K,)
+    bool). Implausible values are reported by `sim.plausibility`.
     """
-    jitter = jitter_line(log.t)
+    try:
+        machine, unknown = machine_for_log(log), ""
+    except SurefootError as error:
+        machine, unknown = None, f"robot: {error}" if log.meta.robot else ""
+    own = (unknown, _radius_line(log, machine), jitter_line(log.t), start_line(log, machine))
     return (
         *notes,
-        *_feet_lines(log),
-        *([jitter] if jitter else ()),
+        *(line for line in own if line),
         *reference_lines(log, poses),
         *_contradictions(poses, wrong),
     )
 
 
-def _feet_lines(log: Log) -> tuple[str, ...]:
-    """The radius of the feet that is used if the map states none; empty for a simulated log."""
+def _radius_line(log: Log, machine: Machine | None) -> str:
+    """The radius of the feet that is used if the map states none; "" for a simulated log."""
+    robot = None if machine is None else machine.legged
     said = "foot_radius" in log.meta.model or log.meta.seed is not None
-    if log.meta.robot is None or said or not log.has("q"):
-        return ()
-    try:
-        robot = machine_for_log(log).legged
-    except SurefootError as error:
-        return (f"robot: {error}",)
-    if robot is None:
-        return ()
-    radius = 1e3 * robot.foot_radius
-    sizes = " and ".join(f"{one:.3g}" for one in sorted(set(radius.round(3))))
-    return (
-        f"feet: a radius of {sizes} mm, of the robot's file; the map has no [robot] foot_radius",
-    )
+    if robot is None or said or not log.has("q"):
+        return ""
+    sizes = " and ".join(f"{one:.3g}" for one in sorted(set((1e3 * robot.foot_radius).round(3))))
+    return f"feet: a radius of {sizes} mm, of the robot's file; the map has no [robot] foot_radius"
 
 
 def _contradictions(poses: Poses | None, wrong: np.ndarray | None) -> tuple[str, ...]:

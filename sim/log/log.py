@@ -69,7 +69,7 @@ class Log:
             raise LogError(str(error)) from error
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> Log:
-        """The log with some columns replaced or added."""
+        """The log with some columns replaced or added, and a frame of its own."""
         return replace(self, frame=self.frame.assign(**columns))
 
     def once(self, what: str, uses: Iterable[str], make: Callable[[], T], *given: Any) -> T:
@@ -288,7 +288,7 @@ class MemoisedLog(Log):
         self._frame, self._replaced = frame, {}
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> MemoisedLog:
-        view = MemoisedLog(self._frame, self.meta, self.name)
+        view = MemoisedLog(self._frame.copy(deep=False), self.meta, self.name)
         view._replaced = self._replaced | {name: np.asarray(x) for name, x in columns.items()}
         # Unchanged columns remain the same arrays, so comparisons can go by identity.
         view.columns = self.columns | view._replaced

@@ -2,7 +2,6 @@
 model.
 """
 
+# ruff: noqa: F401
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.plausibility.rules import RULES, check_log, rules_table
-
-__all__ = ["RULES", "Finding", "check_log", "rules_table"]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from surefoot.sim.importing.advice import Changes, entries, quaternion
 from surefoot.sim.plausibility.axes import angle_between, match_axes
 
 LATEST = 2.0
@@ -46,12 +47,12 @@ class Reading:
 
     Attributes:
         words: its name.
-        map_line: how to state it in an import map.
+        changes: of an import map that state it.
         read: function that converts the attitudes.
     """
 
     words: str
-    map_line: str
+    changes: Changes
     read: Callable[[Rotation], Rotation]
 
 
@@ -60,20 +61,18 @@ def _rolled(R: Rotation) -> Rotation:
     return Rotation.from_quat(R.as_quat(scalar_first=True))
 
 
-def _exchanged(columns: Mapping[str, str], inverse: bool = False) -> str:
-    """Map lines for columns that are in the place of others, of the inverse rotation."""
-    turned = {n: ", sign = -1" * (inverse and n != "ref_q_w") for n in columns}
-    return "; ".join(
-        f"{n} = {{ column = <their column of {other}>{turned[n]} }}" for n, other in columns.items()
-    )
+def _exchanged(columns: Mapping[str, str], inverse: bool = False) -> Changes:
+    """Changes for columns that are in the place of others, of the inverse rotation."""
+    signs = {n: {"sign": -1.0} if inverse and n != "ref_q_w" else {} for n in columns}
+    return {"columns": {n: {"of": other} | signs[n] for n, other in columns.items()}}
+
+
+def _of_world(words: str, R_GW: Rotation) -> Reading:
+    return Reading(words, {"reference": {"q_GW": quaternion(R_GW)}}, lambda R: R_GW * R)
 
 
 OTHER_READINGS = (
-    Reading(
-        "the quaternion's order is x, y, z, w",
-        _exchanged(_LAST_IS_W),
-        _rolled,
-    ),
+    Reading("the quaternion's order is x, y, z, w", _exchanged(_LAST_IS_W), _rolled),
     Reading(
         "the quaternion's order is w, x, y, z",
         _exchanged({other: n for n, other in _LAST_IS_W.items()}),
@@ -81,7 +80,7 @@ OTHER_READINGS = (
     ),
     Reading(
         "the quaternion turns the world to the body, not the body to the world",
-        "ref_q_x, ref_q_y, ref_q_z = { ..., sign = -1 }",
+        entries(("ref_q_x", "ref_q_y", "ref_q_z"), sign=-1.0),
         Rotation.inv,
     ),
     Reading(
@@ -91,22 +90,18 @@ OTHER_READINGS = (
     ),
     Reading(
         "world and body are north-east-down (z down)",
-        "ref_q_y, ref_q_z, ref_p_y, ref_p_z = { ..., sign = -1 }",
+        entries(("ref_q_y", "ref_q_z", "ref_p_y", "ref_p_z"), sign=-1.0),
         lambda R: _NED * R * _NED,
     ),
-    Reading(
-        "the world is north-east-down (z down)",
-        "[reference] q_GW = [0, 1, 0, 0]",
-        lambda R: _NED * R,
-    ),
+    _of_world("the world is north-east-down (z down)", _NED),
     Reading(
         "the tracked body's axes are forward, right, down",
-        "[reference] q_IM = [0, 1, 0, 0]",
+        {"reference": {"q_IM": quaternion(_NED)}},
         lambda R: R * _NED,
     ),
     Reading(
         "its heading turns clockwise",
-        "ref_yaw = { ..., sign = -1 }",
+        entries(("ref_yaw",), sign=-1.0),
         lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYX") * [-1.0, 1.0, 1.0]),
     ),
     Reading(
@@ -114,16 +109,8 @@ OTHER_READINGS = (
         _exchanged({"ref_roll": "ref_pitch", "ref_pitch": "ref_roll"}),
         lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYX")[:, [0, 2, 1]]),
     ),
-    Reading(
-        "the world's y is up",
-        "[reference] q_GW = [0.707107, 0.707107, 0, 0]",
-        lambda R: _Y_UP * R,
-    ),
-    Reading(
-        "the world's z is down and y up",
-        "[reference] q_GW = [0.707107, -0.707107, 0, 0]",
-        lambda R: _Y_UP.inv() * R,
-    ),
+    _of_world("the world's y is up", _Y_UP),
+    _of_world("the world's z is down and y up", _Y_UP.inv()),
 )
 
 
@@ -134,13 +121,13 @@ class AttitudeFault:
     Attributes:
         evidence: what was measured.
         cause: in words.
-        map_line: that corrects it in an import map.
+        changes: of an import map that correct it.
         late: delay of the reference [s], where that is the cause.
     """
 
     evidence: str
     cause: str
-    map_line: str
+    changes: Changes
     late: float = 0.0
 
 
@@ -182,7 +169,7 @@ def attitude_fault(
     if late and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
         which, how = ("after", "late") if late > 0 else ("before", "early")
         seen = f"turns {abs(late):.2f} s {which} the gyro"
-        return AttitudeFault(seen, f"the reference's clock is {how}", "", late)
+        return AttitudeFault(seen, f"the reference's clock is {how}", {}, late)
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [
@@ -205,4 +192,4 @@ def attitude_fault(
     alike = ", ".join(f"{x:.2f}" for x in match.own)
     seen = f"correlation of its turning with the gyro {alike} about x, y, z, "
     seen += f"its vertical {lean:.0f} deg from gravity"
-    return AttitudeFault(seen, best[2].words, best[2].map_line)
+    return AttitudeFault(seen, best[2].words, best[2].changes)

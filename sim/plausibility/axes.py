@@ -59,9 +59,8 @@ class AxesMatch:
     @property
     def words(self) -> str:
         """The wrong axes in words, such as "x is -y"."""
-        signs = {1.0: "", -1.0: "-"}
         return ", ".join(
-            f"{AXIS_NAMES[i]} is {signs[float(self.sign[i])]}{AXIS_NAMES[self.order[i]]}"
+            f"{AXIS_NAMES[i]} is {'-' * bool(self.sign[i] < 0)}{AXIS_NAMES[self.order[i]]}"
             for i in self.wrong
         )
 

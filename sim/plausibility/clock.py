@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.plausibility.finding import Finding, rule_named
-from surefoot.sim.plausibility.units import unit_line
 from surefoot.sim.plausibility.view import RESTS, LogView
 
 STEP_OFF = 0.02
@@ -69,8 +69,8 @@ def stamps(view: LogView) -> Iterator[Finding]:
             yield Finding(("t",), f"rows at {actual:.3g} Hz, between which all moves", cause)
             return
         cause = f"in {unit}, not s" if unit else "wrong unit of time"
-        line = unit_line(("t",), unit) if unit else ""
-        yield Finding(("t",), f"rows at {actual:.3g} Hz", cause, line)
+        changes = entries(("t",), unit=unit) if unit else {}
+        yield Finding(("t",), f"rows at {actual:.3g} Hz", cause, changes)
         return
     mean = (len(t) - 1) / (t[-1] - t[0])
     if abs(actual / rate - 1.0) > STEP_OFF and abs(mean / rate - 1.0) > STEP_OFF:

@@ -119,7 +119,8 @@ def flickering(view: LogView) -> Iterator[Finding]:
     if (bad := np.flatnonzero(rate > FLICKERS)).size:
         columns = tuple(f"contact_{log.legs[i]}" for i in bad)
         seen = f"{rate[bad].max():.0f} changes a second"
-        yield Finding(columns, seen, "noise about the threshold", "[contact] debounce")
+        cause = "noise about the threshold: move on and off of [contact] apart, or debounce longer"
+        yield Finding(columns, seen, cause)
 
 
 def _changes(t: np.ndarray, contact: np.ndarray) -> int:

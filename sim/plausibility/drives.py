@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.sim.importing.advice import entries, scaled
 from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.joints import sign_change, turned_round
 from surefoot.sim.plausibility.streams import LIMITED, stretches_without_change
@@ -128,13 +129,12 @@ def _against_model(view: LogView, column: str, one: _Torque) -> Iterator[Finding
         yield turned_round(column, when, "what the model asks for")
     elif explained and alike < OPPOSITE:
         seen = f"correlation with what the model asks for {alike:.2f}"
-        yield Finding((column,), seen, "wrong sign", f"{column} = {{ ..., sign = -1 }}")
+        yield Finding((column,), seen, "wrong sign", entries((column,), sign=-1.0))
     elif explained and abs(one.beside_friction) > EXPLAINED and not SCALED[0] < scale < SCALED[1]:
         seen = f"{scale:.3g} times what the model asks for"
-        line = f"{column} = {{ ..., gain = {1.0 / scale:.3g} }}"
         cause = "another unit, or of the motor's side"
         cause += ", or a load that the model lacks" if scale > 1.0 else ""
-        yield Finding((column,), seen, cause, line)
+        yield Finding((column,), seen, cause, scaled(column, scale))
 
 
 def _holds(
@@ -190,12 +190,11 @@ def followed(view: LogView) -> Iterator[Finding]:
             yield turned_round(column, when, f"the moves of q_{name}")
         elif (opposed := _correlation(sent[:, j], moved[:, j])) < OPPOSITE:
             seen = f"correlation with the moves of q_{name} {opposed:.2f}"
-            yield Finding((column,), seen, "wrong sign", f"{column} = {{ ..., sign = -1 }}")
+            yield Finding((column,), seen, "wrong sign", entries((column,), sign=-1.0))
         elif alike > FOLLOWED and not SCALED[0] < b.std() / a.std() < SCALED[1]:
             scale = float(b.std() / a.std())
-            line = f"{column} = {{ ..., gain = {1.0 / scale:.3g} }}"
             seen = f"{scale:.3g} times as far as q_{name} goes"
-            yield Finding((column,), seen, "another unit than its angle's", line)
+            yield Finding((column,), seen, "another unit than its angle's", scaled(column, scale))
         else:
             # After a step of the command, a joint is still moving.
             for seen, during, outside in _holds(view, column, COMMANDED, 0.5 * COMMANDED):

@@ -4,9 +4,10 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from surefoot.sim.importing.advice import Changes, advice_words
 from surefoot.sim.plausibility.view import LogView
 
 _OF_NEED = {"gyro": "imu", "accel": "imu", "ref": "reference"}
@@ -23,21 +24,26 @@ class Finding:
     Attributes:
         streams: columns concerned.
         evidence: what was measured, with its unit.
-        cause: the likely one.
-        map_line: correction in an import map, "" where there is none.
+        cause: the likely one, and what is to be decided or found out to correct it.
+        changes: to the import map, that correct it; none where they are not known.
         rule: name of the rule.
     """
 
     streams: tuple[str, ...]
     evidence: str
     cause: str
-    map_line: str = ""
+    changes: Changes = field(default_factory=dict)
     rule: str = ""
+
+    @property
+    def map_line(self) -> str:
+        """The correction in an import map in words, "" where there is none."""
+        return advice_words(self.changes)
 
     @property
     def line(self) -> str:
         """The finding in words."""
-        mended = f"; in the map: {self.map_line}" if self.map_line else ""
+        mended = f"; in the map, on top of its own: {self.map_line}" if self.map_line else ""
         return f"{_named(self.streams)}: {self.cause} ({self.evidence}){mended}"
 
 

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
+from surefoot.sim.importing.advice import Changes, entries, quaternion
 from surefoot.sim.plausibility.axes import (
     ACCEL,
     AXIS_NAMES,
@@ -107,16 +109,16 @@ def gravity(view: LogView) -> Iterator[Finding]:
     size = float(np.linalg.norm(mean))
     up, source = _up(view)
     seen = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
-    cause, line = in_another_unit("accel", ACCEL, size / GRAVITY, "")
+    cause, changes = in_another_unit("accel", ACCEL, size / GRAVITY, "")
     if 0.8 < size / GRAVITY**2 < 1.2:
-        cause, line = "multiplied by gravity twice", ""
+        cause, changes = "multiplied by gravity twice", {}
     elif size < 0.2 * GRAVITY and spread > 0.0 and not cause:
         cause = "gravity was taken off: an acceleration, not the specific force that filters need"
     elif np.linalg.norm(accel, axis=1).std() < SAME_SIZE * size < 0.1 * spread and not cause:
         cause = "a direction: its size is the same in every row"
     lean = 0.0 if up is None else angle_between(mean, up)
     if cause:
-        yield Finding(ACCEL, seen, cause, line)
+        yield Finding(ACCEL, seen, cause, changes)
     elif up is not None and lean > MOST_LEAN:
         seen = f"{seen}, {lean:.0f} deg from up by {source}"
         yield _imu_turned(view) or _turned_over(view, mean, up, seen)
@@ -132,18 +134,17 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> 
         cause = f"swapped axes: gravity is on {AXIS_NAMES[found]}, up is {AXIS_NAMES[axis]}"
         return Finding((f"accel_{AXIS_NAMES[axis]}", f"accel_{AXIS_NAMES[found]}"), seen, cause)
     column = ACCEL[axis]
-    offset = f"offset = {round(2.0 * np.sign(up[axis]) * GRAVITY, 2)}"
+    offset = round(2.0 * float(np.sign(up[axis])) * GRAVITY, 2)
     if not view.trusts_reference:
-        line = f"{column} = {{ ..., sign = -1 }}, or {offset} where only gravity is wrong"
-        return Finding((column,), seen, "wrong sign, of the axis or of gravity alone", line)
+        cause = "wrong sign, of the axis or of gravity alone: in its entry of the map"
+        return Finding((column,), seen, f"{cause} sign = -1 or offset = {offset}")
     moved = match_axes(view.accel[view.ok], view.felt[view.ok]).own
     if moved[axis] > 0.5:
         cause = "gravity has the wrong sign, the motion the right one"
-        return Finding((column,), seen, cause, f"{column} = {{ ..., {offset} }}")
+        return Finding((column,), seen, cause, entries((column,), offset=offset))
     columns = tuple(ACCEL[i] for i in np.flatnonzero(moved < -0.5)) or (column,)
     why = ": gravity was logged for specific force" if len(columns) == 3 else " (z down?)"
-    line = f"{', '.join(columns)} = {{ ..., sign = -1 }}"
-    return Finding(columns, seen, f"wrong sign{why}", line)
+    return Finding(columns, seen, f"wrong sign{why}", entries(columns, sign=-1.0))
 
 
 def _up(view: LogView) -> tuple[np.ndarray | None, str]:
@@ -197,11 +198,11 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)
         seen = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
-        yield Finding(columns, seen, f"{down}{in_world.words}", _lines("ref_p", in_world))
+        yield Finding(columns, seen, f"{down}{in_world.words}", _put_right(in_world, "ref_p"))
     elif _shakes(view, in_body):
         columns = tuple(ACCEL[i] for i in in_body.wrong)
         seen = f"correlation with the reference's motion {_of(in_body, in_body.own)}"
-        yield Finding(columns, seen, in_body.words, _lines("accel", in_body))
+        yield Finding(columns, seen, in_body.words, _put_right(in_body, "accel"))
     elif abs(np.log(in_world.scaled)) > np.log1p(SCALED_ACCEL):
         seen = f"accelerates {in_world.scaled:.3g} times as fast as the accelerometer"
         cause = "scaled, another unit, or stamps at a wrong rate"
@@ -215,7 +216,8 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
             seen = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
             cause = "the reference's world is not level"
             level = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
-            yield Finding((*REF_P, "ref_q"), seen, cause, _turned_line("q_GW", level))
+            changes = {"reference": {"q_GW": quaternion(level)}}
+            yield Finding((*REF_P, "ref_q"), seen, cause, changes)
             return
         for i in np.flatnonzero(np.abs(apart) > ZERO_G):
             seen = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
@@ -282,8 +284,7 @@ def gyro_unit(view: LogView) -> Iterator[Finding]:
         if view.compares_turning and view.gyro_match.alike:
             factor = view.gyro_match.scaled
             seen += f", {factor:.3g} times as fast as the reference turns"
-        cause, line = in_another_unit("gyro", GYRO, factor, "scaled")
-        yield Finding(GYRO, seen, cause, line)
+        yield Finding(GYRO, seen, *in_another_unit("gyro", GYRO, factor, "scaled"))
 
 
 @rule_named("gyro", "t gyro ref", when="compares_turning")
@@ -304,7 +305,7 @@ def gyro(view: LogView) -> Iterator[Finding]:
     if match.wrong:
         columns = tuple(GYRO[i] for i in match.wrong)
         seen = f"correlation with the reference's turning {_of(match, match.own)}"
-        yield Finding(columns, seen, match.words, _lines("gyro", match))
+        yield Finding(columns, seen, match.words, _put_right(match, "gyro"))
         return
     if not match.alike:
         if not view.resolves:
@@ -321,8 +322,7 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield Finding((GYRO[weak[0]],), seen, "scaled")
     elif abs(factor - 1.0) > GYRO_SCALED:
         seen = f"{factor:.3g} times as fast as the reference turns"
-        cause, line = in_another_unit("gyro", GYRO, factor, "scaled")
-        yield Finding(GYRO, seen, cause, line)
+        yield Finding(GYRO, seen, *in_another_unit("gyro", GYRO, factor, "scaled"))
     off = (view.gyro - view.turning)[view.ok]
     blocks = np.array_split(off, max(1, round(len(off) * STEP / _BLOCK)))
     means = np.array([one.mean(axis=0) for one in blocks])
@@ -340,21 +340,24 @@ def _imu_turned(view: LogView) -> Finding | None:
     axes = _axes_of_imu(view) if view.compares_turning else None
     if axes is None:
         return None
-    columns, words = (*GYRO, *ACCEL), "mirrored"
+    columns, turn, words = (*GYRO, *ACCEL), None, "mirrored"
     if np.linalg.det(axes) > 0.0:
         turn = Rotation.from_matrix(axes)
         words = f"by {_numbers(turn.as_rotvec(degrees=True))} deg about x, y, z"
-        if not _in_body(view, axes):
-            seen = f"{words}, from the tracked body's axes, as turning and motion say"
-            line = _turned_line("q_IM", turn)
-            return Finding(columns, seen, "the tracked body is turned against the IMU", line)
+    changes = {"reference": {"q_IM": quaternion(turn)}} if turn else {}
+    if turn and not _in_body(view, axes):
+        seen = f"{words}, from the tracked body's axes, as turning and motion say"
+        return Finding(columns, seen, "the tracked body is turned against the IMU", changes)
     seen = f"{words}, from the reference's axes, as turning and motion say"
     if np.array_equal(axes, np.round(axes)):
         match = AxesMatch.of(axes)
-        line = "; ".join(_lines(kind, match) for kind in ("gyro", "accel"))
-        return Finding(columns, seen, f"the IMU is turned in the body: {match.words}", line)
-    line = "[robot] imu_orientation, with [reference] q_IM; surefoot align finds it"
-    return Finding(columns, seen, "the IMU is turned in the body", line)
+        cause = f"the IMU is turned in the body: {match.words}"
+        return Finding(columns, seen, cause, _put_right(match, "gyro", "accel"))
+    cause = "the IMU is turned in the body; surefoot align finds q_IM closer"
+    if view.robot is not None:
+        q_BI = Rotation.from_matrix(view.robot.R_BI @ axes.T)
+        changes |= {"robot": {"imu_orientation": quaternion(q_BI)}}
+    return Finding(columns, seen, cause, changes)
 
 
 def _axes_of_imu(view: LogView) -> np.ndarray | None:
@@ -426,20 +429,14 @@ def _of(match: AxesMatch, values: np.ndarray) -> str:
     return ", ".join(f"{AXIS_NAMES[i]} {values[i]:.2f}" for i in match.wrong)
 
 
-def _lines(kind: str, match: AxesMatch) -> str:
-    """Map lines that correct each wrong axis."""
-    lines = []
-    for i in match.wrong:
-        sign = ", sign = -1" if match.sign[i] < 0 else ""
-        column = f"their column of {kind}_{AXIS_NAMES[i]}"
-        lines.append(f"{kind}_{AXIS_NAMES[match.order[i]]} = {{ column = <{column}>{sign} }}")
-    return "; ".join(lines)
-
-
-def _turned_line(key: str, rotation: Rotation) -> str:
-    """Map line for a rotation of a reference."""
-    q = rotation.as_quat(canonical=True, scalar_first=True)
-    return f"[reference] {key} = [{', '.join(f'{x:.6f}' for x in q + 0.0)}]"
+def _put_right(match: AxesMatch, *kinds: str) -> Changes:
+    """Changes of the map that correct each wrong axis of vectors of some kinds."""
+    entry: dict[str, dict[str, Any]] = {}
+    for kind, i in product(kinds, match.wrong):
+        axis, own = (f"{kind}_{AXIS_NAMES[k]}" for k in (match.order[i], i))
+        of = {"of": own} if own != axis else {}
+        entry[axis] = of | ({"sign": -1.0} if match.sign[i] < 0 else {})
+    return {"columns": entry}
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -4,10 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
 from surefoot.sim.plausibility.finding import Finding, rule_named
-from surefoot.sim.plausibility.units import in_another_unit, unit_line
+from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import LogView
 
 RATE_OFF = 0.1
@@ -97,33 +98,33 @@ def rates(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"{kind}_{names[i]}" for i in np.flatnonzero(which))
         seen = f"correlation of dq with the change of q {own[which].max():.2f} at best"
         cause = "wrong sign" if not which.all() else "wrong sign, or time runs backwards"
-        line = f"{', '.join(columns)} = {{ ..., sign = -1 }}"
-        yield Finding(columns, seen, cause, line)
+        yield Finding(columns, seen, cause, entries(columns, sign=-1.0))
     for i in np.flatnonzero(strange):
         seen = f"correlation with the change of q_{names[i]} {own[i]:.2f}"
-        cause, line = "no rate of this joint: shuffled rows, another clock, or a broken sensor", ""
+        cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
+        changes: Changes = {}
         if alike[i, other[i]] > 0.8:
             its = names[other[i]]
             seen += f", of q_{its} {alike[i, other[i]]:.2f}"
             cause = f"it is the rate of {its}: swapped"
-            line = f"dq_{its} = {{ column = <their column of dq_{names[i]}> }}"
-        yield Finding((f"dq_{names[i]}",), seen, cause, line)
+            changes = entries((f"dq_{its}",), of=f"dq_{names[i]}")
+        yield Finding((f"dq_{names[i]}",), seen, cause, changes)
     good = own > np.where(slow, _SURELY, 0.8)
     if not good.any():
         return
     typical = float(np.median(slope[good]))
     together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)
     # What lies between samples makes rates smaller, never larger.
-    scaled = not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
-    if scaled and 2 * together.sum() > good.sum():
+    common = not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
+    if common and 2 * together.sum() > good.sum():
         columns = tuple(f"dq_{n}" for n, g in zip(names, together, strict=True) if g)
         yield _scaled_rates(columns, typical, f"{typical:.3g} times the change of q")
     else:
         typical = 1.0
     for i in np.flatnonzero(good & (np.abs(slope / typical - 1.0) > 2.0 * RATE_OFF + error)):
         seen = f"{slope[i]:.3g} times the change of q_{names[i]}"
-        line = f"dq_{names[i]} = {{ ..., gain = {typical / slope[i]:.4g} }}"
-        yield Finding((f"dq_{names[i]}",), seen, "scaled, or its angle is", line)
+        column, too_large = f"dq_{names[i]}", float(slope[i]) / typical
+        yield Finding((column,), seen, "scaled, or its angle is", scaled(column, too_large))
 
 
 def sign_change(
@@ -159,7 +160,7 @@ def turned_round(column: str, since: float, expected: str) -> Finding:
 def _scaled_rates(columns: tuple[str, ...], typical: float, seen: str) -> Finding:
     if abs(np.degrees(typical) - 1.0) < 0.2:
         angles = tuple(f"q_{c[3:]}" for c in columns)
-        return Finding(angles, seen, "angles in deg, not rad", unit_line(angles, "deg"))
+        return Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
     otherwise = "scaled, or stamps at a wrong rate"
     return Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
 
@@ -182,16 +183,14 @@ def units(view: LogView) -> Iterator[Finding]:
         turned = list(log.joints)  # hips may stay below
     if turned:
         worst = float(np.abs(q).max())
-        columns = tuple(f"q_{j}" for j in turned)
         seen = f"up to {worst:.4g} rad"
-        cause, line = "in deg, not rad, or not unwrapped", unit_line(columns, "deg")
+        units = {f"q_{j}": {"unit": "deg"} for j in turned}
         if log.has("dq") and view.comparable:
             size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
             if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * RATE_OFF:
-                rates_too = tuple(f"dq_{j}" for j in turned)
-                line += f"; {unit_line(rates_too, 'deg/s')}"
-                columns += rates_too
-        yield Finding(columns, seen, cause, line)
+                units |= {f"dq_{j}": {"unit": "deg/s"} for j in turned}
+        cause = "in deg, not rad, or not unwrapped"
+        yield Finding(tuple(units), seen, cause, {"columns": units})
 
 
 @rule_named("joint range", "q")
@@ -220,11 +219,11 @@ def stops(view: LogView) -> Iterator[Finding]:
     seen += f" {np.median(q[:, worst]):.2f} rad"
     within = np.mean(np.maximum(low + q, -q - high) > BEYOND, axis=0) < BEYOND_SHARE
     names = [log.joints[j] for j in over]
-    cause, line = "wrong zero, swapped joints, or another robot", ""
+    cause, changes = "wrong zero, swapped joints, or another robot", {}
     if within[over].all():
         cause = "wrong sign, swapped joints, or another robot"
-        line = "; ".join(f"[robot.joint_sign] {name} = -1" for name in names)
-    yield Finding(tuple(f"q_{name}" for name in names), seen, cause, line)
+        changes = {"robot": {"joint_sign": dict.fromkeys(names, -1.0)}}
+    yield Finding(tuple(f"q_{name}" for name in names), seen, cause, changes)
 
 
 @rule_named("torque", "tau")
@@ -246,9 +245,9 @@ def torques(view: LogView) -> Iterator[Finding]:
         seen = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
         columns = tuple(f"tau_{view.log.joints[k]}" for k in over)
         thousand = np.median(strong[over] / limit[over]) > 30.0
-        line = unit_line(columns, "mN m") if thousand else ""
+        changes = entries(columns, unit="mN m") if thousand else {}
         cause = "in mN m, not N m" if thousand else "another unit, or another robot"
-        yield Finding(columns, seen, cause, line)
+        yield Finding(columns, seen, cause, changes)
 
 
 @rule_named("magnitudes", "tau")
@@ -294,10 +293,13 @@ def zeros(view: LogView) -> Iterator[Finding]:
     for pair, other in ((0, 1), (1, 0)):
         for k, (kind, most) in enumerate(ZERO_OFF.items()):
             if abs(apart[pair, k]) > most and np.all(np.abs(apart[other]) < 0.5 * most):
-                names = tuple(f"q_{LEGS[2 * pair + side]}_{kind}" for side in (0, 1))
-                seen = f"medians {apart[pair, k]:.2f} rad apart, the others {apart[other, k]:.2f}"
-                line = f"[robot] joint_offset of {names[0][2:]} or {names[1][2:]}"
-                yield Finding(names, seen, "one of them has a wrong zero", line)
+                left, right = (f"{LEGS[2 * pair + side]}_{kind}" for side in (0, 1))
+                off = round(float(apart[pair, k]), 2)
+                seen = f"medians {off:.2f} rad apart, the others {apart[other, k]:.2f}"
+                ways = {left: -off, right: off * (1.0 if k else mirrored[pair])}
+                words = " or ".join(f"joint_offset.{joint} = {x:g}" for joint, x in ways.items())
+                cause = f"one of them has a wrong zero: {words} in [robot] of the map"
+                yield Finding((f"q_{left}", f"q_{right}"), seen, cause)
 
 
 @rule_named("commands", "q q_des")
@@ -314,4 +316,4 @@ def commands(view: LogView) -> Iterator[Finding]:
     if size > 10.0:
         columns = tuple(f"q_des_{j}" for j in log.joints)
         seen = f"{size:.3g} times the measured angles"
-        yield Finding(columns, seen, "in deg, not rad", unit_line(columns, "deg"))
+        yield Finding(columns, seen, "in deg, not rad", entries(columns, unit="deg"))

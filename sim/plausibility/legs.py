@@ -7,6 +7,7 @@ from itertools import permutations, product
 import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.importing.advice import entries
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import lag_of
 from surefoot.sim.plausibility.finding import Finding, rule_named
@@ -406,8 +407,8 @@ def _misread_finding(
     seen = f"standing feet move {gain:.0f} times less (squared) when put right"
     pairs = ", ".join(f"{joints[0, k]} is {joints[0, order[k]]}" for k in swapped)
     causes = [f"swapped joints ({pairs})"] * bool(swapped) + ["wrong sign"] * bool(flipped)
-    line = "; ".join(f"[robot.joint_sign] {name} = -1" for name in joints[:, flipped].flat)
-    return Finding(columns, seen, " and ".join(causes), line)
+    changes = {"robot": {"joint_sign": dict.fromkeys(joints[:, flipped].flat, -1.0)}}
+    return Finding(columns, seen, " and ".join(causes), changes if flipped else {})
 
 
 def opposite_angles(view: LogView) -> set[str]:
@@ -464,8 +465,8 @@ def zeros_of_most(view: LogView) -> Iterator[Finding]:
         seen.append(f"{gain:.1f} times with {' or '.join(f'{x:+g}' for x in added)} rad added")
     if columns:
         seen = f"standing feet move less (squared): {', else '.join(seen)}"
-        line = "[robot.joint_offset] of one joint of each leg"
-        yield Finding(tuple(columns), seen, "other zeros than the model's", line)
+        cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
+        yield Finding(tuple(columns), seen, cause)
 
 
 def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, float]:
@@ -507,10 +508,10 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     columns = tuple(f"tau_{joint}" for joint in log.joints)
     if SUPPORT[0] < share < SUPPORT[1] or contact.mean() < 0.2:
         return
-    cause, line = "swapped joints, another unit, a motor's side of the gear, or another robot", ""
+    cause, changes = "swapped joints, another unit, a motor's side of a gear, or another robot", {}
     if -SUPPORT[1] < share < -SUPPORT[0]:
-        cause, line = "wrong sign", f"{columns[0]}, ... = {{ ..., sign = -1 }}"
-    yield Finding(columns, seen, cause, line)
+        cause, changes = "wrong sign", entries(columns, sign=-1.0)
+    yield Finding(columns, seen, cause, changes)
 
 
 @rule_named("late torques", "t q contact tau accel", beside="foot")

@@ -4,13 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.reference import REFERENCE_OFFSET
 from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.plausibility.attitude import LATE, LATEST
 from surefoot.sim.plausibility.axes import GYRO, REF_P, REF_V, lag_of, match_axes
 from surefoot.sim.plausibility.finding import Finding, rule_named
-from surefoot.sim.plausibility.units import in_another_unit, unit_line
+from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import STEP, LogView
 
 FASTEST_LEGS = 12.0
@@ -60,7 +61,7 @@ def attitude(view: LogView) -> Iterator[Finding]:
     if fault is None:
         return
     if not fault.late:
-        yield Finding(_Q, fault.evidence, fault.cause, fault.map_line)
+        yield Finding(_Q, fault.evidence, fault.cause, fault.changes)
         return
     by_force, alike = lag_of(view.accel[view.ok], view.felt[view.ok], STEP, LATEST)
     if alike > _SURELY and abs(by_force) < 0.5 * abs(fault.late):
@@ -68,8 +69,8 @@ def attitude(view: LogView) -> Iterator[Finding]:
         yield Finding(GYRO, seen, "a filter, or another clock, of the gyro alone")
         return
     offset = view.log.meta.model.get(REFERENCE_OFFSET, 0.0) - fault.late
-    line = f"[reference] offset = {offset:.3f}"
-    yield Finding((*REF_P, *_Q), fault.evidence, fault.cause, line)
+    changes = {"reference": {"offset": round(offset, 3)}}
+    yield Finding((*REF_P, *_Q), fault.evidence, fault.cause, changes)
 
 
 @rule_named("reference's unit", "t ref", when="comparable")
@@ -87,7 +88,7 @@ def position(view: LogView) -> Iterator[Finding]:
     if speed > FASTEST_LEGS:
         unit = "mm" if speed > 90.0 else "cm"  # walks have 0.1 to 3 m/s
         seen = f"median speed {speed:.4g} m/s"
-        yield Finding(REF_P, seen, f"in {unit}, not m", unit_line(REF_P, unit))
+        yield Finding(REF_P, seen, f"in {unit}, not m", entries(REF_P, unit=unit))
 
 
 @rule_named("reference's velocity", "t ref ref_v", when="comparable")
@@ -116,8 +117,7 @@ def velocity(view: LogView) -> Iterator[Finding]:
         return
     seen = f"{size:.3g} times the change of positions"
     if abs(np.log(max(size, 1e-9))) > np.log1p(VELOCITY_OFF):
-        cause, line = in_another_unit("ref_v", REF_V, size, "scaled, or positions are")
-        yield Finding(REF_V, seen, cause, line)
+        yield Finding(REF_V, seen, *in_another_unit("ref_v", REF_V, size, "scaled, or ref_p is"))
         return
     seen = f"{100 * missed:.0f} % of its mean square is not the change of positions"
     if np.sum((logged - view.v_I[view.ok]) ** 2) < 0.3 * np.sum((logged - moved) ** 2):

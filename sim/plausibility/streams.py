@@ -2,7 +2,6 @@
 derived from another column.
 """
 
-import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import chain, combinations
@@ -10,6 +9,7 @@ from itertools import chain, combinations
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.streams import LateStream, delay_between, held_streams, late_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.log.schema import joint_prefix
@@ -240,8 +240,8 @@ def held(view: LogView) -> Iterator[Finding]:
         seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
         every = _kinds(view, (*_SENSORS, "force")).items()
-        line = f"[even] held = {json.dumps([kind for kind, c in every if which & c.keys()])}"
-        yield Finding(columns, seen, cause, line)
+        kinds = tuple(kind for kind, c in every if which & c.keys())
+        yield Finding(columns, seen, cause, {"even": {"held": kinds}})
 
 
 @rule_named("interpolated", beside="t", minor=True)
@@ -285,8 +285,8 @@ def late(view: LogView) -> Iterator[Finding]:
         seen = f"{1e3 * abs(one.delay):.1f} ms {when} against {one.witness}"
         # A reference has a clock of its own.
         which = one.columns[0] if len(one.columns) < len(view.log.joints) else "dq"
-        line = f"[even] late = {{ {which} = {one.delay:.4f} }}" if rates else ""
-        yield Finding(one.columns, seen, "a filter, or stamps of another clock", line)
+        changes = {"even": {"late": {which: round(one.delay, 4)}}} if rates else {}
+        yield Finding(one.columns, seen, "a filter, or stamps of another clock", changes)
 
 
 def _late_joints(view: LogView, common: Sequence[LateStream]) -> Iterator[LateStream]:
@@ -356,8 +356,7 @@ def overflows(view: LogView) -> Iterator[Finding]:
             seen = f"{np.sum(over)} steps from one end of its range to the other, {span:.3g} away"
             turns = kind == "q" and abs(span / _WHOLE_TURN - 1.0) < 0.05
             cause = "an angle that starts again after a turn" if turns else "numbers that overflow"
-            line = f"{name} = {{ ..., wrap = {_WHOLE_TURN:.6g} }}" if turns else ""
-            yield Finding((name,), seen, cause, line)
+            yield Finding((name,), seen, cause, entries((name,), wrap=_WHOLE_TURN) if turns else {})
 
 
 @rule_named("saturated", minor=True)

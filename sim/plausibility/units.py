@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from math import log, pi
 
+from surefoot.sim.importing.advice import Changes, entries
 from surefoot.sim.importing.columns import UNITS
 
 NEAR = 1.2
@@ -17,8 +18,8 @@ _WITHOUT_WORD = {
 
 def in_another_unit(
     kind: str, columns: Sequence[str], factor: float, otherwise: str
-) -> tuple[str, str]:
-    """Cause and map line of columns of a kind that are `factor` times their SI values.
+) -> tuple[str, Changes]:
+    """Cause, and changes of the map, of columns of a kind that are `factor` times their SI values.
 
     `otherwise` is the cause where no unit is near to that.
     """
@@ -26,11 +27,5 @@ def in_another_unit(
     sizes = UNITS[kind] | _WITHOUT_WORD.get(kind, {})
     unit = min(sizes, key=lambda one: abs(log(factor * sizes[one])))
     if unit == si or abs(log(factor * sizes[unit])) > log(NEAR):
-        return otherwise, ""
-    return f"in {unit}, not {si}", unit_line(columns, unit) if unit in UNITS[kind] else ""
-
-
-def unit_line(columns: Sequence[str], unit: str) -> str:
-    """Line of an import map that states the unit of columns."""
-    named = ", ".join(columns) if len(columns) <= 3 else f"{columns[0]}, ..."
-    return f'{named} = {{ ..., unit = "{unit}" }}'
+        return otherwise, {}
+    return f"in {unit}, not {si}", entries(columns, unit=unit) if unit in UNITS[kind] else {}

@@ -4,7 +4,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, unknown
 from surefoot.sim.common.files import bundled, is_file
 
 BUNDLED_ROBOTS = bundled("surefoot.sim.robot", "robots")
@@ -45,8 +45,7 @@ def robot_file(name_or_path: str | Path) -> Path:
     names = (*known, *downloadable_robots())
     extra = "" if len(known) > len(_bundled()) else "; real robots: pip install 'surefoot[robots]'"
     raise SurefootError(
-        f"unknown robot '{name_or_path}': give a path to an .xml (MJCF) or .urdf, or one of "
-        f"{', '.join(names)}{extra}{did_you_mean(name_or_path, names)}"
+        f"{unknown('robot', name_or_path, names)}; or give a path to an .xml (MJCF) or .urdf{extra}"
     )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from studies.bench.ratio import SAMPLES, Progress, Ratio, in_turn, part_of
 from studies.montecarlo.qmc import ordinary_boxes, qmc_moments, tensor_moments
-from surefoot.estimator.box import box_moments_kernel
+from surefoot.estimator import box_moments_kernel
 from surefoot.extend import kernel
 
 _BOXES = 100

@@ -10,16 +10,19 @@ from studies.montecarlo.qmc import ordinary_boxes, qmc_moments
 from studies.montecarlo.settings import UNBIASED, load_study
 from studies.montecarlo.trials import make_trials, true_motion
 from surefoot import Observer
-from surefoot.estimator.core.lie import hat
-from surefoot.estimator.core.propagation import propagate
-from surefoot.estimator.core.state import EXTRA
-from surefoot.estimator.updates.coverage import FLOOR, update_coverage
-from surefoot.estimator.updates.outliers import UNLIMITED
-from surefoot.estimator.updates.velocity_output import lift, velocity_output
-from surefoot.extend import GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
+from surefoot.estimator import (
+    EXTRA,
+    FLOOR,
+    UNLIMITED,
+    hat,
+    lift,
+    propagate,
+    update_coverage,
+    velocity_output,
+)
+from surefoot.extend import ARCHITECTURES, GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
 from surefoot.models.observer.network import Network
 from surefoot.models.observer.predict import Loop
-from surefoot.models.registry import ARCHITECTURES
 
 BENCH_GAMMA, FILTER_STEPS = 0.8, 200
 PYTHON_STEPS = 2000

@@ -20,12 +20,8 @@ from studies.montecarlo.numpy_reference import numpy_trial
 from studies.montecarlo.settings import BIASED, load_study
 from studies.montecarlo.study import Setting, run_trials
 from studies.montecarlo.trials import make_trials, true_motion
-from surefoot.extend import SurefootError, did_you_mean
-from surefoot.scenarios.reporting.html import Section
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.limits import check_limit
+from surefoot.extend import SurefootError, check_limit, did_you_mean
+from surefoot.scenarios.reporting import Section, origin_of, percent_bar, to_markdown, write_page
 
 _TRIALS, _DURATION = 40, 4.0
 

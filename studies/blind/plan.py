@@ -3,27 +3,24 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot import Robot
-from surefoot.extend import Effect, effect
-from surefoot.sim.common.files import bundled
-from surefoot.sim.effects import CATALOGUE
-from surefoot.sim.robot.limbs import QUADRUPED
-from surefoot.sim.walking.batch import known_robot
+from surefoot.extend import Effect, effect, known_effects
 
-PLAN = bundled("studies.blind", "study.toml")
-ROBOTS = bundled("studies.blind", "robots")
+PLAN = Path(__file__).with_name("study.toml")
+ROBOTS = PLAN.with_name("robots")
 
 
 @lru_cache(maxsize=16)
 def study_robot(name: str) -> Robot:
     """A robot of the study's own folder, or else a known one."""
     own = ROBOTS / f"{name}.xml"
-    return known_robot(str(own) if own.is_file() else name)
+    return Robot.load(str(own) if own.is_file() else name)
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
     """Draw every case of a plan from its seed."""
     rng = np.random.default_rng(plan["seed"])
     walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
-    known = [name for name in CATALOGUE if name in plan["sizes"]]
+    known = [name for name in known_effects() if name in plan["sizes"]]
     found: list[Case] = []
 
     def add(kind: str, effects: Sequence[Effect] = (), **more) -> None:
@@ -92,11 +89,12 @@ def _draw_effect(
         robot: that has it; targets on which it is equivalent to another effect are not drawn.
         of_group: whether the target is a group.
     """
-    kind = CATALOGUE[name] if name in CATALOGUE else OUTSIDE_EFFECTS[name]
+    known = known_effects()
+    kind = known[name] if name in known else OUTSIDE_EFFECTS[name]
     value = float(np.exp(rng.uniform(*np.log(size))))
     sign = rng.choice([-1.0, 1.0])
-    several = tuple(kind.group_targets(QUADRUPED)) if of_group else ()
-    single = [t for t in kind.single_targets(QUADRUPED) if not kind.equals_another(t, robot)]
+    several = tuple(kind.group_targets(robot.limbs)) if of_group else ()
+    single = [t for t in kind.single_targets(robot.limbs) if not kind.equals_another(t, robot)]
     target = str(rng.choice(several or single))
     # Delays are never negative.
     both = kind.bounds[0] < 0 and not name.endswith("_delay")

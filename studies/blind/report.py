@@ -11,15 +11,20 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
-from studies.blind.plan import PLAN, draw_cases
-from surefoot.scenarios.reporting.html import Picture, Section
-from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
-from surefoot.scenarios.reporting.palette import AFTER, INK
-from surefoot.scenarios.reporting.palette import OUTSIDE as MISSED
-from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.sim.common.toml import read_toml
-from surefoot.sim.effects import CATALOGUE
-from surefoot.sim.robot.limbs import QUADRUPED
+from studies.blind.plan import PLAN, draw_cases, study_robot
+from surefoot.extend import known_effects, read_toml
+from surefoot.scenarios.reporting import (
+    AFTER,
+    INK,
+    Picture,
+    Section,
+    new_figure,
+    origin_of,
+    set_title,
+    write_page,
+    write_results,
+)
+from surefoot.scenarios.reporting import OUTSIDE as MISSED
 
 Record = Mapping[str, Any]
 Rows = list[dict[str, Any]]
@@ -55,8 +60,9 @@ def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
     count = Counter(case.kind for case in planned)
     robots, seeds = plan["walk"]["robots"], plan["walk"]["seeds"]
     grouped = sum(
-        case.effects[0].target not in type(case.effects[0]).single_targets(QUADRUPED)
+        one.target not in one.single_targets(study_robot(case.robot).limbs)
         for case in planned
+        for one in case.effects
         if case.kind == "single"
     )
     return (
@@ -74,14 +80,13 @@ def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
 
 def plan_table(plan: Mapping[str, Any]) -> Rows:
     """One row for each effect: the limits between which its size is drawn."""
-    kinds = {**CATALOGUE, **OUTSIDE_EFFECTS}
     return [
         {
             "effect": name,
             "in the catalogue": known,
             "from": low,
             "to": high,
-            "unit": kinds[name].unit,
+            "unit": (known_effects() if known else OUTSIDE_EFFECTS)[name].unit,
         }
         for known, key in ((True, "sizes"), (False, "outside_sizes"))
         for name, (low, high) in plan[key].items()
@@ -346,7 +351,7 @@ def details(of: Mapping[str, Sequence[Record]]) -> dict[str, Rows]:
 
 def confusion(single: Sequence[Record]) -> Figure:
     """Confusion matrix: the true effect against the one named first, as counts."""
-    names = list(CATALOGUE)
+    names = list(known_effects())
     columns = [*names, *NOT_NAMED]
     counts = np.zeros((len(names), len(columns)))
     for r in single:

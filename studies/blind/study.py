@@ -13,10 +13,9 @@ from studies.blind.plan import PLAN, Case, draw_cases, study_robot
 from studies.blind.report import write_report_of
 from studies.blind.trial import run_case
 from studies.command import OutputFolder
+from surefoot.extend import read_toml
 from surefoot.models.attribution.evidence import candidates_digest
-from surefoot.scenarios.reporting.rows import finished_case, read_case
-from surefoot.scenarios.stages import processes, stage
-from surefoot.sim.common.toml import read_toml
+from surefoot.scenarios.reporting import finished_case, processes, read_case, stage
 
 _MODULE = "studies.blind.trial"
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from studies.blind.plan import PLAN, Case, study_robot
 from surefoot import Log, Scenario, walk
-from surefoot.extend import Effect, Ground, Patch, Segment, SurefootError
+from surefoot.extend import Effect, Ground, Patch, Segment, SurefootError, read_toml
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
 from surefoot.models.attribution.settings import DEFAULT
-from surefoot.sim.common.toml import read_toml
 
 STANDING_TIME = 20.0
 """Duration of the logs of a standing robot [s], with effects that standing cannot distinguish."""

@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 
 from surefoot import Log, Robot, run_filter
 from surefoot.extend import reference
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure
+from surefoot.scenarios.reporting import AFTER, BEFORE, INK, legend_below, new_figure
 
 ICUB_RUNS = ("walking", "com_sinusoid")
 FILTERS = ("leg", "leg_slip", "imu")

@@ -21,11 +21,8 @@ from studies.hardware.drives import FIRST
 from studies.hardware.impulses import SizeKey, WindowRows, window_rows
 from studies.hardware.shared_sizes import Calibration, HeldOutRun
 from surefoot import Log
-from surefoot.extend import known_effects
-from surefoot.scenarios.reporting.rows import finished_case
-from surefoot.sim.effects.contact import STICTION_RATE
-from surefoot.sim.robot.inertia import LinkChange
-from surefoot.sim.robot.machine import Modelled
+from surefoot.extend import STICTION_RATE, LinkChange, Modelled, known_effects
+from surefoot.scenarios.reporting import finished_case
 
 NAMED = 4.0
 """Standard deviations from which a change is reported. The variation between runs is estimated from

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from surefoot import Log
+from surefoot.extend import JOINT_WINDOW, derivative
 from surefoot.sim.importing.contacts import heights_beside_others, up_in_imu
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 
 DISPLACED_OVER = 1.0
 """Time over which displacements by legs and by the reference are compared [s]: some strides, whose

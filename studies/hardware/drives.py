@@ -15,10 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from surefoot import Log
-from surefoot.models.bootstrap import block_bootstrap_counts
-from surefoot.sim.common.series import white_noise
-from surefoot.sim.effects.contact import STICTION_RATE
-from surefoot.sim.robot.machine import Modelled
+from surefoot.extend import STICTION_RATE, Modelled, block_bootstrap_counts, white_noise
 
 GRID = 0.005
 """Largest spacing of the rows of the balance [s]."""

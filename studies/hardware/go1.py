@@ -13,26 +13,23 @@ from matplotlib.figure import Figure
 
 from studies.hardware.drives import BLOCK, between, ratio_interval
 from studies.hardware.stream_lags import WALKING, Lag
-from surefoot import Learnt, Log, Robot, evaluate
+from surefoot import Learnt, Log, Robot, Trace, evaluate
 from surefoot.extend import (
     Effect,
     Trajectory,
     align_first,
+    block_bootstrap_counts,
     compensate_all,
     effect,
     joint_velocity,
     reference,
+    stance_phase,
 )
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.split import split_of
-from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.layout import layout_for
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
-from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.scenarios.reporting.tables import METRICS
+from surefoot.scenarios.reporting import AFTER, BEFORE, INK, METRICS, new_figure, set_title
 from surefoot.scenarios.trace.filters import filtered
-from surefoot.scenarios.trace.result import Trace
-from surefoot.sim.sensors.stances import stance_phase
 
 TENTHS = 10
 MISSED = "#AA4499"

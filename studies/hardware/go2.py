@@ -22,9 +22,8 @@ from studies.hardware.drives import (
 )
 from studies.hardware.row_times import RowTimes, row_times
 from surefoot import Log
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
-from surefoot.scenarios.reporting.plotting import new_figure, set_title
-from surefoot.sim.robot.machine import Modelled
+from surefoot.extend import Modelled
+from surefoot.scenarios.reporting import AFTER, BEFORE, INK, new_figure, set_title
 
 HANGING_WIDTH = 0.03
 """Width of the kernel [s]."""

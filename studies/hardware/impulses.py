@@ -17,10 +17,15 @@ import mujoco
 import numpy as np
 
 from surefoot import Log
-from surefoot.extend import AXES, compensate_all, effect, known_effects
-from surefoot.sim.effects.contact import STICTION_RATE
-from surefoot.sim.robot.inertia import LinkChange
-from surefoot.sim.robot.machine import Modelled
+from surefoot.extend import (
+    AXES,
+    STICTION_RATE,
+    LinkChange,
+    Modelled,
+    compensate_all,
+    effect,
+    known_effects,
+)
 
 SizeKey = tuple[str, str]
 """Name of a size, and the joint, or the joint that moves the link, that it belongs to."""

@@ -24,9 +24,8 @@ from studies.hardware.drives import (
     select,
 )
 from surefoot import Log
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.sim.robot.machine import Modelled
+from surefoot.extend import Modelled
+from surefoot.scenarios.reporting import AFTER, BEFORE, INK, legend_below, new_figure, set_title
 
 PENDULUM_WIDTH = 0.04
 """Width of the kernel [s]: short compared with a quarter of a swing, long compared with a row."""

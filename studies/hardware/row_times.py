@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.extend import block_bootstrap_counts
 
 FAST = 7.0
 """Norm of all joints' rates from which a single row's time is estimated [rad/s]."""

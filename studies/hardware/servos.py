@@ -15,10 +15,8 @@ from matplotlib.figure import Figure
 from scipy.signal import hilbert, lfilter
 
 from surefoot import Log
-from surefoot.extend import kernel
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.sim.robot.machine import Modelled
+from surefoot.extend import Modelled, kernel
+from surefoot.scenarios.reporting import AFTER, BEFORE, INK, legend_below, new_figure, set_title
 from surefoot.sim.robot.model_file import compiled_model
 
 DELAYS = np.arange(0.0, 0.121, 0.01)

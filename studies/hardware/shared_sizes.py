@@ -27,9 +27,8 @@ from studies.hardware.impulses import (
     WindowRows,
     as_published,
 )
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.sim.robot.machine import Modelled
+from surefoot.extend import Modelled
+from surefoot.scenarios.reporting import AFTER, BEFORE, INK, legend_below, new_figure, set_title
 
 ZERO = 0.03
 """Standard deviation of a zero that was set by hand, with the machine hanging or by marks [rad]."""

@@ -9,12 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from studies.hardware.drives import BLOCK
 from surefoot import Log, Robot
-from surefoot.extend import joint_velocity, reference_velocity
+from surefoot.extend import (
+    GRAVITY_G,
+    ReferenceMotion,
+    block_bootstrap_counts,
+    joint_velocity,
+    reference_velocity,
+    stance_phase,
+)
 from surefoot.models.attribution.evidence import log_under_model
-from surefoot.models.bootstrap import block_bootstrap_counts
-from surefoot.models.residuals.binning import ReferenceMotion
-from surefoot.sim.common.gravity import GRAVITY_G
-from surefoot.sim.sensors.stances import stance_phase
 
 LAGS = np.arange(-0.030, 0.0301, 0.001)
 """Lags on the grid, relative to the reference [s]."""

@@ -23,17 +23,30 @@ from studies.hardware import walks_by_feet as feet
 from studies.hardware.impulses import window_rows
 from studies.hardware.stream_lags import lags
 from studies.measured import measured_folder
-from surefoot import Log, Robot, TraceOptions, import_log, load_machine, trace
+from surefoot import (
+    Log,
+    RawRecording,
+    Robot,
+    TraceOptions,
+    import_log,
+    load_machine,
+    read_recording,
+    trace,
+    trace_summary,
+)
 from surefoot.extend import SurefootError, known_robots
-from surefoot.scenarios.reporting.html import Picture, Section
-from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
-from surefoot.scenarios.reporting.plotting import save_png
-from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.reporting.rows import finished_case
-from surefoot.scenarios.trace.words import summary
-from surefoot.sim.common.files import file_digest, refuse_overwrite
-from surefoot.sim.importing.assemble import RawRecording
-from surefoot.sim.importing.recording import read_recording
+from surefoot.scenarios.reporting import (
+    Picture,
+    Section,
+    file_digest,
+    finished_case,
+    origin_of,
+    percent_bar,
+    refuse_overwrite,
+    save_png,
+    write_page,
+    write_results,
+)
 
 MEASURED = measured_folder()
 RUNS = ("ddp", "direct_collocation", "ilqr", "pd")
@@ -177,7 +190,7 @@ def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
         "Left: motion capture, and the leg filter before and after. Middle: RMS speed over the "
         "ground of feet sensed to stand. Right: lag of each stream, with its 95 % interval."
     )
-    return Chapter("Go1 around a square", words + summary(found), tables, drawn, caption)
+    return Chapter("Go1 around a square", words + trace_summary(found), tables, drawn, caption)
 
 
 def scaler_trot(folder: Path, options: HardwareStudy) -> Chapter:
@@ -253,7 +266,7 @@ def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
     )
     figure = biped.walk_figure(logs["walking"], robot)
     caption = "Position on the walk: motion capture, and two filters of the legs."
-    return Chapter("iCub, a walk and a sway", words + summary(found), tables, figure, caption)
+    return Chapter("iCub, a walk and a sway", words + trace_summary(found), tables, figure, caption)
 
 
 def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
@@ -374,7 +387,7 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         "Angles in a run that no fit used: measured, by the published model, and by a servo with "
         "delay, time constant and play."
     )
-    return Chapter("SO-101, six servos", words + summary(traced), tables, figure, caption)
+    return Chapter("SO-101, six servos", words + trace_summary(traced), tables, figure, caption)
 
 
 STUDIES: dict[str, Callable[[Path, HardwareStudy], Chapter]] = {

@@ -19,9 +19,11 @@ from studies.hardware.creeping_feet import (
     with_share,
 )
 from surefoot import (
+    Alignment,
     FilterSettings,
     Log,
     NoiseSettings,
+    RawRecording,
     StartSettings,
     align,
     aligned_log,
@@ -29,10 +31,7 @@ from surefoot import (
     run_filter,
 )
 from surefoot.extend import Trajectory, reference
-from surefoot.models.alignment.alignment import Alignment
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
-from surefoot.sim.importing.assemble import RawRecording
+from surefoot.scenarios.reporting import AFTER, BEFORE, INK, legend_below, new_figure, set_title
 
 PATH_STEP = 0.5
 """Sampling time of the reference for the length of a path [s]; at shorter times its noise adds to

@@ -1,7 +1,6 @@
 """Figures of the Monte-Carlo study, with the paper's numbers for comparison."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -9,14 +8,16 @@ from matplotlib.ticker import LogFormatter
 
 from studies.montecarlo.qmc import Accuracy
 from studies.montecarlo.study import PER_AXIS, READINGS, FilterScores
-from surefoot.scenarios.reporting.palette import (
+from surefoot.scenarios.reporting import (
     INK,
     TRUTH,
     estimator_color,
     estimator_label,
-    estimator_line,
+    estimator_look,
+    legend_below,
+    new_figure,
+    set_title,
 )
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
 
 PAPER_ROWS = {
     None: ("0.61 ± 0.25", "2.33 ± 1.40", "3.11 ± 2.50", "99.9 ± 121"),
@@ -67,7 +68,7 @@ def nees_figure(rows: Sequence[FilterScores]) -> Figure:
                     color = estimator_color(name)
                     ax.plot(*zip(*points, strict=True), style, color=color, label=label)
         for row in (row for row in own if row.gamma is None):
-            ax.axhline(row.nees[0], **_look(row))
+            ax.axhline(row.nees[0], **estimator_look(row.filter))
         gammas = [g for g in PAPER_ROWS if g is not None]
         paper = [float(PAPER_ROWS[g][2 + k].split()[0]) for g in gammas]
         ax.plot(gammas, paper, "x", color=TRUTH, label="Coverage (paper)")
@@ -88,8 +89,8 @@ def time_figure(rows: Sequence[FilterScores], duration: float) -> Figure:
             if not (shown and row.nees_curve):
                 continue
             t = (np.arange(len(row.nees_curve)) + 0.5) * duration / len(row.nees_curve)
-            axes[0, k].plot(t, row.distance_curve, **_look(row))
-            axes[1, k].plot(t, row.nees_curve, **_look(row))
+            axes[0, k].plot(t, row.distance_curve, **estimator_look(row.filter))
+            axes[1, k].plot(t, row.nees_curve, **estimator_look(row.filter))
         axes[1, k].axhline(3.0, color=INK, linewidth=0.8)
         axes[1, k].set(yscale="log", xlabel="time [s]", ylabel="position NEES")
         _plain_ticks(axes[1, k])
@@ -97,15 +98,6 @@ def time_figure(rows: Sequence[FilterScores], duration: float) -> Figure:
         set_title(axes[0, k], regime)
     legend_below(figure, axes[0, 0])
     return figure
-
-
-def _look(row: FilterScores) -> dict[str, Any]:
-    name = row.filter
-    return {
-        "color": estimator_color(name),
-        "linestyle": estimator_line(name),
-        "label": estimator_label(name),
-    }
 
 
 def _plain_ticks(ax) -> None:

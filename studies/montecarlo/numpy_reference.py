@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from studies.montecarlo.settings import MonteCarloStudy
 from studies.montecarlo.study import Setting
 from studies.montecarlo.trials import Trials, Truth
-from surefoot.estimator.core.lie import hat
+from surefoot.estimator import hat
 from surefoot.extend import GRAVITY
 
 g_G = np.array([0.0, 0.0, -GRAVITY])

@@ -14,7 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
-from surefoot.estimator.box import box_moments_kernel
+from surefoot.estimator import box_moments_kernel
 from surefoot.extend import kernel
 
 SAMPLE_COUNTS = (100, 500, 1000, 5000, 10000)

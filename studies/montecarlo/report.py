@@ -25,14 +25,18 @@ from studies.montecarlo.study import (
     run_montecarlo,
 )
 from studies.montecarlo.update import iteration_table, update_illustration
-from surefoot.extend import SurefootError
-from surefoot.models.calibration.bias_model import BOUNDED_MEAN
-from surefoot.scenarios.reporting.html import Picture, Section
-from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
-from surefoot.scenarios.reporting.plotting import save_png
-from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.sim.common.files import refuse_full, whole_folder
-from surefoot.sim.common.limits import check_limit
+from surefoot.extend import BOUNDED_MEAN, SurefootError, check_limit
+from surefoot.scenarios.reporting import (
+    Picture,
+    Section,
+    origin_of,
+    percent_bar,
+    refuse_full,
+    save_png,
+    whole_folder,
+    write_page,
+    write_results,
+)
 
 _TITLE = "The Monte-Carlo study of the coverage update"
 

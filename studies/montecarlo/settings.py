@@ -8,12 +8,10 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from msgspec import Meta
 
-from surefoot.estimator.initial import InitialStd
-from surefoot.extend import SurefootError
-from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import Count, Level, NonNegative, Positive, read_typed
+from surefoot.estimator import InitialStd
+from surefoot.extend import Count, Level, NonNegative, Positive, SurefootError, read_typed
 
-MONTECARLO_PLAN = bundled("studies.montecarlo", "montecarlo.toml")
+MONTECARLO_PLAN = Path(__file__).with_name("montecarlo.toml")
 Vector = tuple[float, float, float]
 MixingLaw = Literal["gaussian", "student", "skewed", "bimodal", "outliers"]
 MIXING_LAWS: tuple[str, ...] = get_args(MixingLaw)

@@ -34,11 +34,7 @@ from studies.montecarlo.trials import (
     true_motion,
     velocity_errors,
 )
-from surefoot.estimator.run import (
-    bounded_velocities,
-    gaussian_velocities,
-    imu_samples,
-)
+from surefoot.estimator import bounded_velocities, gaussian_velocities, imu_samples
 from surefoot.extend import (
     CoverageSettings,
     FilterNoise,
@@ -47,20 +43,18 @@ from surefoot.extend import (
     PersistentError,
     PersistentFilter,
     Trajectory,
+    estimate_bias_model,
     level_per_axis,
     nees,
 )
-from surefoot.models.calibration.bias_model import estimate_bias_model
-from surefoot.models.calibration.regions import calibrator, second_moment
 from surefoot.scenarios.datasets.cluster import run_on_cluster
-from surefoot.scenarios.reporting.rows import finished_case
-from surefoot.scenarios.stages import processes, stage
+from surefoot.scenarios.reporting import finished_case, processes, stage
 
 AT_GAMMA, PER_AXIS = "gamma", "gamma^(1/3)"
 READINGS: dict[str, Callable[[float], float]] = {
     AT_GAMMA: lambda gamma: gamma,
     PER_AXIS: level_per_axis,
-    "outer, 99 %": lambda gamma: calibrator("outer", gamma).level,
+    "outer, 99 %": lambda gamma: max(0.99, level_per_axis(gamma)),
     "outer, 99.9 %": lambda gamma: max(0.999, level_per_axis(gamma)),
 }
 """Name -> quantile of each axis' |e| that is used as its bound, from the filter's joint level."""
@@ -353,7 +347,7 @@ def paper_settings(
     """The paper's rows, then the two filters with a persistent state."""
     noise_seed, calibration_seed = seed.spawn(2)
     errors = population(study, regime.calibration, np.random.default_rng(noise_seed))
-    settings = [Setting("velocity", R=second_moment(errors))]
+    settings = [Setting("velocity", R=_second_moment(errors))]
     settings += [
         Setting("coverage", epsilon=bounds(errors, gamma, reading), gamma=gamma, reading=reading)
         for reading in READINGS
@@ -373,7 +367,7 @@ def beyond_settings(
     errors = population(study, regime.calibration, np.random.default_rng(noise_seed))
     gamma = study.beyond.gamma
     return [
-        Setting("velocity", R=second_moment(errors)),
+        Setting("velocity", R=_second_moment(errors)),
         *(
             Setting("coverage", epsilon=bounds(errors, gamma, name), gamma=gamma, reading=name)
             for name in (PER_AXIS, OUTER)
@@ -390,6 +384,11 @@ def bounds(errors: np.ndarray, gamma: float, reading: str) -> np.ndarray:
 def study_seed(study: MonteCarloStudy, number: int, purpose: int) -> np.random.SeedSequence:
     """The seed of a regime's settings (purpose 0) or of its trials (purpose 1)."""
     return np.random.SeedSequence([study.seed, number, purpose])
+
+
+def _second_moment(errors: np.ndarray) -> np.ndarray:
+    """Mean of e e^T (3, 3) over errors (n, 3)."""
+    return errors.T @ errors / len(errors)
 
 
 def _persistent(

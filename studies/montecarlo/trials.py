@@ -7,9 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from studies.montecarlo.settings import ErrorLaw, MonteCarloStudy, TrotMotion
-from surefoot.estimator.core.lie import gammas
-from surefoot.estimator.core.state import retract
-from surefoot.estimator.initial import start_covariance
+from surefoot.estimator import gammas, retract, start_covariance
 from surefoot.extend import GRAVITY, NavState, kernel
 
 

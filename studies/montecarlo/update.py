@@ -12,10 +12,15 @@ from matplotlib.figure import Figure
 from scipy.stats import multivariate_normal, norm
 
 from studies.montecarlo.study import FilterScores
-from surefoot.estimator.box import box_moments
-from surefoot.estimator.updates.coverage import posterior_moments
-from surefoot.scenarios.reporting.palette import BOUNDS, TRUTH, estimator_color
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title
+from surefoot.estimator import box_moments, posterior_moments
+from surefoot.scenarios.reporting import (
+    BOUNDS,
+    TRUTH,
+    estimator_color,
+    legend_below,
+    new_figure,
+    set_title,
+)
 
 _POSTERIOR, _MATCHED = estimator_color("coverage"), estimator_color("leg")
 _FREE = np.full(2, np.inf)

@@ -17,24 +17,33 @@ from studies.bench.walking import COURSE, Replay
 from studies.command import OutputFolder
 from studies.walking.grounds import grounds_for
 from surefoot import Scenario
-from surefoot.extend import Motion, SurefootError, known_robots
+from surefoot.extend import Motion, SurefootError, bundled_scenarios, check_limit, known_robots
 from surefoot.scenarios.datasets.index import DRY, recipe, walk_facts
-from surefoot.scenarios.reporting.html import Section
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.reporting.rows import finished_case, read_case
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.sim.common.files import bundled, refuse_overwrite, whole_file, whole_folder
-from surefoot.sim.common.limits import check_limit
+from surefoot.scenarios.reporting import (
+    Section,
+    finished_case,
+    origin_of,
+    percent_bar,
+    read_case,
+    refuse_overwrite,
+    to_csv,
+    to_markdown,
+    whole_folder,
+    write_page,
+)
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.physics.scene import TIMESTEP
-from surefoot.sim.physics.stepper import STEPS_PER_TICK
-from surefoot.sim.walk import SETTLING_TIME, Fallen, Plan, plan, record, simulate_motion
+from surefoot.sim.walk import (
+    SETTLING_TIME,
+    STEPS_PER_TICK,
+    Fallen,
+    Plan,
+    plan,
+    record,
+    simulate_motion,
+)
 from surefoot.sim.walking.batch import Job, known_robot, on_threads
 
-COURSE_FOLDERS = tuple(
-    bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot")
-)
 MEAN_OVER = 1.0  # s, two gait cycles or more: the velocity's bob within them does not count
 _MODULE = "studies.walking.study"
 _TITLE = "How the robots walk"
@@ -104,7 +113,8 @@ def walking_study(options: WalkingStudy) -> list[WalkRow]:
     robots, courses, out = options.robot, options.course, options.out
     if not robots and not courses:
         robots = tuple(known_robots())
-        courses = [str(path) for suite in COURSE_FOLDERS for path in sorted(suite.glob("*.toml"))]
+        suites = ("vision60", "spot")
+        courses = [c for suite in suites for c in bundled_scenarios() if c.startswith(f"{suite}/")]
     table, rows = out / "walking.md", out / "walking.csv"
     for path in (table, rows):
         refuse_overwrite(path, options.force)
@@ -132,10 +142,8 @@ def walking_study(options: WalkingStudy) -> list[WalkRow]:
         walks = list(on_threads(jobs, row_of, options.workers, progress))
     walks.sort(key=lambda w: order[w.robot, w.walk, w.seed])
     with whole_folder(out, options.force) as made:
-        with whole_file(made / rows.name) as temporary:
-            temporary.write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
-        with whole_file(made / table.name) as temporary:
-            temporary.write_text(report(walks), encoding="utf-8")
+        (made / rows.name).write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
+        (made / table.name).write_text(report(walks), encoding="utf-8")
     if options.page:
         section = Section("Means over the seeds", LEGEND, _lines(walks))
         write_page(options.page, _TITLE, [section], origin_of(_MODULE, "make study-walking"))

@@ -114,7 +114,7 @@ def test_the_same_seed_gives_the_same_model(model, loss, walks):
 
 
 def test_an_unknown_model_is_refused(walks, mse_observer, tmp_path):
-    with pytest.raises(ObserverError, match=r"model transformer: choose gru \| mlp"):
+    with pytest.raises(ObserverError, match=r"unknown model 'transformer'; known: gru, mlp"):
         train(walks["fit"], Body(), TrainSettings(model="transformer"))
     replace(mse_observer, model="lstm").save(tmp_path / "o.pt")
     with pytest.raises(ObserverError, match="not a whole"):

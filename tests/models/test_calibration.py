@@ -145,7 +145,7 @@ def test_a_short_log_and_another_method_are_refused(mse_observer):
         calibrate(mse_observer, synthetic_walk(8, 2.0), CalibrateSettings(K=20), Body())
     with pytest.raises(BoundsError, match="needs 13"):
         calibrate(mse_observer, synthetic_walk(8, 0.1), robot=Body())
-    with pytest.raises(BoundsError, match="method magic"):
+    with pytest.raises(BoundsError, match="unknown method 'magic'"):
         calibrate(mse_observer, synthetic_walk(8, 2.0), CalibrateSettings(method="magic"), Body())
 
 

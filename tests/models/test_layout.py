@@ -9,7 +9,7 @@ from synthetic import synthetic_walk
 from surefoot.models.residuals.binning import reference_motion
 from surefoot.models.residuals.channel import Channel, ResidualInputs
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.registry import _check, channels
+from surefoot.models.residuals.registry import CHANNELS, channels
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
@@ -100,10 +100,14 @@ def test_a_channel_of_ones_own_is_a_subclass_that_has_its_name():
     class Warmth(Channel):
         name, unit, needs = "warmth", "K", ("x_warmth",)
 
-    _check("warmth", Warmth)
-    for name, kind in (("cold", Warmth), ("warmth", Warmth()), ("warmth", object)):
-        with pytest.raises(SurefootError, match="must be a subclass of Channel whose name is"):
-            _check(name, kind)
+    CHANNELS.check_member("warmth", Warmth)
+    for name, kind, words in (
+        ("cold", Warmth, "calls itself warmth"),
+        ("warmth", Warmth(), "must be a subclass of Channel"),
+        ("warmth", object, "lacks name, unit, needs"),
+    ):
+        with pytest.raises(SurefootError, match=words):
+            CHANNELS.check_member(name, kind)
 
 
 @pytest.mark.parametrize("limbs", [BIPED, ARM, QUADRUPED])

@@ -46,7 +46,7 @@ def test_an_own_network_is_offered_trained_and_run(tmp_path):
     names, learning = lines_of_script("own_architecture", USE, 'model = "averages"', tmp_path)
     assert names == "gru mlp rnn lstm bigru tcn averages"
     assert learning.startswith("averages ['averages', '")
-    with pytest.raises(ObserverError, match=r"model averages: choose gru \| mlp"):
+    with pytest.raises(ObserverError, match=r"unknown model 'averages'; known: gru, mlp"):
         Observer.load(tmp_path / "observer.pt")
 
 

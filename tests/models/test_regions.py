@@ -222,7 +222,7 @@ def test_one_sample_less_than_needed_is_refused(method, gamma, confidence):
 
 def test_what_is_no_method_level_or_confidence_is_refused():
     errors = np.ones((100, 3))
-    with pytest.raises(BoundsError, match="method magic: choose conformal"):
+    with pytest.raises(BoundsError, match="unknown method 'magic'; known: conformal"):
         calibrator("magic", 0.8)
     with pytest.raises(BoundsError, match="gamma 1"):
         calibrator("maxnorm", 1.0)

@@ -5,8 +5,7 @@ import os
 
 import pytest
 
-from surefoot.scenarios.cache import product
-from surefoot.scenarios.reporting.rows import finished_case
+from surefoot.scenarios.cache import finished_case, product
 from surefoot.sim.common import sources
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.sources import sources_digest

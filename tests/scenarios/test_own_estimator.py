@@ -66,5 +66,5 @@ def test_without_its_package_it_is_unknown_in_one_line(log, tmp_path):
     command = ("estimate", str(log), "--filter", "standing_feet")
     done = run_with("", "-m", "surefoot", *command, cwd=tmp_path)
     assert done.returncode == 1
-    assert "standing_feet: unknown; choose coverage" in done.stderr
+    assert "unknown filter 'standing_feet'; known: coverage" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import (
     Origin,
@@ -12,7 +13,6 @@ from surefoot.scenarios.reporting.pages import (
     write_page,
 )
 from surefoot.scenarios.reporting.plotting import new_figure
-from surefoot.scenarios.reporting.rows import finished_case
 
 MODULE = "surefoot.scenarios.reporting.tables"
 

@@ -39,7 +39,10 @@ def test_import_warns_and_the_log_keeps_it(in_g, capsys):
 def test_strict_refuses_with_a_line_each_and_writes_nothing(in_g, capsys):
     with pytest.raises(SystemExit, match="strict: 1 implausible finding in run"):
         main(f"import {in_g}/run.csv --map {in_g}/map.toml -o {in_g}/made.parquet --strict".split())
-    assert f"error: run: {WORDS}" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert f"error: run: {WORDS}" in said.err
+    assert "in the map" not in said.err
+    assert '[columns]\naccel_x = { column = "accel_x", unit = "g" }\n' in said.out
     assert not (in_g / "made.parquet").exists()
 
 
@@ -48,6 +51,7 @@ def test_info_says_what_a_log_holds_and_what_is_wrong(in_g, capsys):
     said = capsys.readouterr()
     assert "800 samples, 4.0 s at 200 Hz; imu" in said.out
     assert WORDS in said.err
+    assert 'unit = "g" in the entry of accel_x, accel_y, accel_z' in said.err
 
 
 def test_an_estimate_keeps_what_its_log_was_warned_of(in_g):

@@ -7,9 +7,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from surefoot.models.attribution.data import dead_contacts, readings
+from surefoot.models.attribution.data import dead_contacts, readings, untraceable_reason
+from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
+from surefoot.models.attribution.split import split_of
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import OUTPUTS, TraceOptions, trace, trace_logs
 from surefoot.scenarios.trace.words import caution, summary
@@ -169,6 +171,22 @@ def test_a_reference_that_covers_only_the_report_is_not_identifiable():
     found = trace_logs([replace(log_with(), frame=frame)], ROBOT)
     assert found.verdict == "not_identifiable"
     assert "too little reference: 0.0 s to fit" in summary(found)
+
+
+@pytest.mark.parametrize("columns", [("ref_p", "ref_q", "ref_v"), ("ref_p",), ("ref_q",)])
+@pytest.mark.parametrize("noise", [0.0, 1e-8])
+def test_a_reference_that_never_changes_ends_the_trace_at_once(columns, noise):
+    log = log_with()
+    rng = np.random.default_rng(0)
+    held = [str(n) for n in log.frame if str(n).startswith(columns)]
+    frozen = log.frame[held].to_numpy()[:1] + noise * rng.normal(size=(len(log.t), len(held)))
+    still = log.with_columns(dict(zip(held, frozen.T, strict=True)))
+    # Before a floor is simulated, which takes minutes where every effect seems to be there.
+    for one, why in ((still, f"{columns[0]} never changes"), (log, "")):
+        (case,) = logs_under_model([one], ROBOT, ())
+        said = untraceable_reason([case], split_of([case]))
+        assert said.startswith(why)
+        assert bool(said) == bool(why)
 
 
 @pytest.mark.parametrize("dead", [("RR",), ("FL", "FR", "RL", "RR")])

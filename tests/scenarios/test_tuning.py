@@ -110,5 +110,5 @@ def test_filters_that_the_inputs_do_not_allow_are_left_out_or_one_line(log, tmp_
     assert "left out for spot_class: coverage (needs observer" in text
     with pytest.raises(SurefootError, match="filter velocity, spot_class: needs observer"):
         tune.tune([log], TuneSettings(tmp_path / "one", ("velocity",), budget=1), Learnt())
-    with pytest.raises(SurefootError, match="filter legs: unknown; choose"):
+    with pytest.raises(SurefootError, match="unknown filter 'legs'; known: "):
         tune.tune([log], TuneSettings(tmp_path / "none", ("legs",)), Learnt())

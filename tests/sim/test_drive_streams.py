@@ -53,14 +53,19 @@ def spiking(x, t):
     [
         ("tau_shoulder", frozen, "a sensor that hangs (no change from 2.00 to", ""),
         ("tau_shoulder", turned, "its sign, or its angle's, changes on the way (from 3.9", ""),
-        ("tau_shoulder", lambda x, t: -x, "wrong sign", "tau_shoulder = { ..., sign = -1 }"),
+        ("tau_shoulder", lambda x, t: -x, "wrong sign", "sign = -1 in the entry of tau_"),
         ("tau_shoulder", lambda x, t: x / 6, "of the motor's side (0.16", "gain = 6."),
         ("tau_shoulder", lambda x, t: 1e3 * x, "another unit, or of the", "gain = 0.0"),
         ("tau_shoulder", held, "a slower sensor", "held = "),
         ("tau_shoulder", spiking, "readings garbled on their way (leaps by up to", ""),
         ("q_des_shoulder", frozen, "a command that was not logged (no change from 2.00 to", ""),
         ("q_des_shoulder", turned, "its sign, or its angle's, changes on the way", ""),
-        ("q_des_shoulder", lambda x, t: -x, "wrong sign", "q_des_shoulder = { ..., sign = -1 }"),
+        (
+            "q_des_shoulder",
+            lambda x, t: -x,
+            "wrong sign",
+            "sign = -1 in the entry of q_des_",
+        ),
         ("q_des_shoulder", lambda x, t: 3.0 * x, "another unit than its angle's (3", "gain = 0.3"),
     ],
 )

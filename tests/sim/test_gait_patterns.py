@@ -50,4 +50,4 @@ def test_what_is_no_gait_is_one_line():
         GaitOptions(pattern="trott")
     for wrong in (Pattern((0.0, 0.5, 0.5, 1.5), 0.6), Pattern((0.0, 0.5, 0.5, 0.0), 0.99)):
         with pytest.raises(SurefootError, match="must"):
-            _check("odd", wrong)
+            _check(wrong)

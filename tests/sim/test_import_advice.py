@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.advice import advised_lines
+from surefoot.sim.importing.advice import advice_words, advised_lines, entries
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log.schema import JOINTS, LEGS
@@ -75,6 +75,18 @@ def rotated(left: Rotation = AS_IS, right: Rotation = AS_IS):
     return change
 
 
+def of_point(x: float, y: float, z: float):
+    """Poses of another point of the body [m]."""
+
+    def change(mocap: pd.DataFrame) -> pd.DataFrame:
+        R_GI = Rotation.from_quat(mocap[POSE[3:]].to_numpy(copy=True), scalar_first=True)
+        made = mocap.copy()
+        made[POSE[:3]] = mocap[POSE[:3]].to_numpy(copy=True) + R_GI.apply([x, y, z])
+        return made
+
+    return change
+
+
 def renamed(names: dict[str, str]):
     """Poses whose columns have each other's names."""
     return lambda mocap: mocap.rename(columns=names)
@@ -91,6 +103,7 @@ class Wrong:
         keys: of [reference].
         entries: of the map's columns.
         robot: keys of [robot].
+        imu: axes of the robot in those of the IMU.
     """
 
     factors: Mapping[str, float] = field(default_factory=dict)
@@ -99,6 +112,7 @@ class Wrong:
     keys: str = ""
     entries: Mapping[str, str] = field(default_factory=dict)
     robot: str = ""
+    imu: Rotation = AS_IS
 
 
 XYZW = dict(zip([*POSE[4:], POSE[3]], POSE[3:], strict=True))
@@ -128,6 +142,21 @@ WRONG = {
         keys="q_GW = [0.7071068, 0.0, 0.0, 0.7071068]",
     ),
     "a world that is not level": Wrong(mocap=rotated(Rotation.from_euler("y", 12, degrees=True))),
+    "a point ahead of the IMU": Wrong(mocap=of_point(0.5, 0.0, 0.1)),
+    "a point further than the map says": Wrong(
+        mocap=of_point(0.5, 0.0, 0.3), keys="p_IM = [0.0, 0.0, 0.2]"
+    ),
+    "a point ahead of the base": Wrong(
+        mocap=of_point(0.5, 0.0, 0.1), keys="frame = 'base'", robot="imu_position = [0.0, 0.0, 0.0]"
+    ),
+    "an IMU that is turned in the body": Wrong(imu=TILTED),
+    "an IMU that is turned in the body, away from the tracked point": Wrong(
+        mocap=of_point(0.3, 0.1, 0.2), keys="p_IM = [0.3, 0.1, 0.2]", imu=TILTED
+    ),
+    "an IMU that is turned in the base": Wrong(
+        keys="frame = 'base'", robot="imu_position = [0.0, 0.0, 0.0]", imu=TILTED
+    ),
+    "an IMU that is upside down": Wrong(imu=Rotation.from_euler("x", 180, degrees=True)),
     "a body whose axes are forward, right, down": Wrong(
         mocap=rotated(right=Rotation.from_euler("x", 180, degrees=True))
     ),
@@ -138,6 +167,10 @@ WRONG = {
 def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
     wrong = WRONG[case]
     frame = walked.frame.assign(**{n: x * walked.frame[n] for n, x in wrong.factors.items()})
+    turned = np.column_stack([wrong.imu.apply(walked.gyro), wrong.imu.apply(walked.accel)])
+    frame = (
+        frame.assign(**dict(zip(SENSORS, turned.T, strict=True))) if wrong.imu != AS_IS else frame
+    )
     frame.to_csv(tmp_path / "robot.csv", index=False)
     mocap = wrong.mocap(frame[["t", *POSE]].iloc[::5])
     mocap.assign(t=mocap["t"] - wrong.early).to_csv(tmp_path / "mocap.csv", index=False)
@@ -151,14 +184,18 @@ def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
         assert left_out is not None
         assert np.mean(left_out) < 0.01  # what is wrong with all is said once
         found = check_log(log, machine_for_log(log))
-        advice = [(one.streams, one.map_line) for one in found]
-        lines = advised_lines(advice, recording.rules, recording.name)
+        advice = [one.changes for one in found]
+        lines, follow = advised_lines(advice, recording.rules, recording.name)
+        assert all(follow)
         said += [one.line for one in found]
         if not found:
             break
         assert lines, said
         text = pasted(text, lines)
     assert [one.line for one in found] == [], said
+    # The heading of a world is free; a point is given to a centimetre.
+    walk_of = [np.linalg.norm(x - x[0], axis=1) for x in (walked.ref_p, log.ref_p)]
+    assert walk_of[1] == pytest.approx(np.interp(log.t, walked.t, walk_of[0]), abs=0.06)
 
 
 def test_advice_is_added_to_what_the_map_says(tmp_path):
@@ -169,20 +206,20 @@ def test_advice_is_added_to_what_the_map_says(tmp_path):
         "[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
         "[robot]\nname = 'hopper'\njoint_sign = { knee = -1 }\n"
     )
-    advice = [
-        (
-            ("q_knee", "dq_knee"),
-            'q_knee, ... = { ..., unit = "deg" }; dq_knee, ... = { ..., unit = "deg/s" }',
-        ),
-        (("q_ankle",), "q_ankle = { ..., wrap = 6.283185307 }"),
-        (("q_knee",), "q_knee = { ..., sign = -1 }"),
-        (("dq_knee",), "[even] late = { dq = 0.0050 }"),
-        (("dq_knee",), '[even] held = ["dq"]'),
-        (("q_knee",), "[robot.joint_sign] knee = -1"),
-        (("accel_x",), "accel_x = { column = <their column of accel_y>, sign = -1 }"),
-        (("q_knee",), "[robot] joint_offset of knee or hip"),
-    ]
-    lines = advised_lines(advice, ImportMap.read(tmp_path / "map.toml"), "run")
+    advice = (
+        {"columns": {"q_knee": {"unit": "deg"}, "dq_knee": {"unit": "deg/s"}}},
+        entries(("q_ankle",), wrap=2.0 * np.pi),
+        entries(("q_knee",), sign=-1.0),
+        {"even": {"late": {"dq": 0.005}}},
+        {"even": {"held": ("dq",)}},
+        {"robot": {"joint_sign": {"knee": -1.0}}},
+        entries(("accel_x",), of="accel_y", sign=-1.0),
+        {},
+        {"reference": {"offset": 0.1}},
+        entries(("tau_knee",), sign=-1.0),
+    )
+    lines, follow = advised_lines(advice, ImportMap.read(tmp_path / "map.toml"), "run")
+    assert follow == (True,) * 7 + (False,) * 3
     found = tomllib.loads("\n".join(lines))
     assert found == {
         "columns": {
@@ -194,3 +231,12 @@ def test_advice_is_added_to_what_the_map_says(tmp_path):
         "even": {"late": {"dq": pytest.approx(0.015)}, "held": ["q", "dq"]},
         "robot": {"joint_sign": {"knee": 1.0}},
     }
+
+
+def test_advice_on_a_map_that_is_not_known_is_given_in_words():
+    words = advice_words(entries(("accel_x", "accel_y"), unit="g"))
+    assert words == 'unit = "g" in the entry of accel_x, accel_y'
+    words = advice_words(entries(("gyro_x",), of="gyro_y", sign=-1.0))
+    assert words == "the column of gyro_y, sign = -1 in the entry of gyro_x"
+    words = advice_words({"robot": {"joint_sign": {"FL_hip": -1.0}}, "even": {"held": ("q",)}})
+    assert words == 'joint_sign = { FL_hip = -1 } in [robot]; held = ["q"] in [even]'

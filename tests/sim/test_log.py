@@ -388,6 +388,17 @@ def test_chunks_are_the_rows_in_turn_each_once(tmp_path, seconds):
     pd.testing.assert_frame_equal(whole, log.frame, check_exact=True)
 
 
+def test_columns_of_very_many_short_row_groups_are_refused(tmp_path, monkeypatch):
+    """Each takes some 50 us to find, so that 10 000 groups would take a minute."""
+    path = tmp_path / "log.parquet"
+    make_log(40).write(path)
+    pq.write_table(pq.read_table(path), path, row_group_size=1)
+    assert LogReader(path).rows == 40
+    monkeypatch.setenv("SUREFOOT_LIMITS", "items=1000")
+    with pytest.raises(LogError, match=r"log\.parquet: columns of row groups with less than 1000"):
+        LogReader(path)
+
+
 def test_a_long_log_is_in_many_row_groups_and_a_chunk_crosses_them(tmp_path):
     t = np.arange(3 * ROW_GROUP + 17) / RATE
     log = Log(pd.DataFrame({"t": t, "q_shoulder": np.sin(t)}), Meta(RATE))

@@ -6,7 +6,7 @@ import mujoco
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.robot.model_gate import check_compiled, check_model_file
+from surefoot.sim.robot.model_gate import POINTS, check_compiled, check_model_file
 
 BASE = '<body name="base"><freejoint/><geom size="0.1" mass="1"/>{}</body>'
 ATTACHED = (
@@ -85,6 +85,29 @@ def test_a_name_that_its_root_contradicts_is_refused(tmp_path, name, root):
 def test_flexible_bodies_are_bounded(tmp_path, inside):
     (tmp_path / "cloth.obj").write_text("v 0.123456 0.123456 0.123456\n" * 2000)
     assert refusal(model(tmp_path, inside))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "refused"),
+    [
+        ("m.obj", b"v 0.1 0.2 0.3\n" * (POINTS + 1), True),
+        ("m.OBJ", b"v\t1\t2\t3\n" * (POINTS + 1), True),
+        ("obj.stl", b"v 0.1 0.2 0.3\n" * (POINTS + 1), True),
+        ("m.msh", struct.pack("<4i", POINTS + 1, 0, 0, 0) + bytes(12 * (POINTS + 1)), True),
+        ("m.stl", bytes(80) + struct.pack("<I", 200_000) + bytes(50 * 200_000), False),
+        ("text.stl", b"vertex 0.1 0.2 0.3\n" * 200_000, False),
+        ("n.obj", b"v 0.1 0.2 0.3\nvn 0 0 1\nvt 0 1\n" * 100_000, False),
+        ("n.msh", struct.pack("<4i", POINTS, 0, 0, 0) + bytes(12 * POINTS), False),
+    ],
+)
+def test_the_points_of_a_mesh_are_counted(tmp_path, name, content, refused):
+    (tmp_path / name).write_bytes(content)
+    path = tmp_path / "robot.xml"
+    path.write_text(f'<mujoco><asset><mesh name="m" file="{name}"/></asset></mujoco>')
+    if refused:
+        assert "points" in refusal(path)
+    else:
+        check_model_file(path)
 
 
 def test_a_small_cloth_is_none_of_its_business(tmp_path):

@@ -74,9 +74,12 @@ def test_without_the_package_its_name_is_unknown_and_the_known_are_listed(tmp_pa
 @pytest.mark.parametrize(
     ("source", "said"),
     [
-        ("Mine = 3", "3 is no class of Effect"),
-        ("class Mine(Effect):\n    name = 'mine'", "effect Mine: lacks unit, bounds"),
-        ("from surefoot.sim.effects.imu import GyroBias as Mine", "its effect is named gyro_bias"),
+        ("Mine = 3", "lacks name, unit"),
+        ("class Mine(Effect):\n    name = 'mine'", "lacks unit, bounds"),
+        (
+            "from surefoot.sim.effects.imu import GyroBias as Mine",
+            "its class calls itself gyro_bias",
+        ),
         ("import nowhere", "cannot be imported"),
     ],
 )

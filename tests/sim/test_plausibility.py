@@ -1,8 +1,8 @@
 """One short walk, made nonsense in many ways: each is noticed, by the right rule and name."""
 
-import json
 import re
 import sys
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -16,11 +16,12 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.series import low_pass
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.advice import Changes
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.plausibility import RULES, check_log, rules_table
 from surefoot.sim.plausibility.axes import lag_of, match_axes
-from surefoot.sim.plausibility.finding import PARAGRAPHS
+from surefoot.sim.plausibility.finding import PARAGRAPHS, Finding
 from surefoot.sim.plausibility.streams import _drop_outs
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -591,7 +592,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "accelerometer that is noise": (
         noisy(4.0, "accel"), "noise", "accel_x, accel_y, accel_z"),
     "a rate that is noise": (noisy(3.0, "dq_FL_calf"), "noise", "dq_FL_calf"),
-    "an angle within a turn": (within_a_turn, "overflow", "q_FL_calf = { ..., wrap = 6.28"),
+    "an angle within a turn": (within_a_turn, "overflow", "wrap = 6.28"),
     "a leg disconnected for a while": (disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
     "a contact late": (late(0.1, "contact_RR"), "legs", "contact_RR: late, unlike the other"),
     "a contact that misses steps": (every_second_step, "missed steps", "contact_FR"),
@@ -620,9 +621,22 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
 @pytest.mark.parametrize("name", CASES)
 def test_nonsense_is_noticed_by_the_right_name(log, name):
     change, rule, words = CASES[name]
-    found = found_in(change(log))
+    said = check_log(change(log), SPOT)
+    for one in said:
+        assert_pasteable(one)
+    found = [f"{one.rule}: {one.line}" for one in said]
     assert any(line.startswith(f"{rule}: ") and words in line for line in found), found
     assert len(found) <= 3, "a rule is not asked about what an earlier one doubts"
+
+
+def assert_pasteable(found: Finding) -> None:
+    """What is to be pasted is TOML, and has no gaps."""
+    assert "..." not in found.map_line
+    assert "<" not in found.map_line
+    for part in found.map_line.split("; ") if found.changes else ():
+        keys, place, _ = re.split(r"( in \[| in the entry of )", part, maxsplit=1)
+        of_column = re.sub(r"^the column of \w+(, |$)", "", keys) if "entry" in place else keys
+        tomllib.loads(f"of = {{ {of_column} }}")
 
 
 def turned(axis: str, degrees: float) -> Rotation:
@@ -661,29 +675,26 @@ ONE_CAUSE: dict[str, Callable[[Log], Log]] = {
 def test_one_cause_has_one_finding_and_what_it_says_to_paste_repairs(log, name):
     changed = ONE_CAUSE[name](without(log, "ref_v"))
     (found,) = check_log(changed, SPOT)
-    assert found_in(pasted(changed, found.map_line)) == []
+    assert found_in(pasted(changed, found.changes)) == []
 
 
-def pasted(log: Log, text: str) -> Log:
-    """A log with the columns that an import would give with these lines in its map."""
-    columns: dict[str, Any] = {}
-    for line in text.split("; "):
-        key, value = line.split(" = ", 1)
-        if key == "[reference] q_IM":
-            back = Rotation.from_quat(json.loads(value), scalar_first=True).inv()
-            log = attitude(lambda R, by=back: R * by)(log)
-            continue
-        signed = -1.0 if value == "-1" or "sign = -1" in value else 1.0
-        if key.startswith("[robot.joint_sign] "):
-            joint = key.split()[1]
-            named = [f"{kind}_{joint}" for kind in ("q", "dq", "tau")]
-            columns |= {name: signed * log.frame[name] for name in named}
-            continue
-        unit = {'unit = "deg/s"': 1 / DEGREE, 'unit = "g"': 9.80665}
-        gain = signed * next((size for words, size in unit.items() if words in value), 1.0)
-        for column in key.split(", "):
-            theirs = re.search("their column of ([a-z_]+)", value)
-            columns[column] = gain * log.frame[theirs[1] if theirs else column]
+def pasted(log: Log, changes: Changes) -> Log:
+    """A log with the columns that an import would give with these changes of its map."""
+    if "reference" in changes:
+        back = Rotation.from_quat(changes["reference"]["q_IM"], scalar_first=True).inv()
+        log = attitude(lambda R: R * back)(log)
+    factors: dict[str, Any] = {
+        f"{kind}_{joint}": {"sign": sign}
+        for joint, sign in changes.get("robot", {}).get("joint_sign", {}).items()
+        for kind in ("q", "dq", "tau")
+    }
+    unit = {"deg/s": 1 / DEGREE, "g": 9.80665}
+    columns = {
+        column: keys.get("sign", 1.0)
+        * unit.get(keys.get("unit"), 1.0)
+        * log.frame[keys.get("of", column)]
+        for column, keys in (factors | {**changes.get("columns", {})}).items()
+    }
     return edited(log, **columns)
 
 

@@ -97,6 +97,42 @@ def test_an_edit_of_another_module_does_not(house):
     assert sources_digest("house.start") == before
 
 
+@pytest.mark.parametrize("name", ["table.toml", "data/gains.csv"])
+def test_a_data_file_that_a_module_names_counts(house, name):
+    path = house / "room" / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("x = 1")
+    (house / "room" / "unnamed.toml").write_text("x = 1")
+    (house / "room" / "one.py").write_text(f"from pathlib import Path\nT = Path({name!r})\n")
+    before = sources_digest("house.start")
+    found = imported_sources("house.start")
+    assert {one: path for one, path in found.items() if "/" in one} == {f"house.room/{name}": path}
+    path.write_text("x = 2")
+    sources_digest.cache_clear()
+    assert sources_digest("house.start") != before
+
+
+def test_the_files_of_a_script_are_no_sources(tmp_path):
+    (tmp_path / "walk.csv").write_text("t\n")
+    (tmp_path / "script.py").write_text("NAME = 'walk.csv'\n")
+    assert set(imported_sources("__main__", str(tmp_path / "script.py"))) == {"__main__"}
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("surefoot.models.realism.card", "surefoot.models.realism/tolerances.toml"),
+        ("surefoot.scenarios.estimate.tuned", "surefoot.scenarios.estimate/tuned.toml"),
+        ("surefoot.scenarios.reporting.html", "surefoot.scenarios.reporting/report.css"),
+        ("surefoot.scenarios.trace.words", "surefoot.scenarios.trace/motions.toml"),
+        ("surefoot.scenarios.viewer.recording", "surefoot.scenarios.viewer/about.toml"),
+        ("studies.blind.plan", "studies.blind/study.toml"),
+    ],
+)
+def test_the_data_files_of_the_package_count(module, name):
+    assert name in imported_sources(module)
+
+
 def test_what_a_registry_names_counts(house):
     assert set(imported_sources("house.named")) == {"house", "house.named", "house.alone"}
     assert set(imported_sources("house.unnamed")) == {"house.unnamed"}
@@ -239,3 +275,11 @@ def test_what_surefoot_offers_is_followed_to_its_home(tmp_path):
     asking.write_text("from surefoot import trace\nfrom surefoot.extend import Calibrator\n")
     found = imported_sources("asking", str(asking))
     assert {"surefoot.scenarios.trace.run", "surefoot.models.calibration.regions"} <= set(found)
+
+
+def test_of_a_public_module_only_what_is_requested_counts(tmp_path):
+    asking = tmp_path / "asking.py"
+    asking.write_text("from surefoot.scenarios.reporting import to_csv\n")
+    found = imported_sources("asking", str(asking))
+    assert "surefoot.scenarios.reporting.tables" in found
+    assert "surefoot.scenarios.reporting.pages" not in found
