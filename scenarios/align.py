@@ -8,10 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.models.alignment.alignment import Alignment, align, aligned_log
-from surefoot.models.alignment.rotation_guess import rates_of, smoothed
+from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
 from surefoot.scenarios.settings import AlignSettings
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.importing.reference import REFERENCE_OFFSET, reference_offset, tracked_poses
@@ -34,6 +35,8 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     for name in _OUTPUTS:
         refuse_overwrite(out / name, settings.force)
     log, poses, about = _read(settings.file, settings.map)
+    if len(poses.t) < 2 or min(np.ptp(log.t), np.ptp(poses.t)) < LEAST_OVERLAP:
+        raise SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, settings.most, about=about)
     with whole_folder(out, settings.force) as folder:

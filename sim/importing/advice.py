@@ -76,13 +76,10 @@ def advised_lines(
 
 def _values(rules: ImportMap) -> _Values:
     """The values of a map that advice may be about."""
-    sections = rules.sections
-    tables: dict[str, Mapping[str, Any]] = {"columns": sections.columns}
-    if sections.reference is not None:
-        tables |= {"reference": vars(sections.reference)}
-        tables |= {"reference.columns": sections.reference.columns}
-    tables |= {"robot": vars(sections.robot)} if sections.robot else {}
-    tables |= {"even": vars(sections.even or EvenTable())}
+    of = rules.sections
+    given = {"reference": of.reference, "robot": of.robot, "even": of.even or EvenTable()}
+    tables = {"columns": of.columns} | {name: vars(x) for name, x in given.items() if x}
+    tables["reference.columns"] = of.reference.columns if of.reference else {}
     return {(section, key): x for section, table in tables.items() for key, x in table.items()}
 
 

@@ -2,40 +2,27 @@
 
 A column is named `topic:path`: `/imu/data:angular_velocity.x`, `/joint_states:position[FL_hip]` (at
 the index of `FL_hip` in the message's `name`; a number is an index from 0),
-`/imu/data:header.stamp`, or `/imu/data:received` for the time of reception by the recorder.
+`/imu/data:header.stamp`, or `/imu/data:received` for the time of reception by the recorder. The
+transforms of `/tf` are topics by their frames: `/tf[world->base]:transform.translation.x`.
 """
 
-import bz2
-import os
 import re
+from array import array
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
-from unittest.mock import patch
 
-import apsw
-import lz4.frame
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import reader as ros1
-from rosbags.rosbag2 import reader as ros2
-from rosbags.rosbag2 import storage_mcap as mcap
-from rosbags.rosbag2.reader import zstd  # pyright: ignore[reportPrivateImportUsage]
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_there
-from surefoot.sim.common.limits import (
-    SMALL,
-    admitted,
-    bounded_text,
-    check_limit,
-    check_unpacked,
-    unpacked,
-)
+from surefoot.sim.common.limits import admitted, bounded_text, check_limit
+from surefoot.sim.importing.bag_limits import Adds, decoder, within_limits
 from surefoot.sim.importing.clock import Stamped
 from surefoot.sim.importing.table import parsed_as
 
@@ -44,6 +31,8 @@ UNREADABLE = "NaN, text, empty or too long"
 """Why a column of a recording cannot be used."""
 _MOST_PLACES = 64
 """Largest array in a message whose elements may be columns; longer ones are images or scans."""
+_READING = 16.0
+"""Bytes in memory of a reading, while its column grows."""
 BAGS = (".bag", ".mcap", ".db3")
 """Endings of bags."""
 _REPAIRS = {
@@ -51,8 +40,11 @@ _REPAIRS = {
     ".mcap": "mcap recover",
     ".db3": "ros2 bag reindex, or sqlite3 with .recover",
 }
+_NO_URI = {*"#?%"}
 _PART_OF_BAG = re.compile(r"_\d+$")
 _PART = re.compile(r"(\w+)(?:\[([^\]]+)\])?$")
+_FRAME = re.compile(r"\[.*->.*\]$")
+"""End of the topic of a transform: `[frame->child frame]`."""
 
 
 def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
@@ -62,46 +54,39 @@ def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
     reception; a column of times holds seconds since the start of the bag. Raises SurefootError for
     a file that is no bag, and a missing topic or field.
     """
-    path = Path(path)
     wanted: dict[str, list[str]] = defaultdict(list)
     for column in columns:
         wanted[topic_of(column)].append(column)
-    with _opened(path) as bag:
-        return _read(bag, path, wanted)
+    published = {topic.partition("[")[0] for topic in wanted}
+    found = _read(Path(path), published, lambda topic, _: wanted.get(topic, ()))
+    for topic in wanted:
+        if not found.get(topic):
+            frames = ", ".join(one for one in found if one not in published)
+            there = f" (there are {frames})" if frames else ""
+            raise SurefootError(f"{path}: topic {topic!r} has no messages{there}")
+    return _flat(found)
 
 
-def _bounded(unpacker: Callable[[], Any]) -> Callable[..., bytes]:
-    return lambda packed, *_: unpacked(unpacker(), packed, "bytes of a chunk or message")
-
-
-class _PackedFile(zstd.ZstdFile):
-    def read(self, size: int | None = -1) -> bytes:
-        found = super().read(size)
-        check_unpacked(os.fstat(self.fileno()).st_size, self.tell(), "bytes of a file", False)
-        return found
-
-
-def _bound_database(database: apsw.Connection) -> None:
-    database.limit(apsw.SQLITE_LIMIT_LENGTH, int(SMALL))
-    database.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)  # which may have rows without end
-
-
-@contextmanager
-def _within_limits() -> Iterator[None]:
-    """Context in which rosbags, which unpacks whatever a file has, does so within the limits."""
-    lz4_, zstd_ = _bounded(lz4.frame.LZ4FrameDecompressor), _bounded(zstd.ZstdDecompressor)
-    hooks = [*apsw.connection_hooks, _bound_database]
-    with (
-        patch.dict(ros1.decompressors, bz2=_bounded(bz2.BZ2Decompressor), lz4=lz4_),
-        patch.dict(mcap.DECOMPRESSORS, lz4=lz4_, zstd=zstd_),
-        patch.object(ros2, "zstd", SimpleNamespace(decompress=zstd_, open=_PackedFile)),
-        patch.object(apsw, "connection_hooks", hooks),
-    ):
-        yield
+def read_whole_bag(path: Path) -> tuple[dict[str, Stamped], dict[str, str]]:
+    """Every numeric column of a bag as `read_bag` returns it, by the first message of each topic;
+    and the topics and frames without a use, with the reason.
+    """
+    found = _read(path, None, lambda topic, one: [f"{topic}:{field}" for field in _fields(one)])
+    skipped: dict[str, str] = {}
+    for topic, columns in found.items():
+        moved = [np.ptp(x) for column, (_, x) in columns.items() if ".translation." in column]
+        if _FRAME.search(topic) and not any(moved):
+            skipped[topic] = "does not move in its frame"
+        elif all(column.endswith(":header.stamp") for column in columns):
+            skipped[topic] = "empty, or only lists: write what you need to a topic of its own"
+    for topic in skipped:
+        found[topic] = {}
+    framed = {topic.partition("[")[0] for topic in found if _FRAME.search(topic)}
+    return _flat(found), {topic: why for topic, why in skipped.items() if topic not in framed}
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
+def _opened(path: Path) -> Iterator[tuple[AnyReader, Adds]]:
     if not is_there(path):
         raise SurefootError(f"{path}: no such file")
     files = _storage(path) if path.is_dir() else [path]
@@ -112,14 +97,17 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
         names = ", ".join(one.name for one in files)
         raise SurefootError(f"{path}: has several bags, name one of them: {names}")
+    if _NO_URI & {*str(path)} and any(one.suffix == ".db3" for one in files):
+        raise SurefootError(f"{path}: rename it, rosbags opens no database with # ? % in its path")
     with (
         parsed_as("a readable bag", path, _remedy(files)),
-        _within_limits(),
+        within_limits(sum(one.stat().st_size for one in beside), str(path)) as add,
         AnyReader(
             [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as bag,
     ):
-        yield bag
+        check_limit("columns", len(bag.connections), f"{path}: connections")
+        yield bag, add
 
 
 def is_bag(path: Path) -> bool:
@@ -150,47 +138,32 @@ def _remedy(files: list[Path]) -> str:
     return f"; if the recorder was killed, try {' or '.join(sorted(tools))}" if tools else ""
 
 
-def bag_fields(path: Path) -> tuple[list[str], dict[str, str]]:
-    """Every numeric column of a bag, as named in a map, from the first message of each topic; and
-    the topics without any but their stamps, with the reason.
-    """
-    found: list[str] = []
-    skipped: dict[str, str] = {}
-    with _opened(path) as bag:
-        for connection in bag.connections:
-            for _, _, raw in bag.messages(connections=[connection]):
-                message = bag.deserialize(raw, connection.msgtype)
-                fields = [*_fields(message, "")]
-                found += [f"{connection.topic}:{field}" for field in fields]
-                if not any(field != "header.stamp" for field in fields):
-                    skipped[connection.topic] = (
-                        "only lists: write what you need of them to a topic of its own"
-                    )
-                break
-            else:
-                skipped[connection.topic] = UNREADABLE
-    check_limit("columns", len(found), f"{path}: fields of its messages")
-    return list(dict.fromkeys(found)), skipped
-
-
-def _fields(message: Any, place: str) -> Iterator[str]:
+def _fields(message: Any, place: str = "") -> Iterator[str]:
     names = [str(one) for one in getattr(message, "name", None) or ()]
-    for field in getattr(message, "__dataclass_fields__", {}):
-        value, path = getattr(message, field), f"{place}{field}"
-        if field.startswith("__") or "covariance" in field:
-            continue
+    for field in fields(message):
+        value, path = getattr(message, field.name), f"{place}{field.name}"
+        if "covariance" in field.name or field.default is not MISSING:
+            continue  # constants have a default
         if _nanoseconds(value) is not None or isinstance(value, int | float | np.number):
             yield path
         elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= _MOST_PLACES:
             places = names if len(names) == len(value) else range(len(value))
             yield from (f"{path}[{one}]" for one in places)
-        elif hasattr(value, "__dataclass_fields__"):
+        elif is_dataclass(value):
             yield from _fields(value, f"{path}.")
         elif isinstance(value, list) and len(value) <= _MOST_PLACES:
-            # Of motors or feet; stamped elements, as of /tf, are another body in each message.
+            # Of motors or feet; stamped elements are another body in each message.
             for k, one in enumerate(value):
-                if not hasattr(one, "header"):
+                if is_dataclass(one) and not hasattr(one, "header"):
                     yield from _fields(one, f"{path}[{k}].")
+
+
+def _messages(topic: str, message: Any) -> Iterator[tuple[str, Any]]:
+    """A message with its topic; the transforms in it, with topics `topic[frame->child]`."""
+    yield topic, message
+    for one in getattr(message, "transforms", ()):
+        if hasattr(one, "child_frame_id"):
+            yield f"{topic}[{one.header.frame_id}->{one.child_frame_id}]", one
 
 
 def topic_of(column: str) -> str:
@@ -201,29 +174,47 @@ def topic_of(column: str) -> str:
     return topic
 
 
-def _read(bag: AnyReader, path: Path, wanted: dict[str, list[str]]) -> dict[str, Stamped]:
-    for topic in wanted:
-        if topic not in bag.topics:
-            known = ", ".join(sorted(bag.topics)) or "none"
-            raise SurefootError(f"{path}: no topic {topic!r} (there are {known})")
-    getters = {column: _getter(column, path) for each in wanted.values() for column in each}
-    values: dict[str, list[float]] = {column: [] for column in getters}
-    stamps: dict[str, list[float]] = {topic: [] for topic in wanted}
-    begin = bag.start_time
-    chosen = [c for c in bag.connections if c.topic in wanted]
-    for connection, received, raw in bag.messages(connections=chosen):
-        message = bag.deserialize(raw, connection.msgtype)
-        topic = connection.topic
-        stamp = _nanoseconds(getattr(getattr(message, "header", None), "stamp", None))
-        # Relative to the start of the bag in integer nanoseconds: an epoch in float64 resolves 0.2
-        # us.
-        stamps[topic].append(1e-9 * ((received if stamp is None else stamp) - begin))
-        for column in wanted[topic]:
-            values[column].append(getters[column](message, received, begin))
-    for topic, found in stamps.items():
-        if not found:
-            raise SurefootError(f"{path}: topic {topic!r} has no messages")
-    return {c: (np.array(stamps[topic_of(c)]), np.array(found)) for c, found in values.items()}
+def _read(
+    path: Path, topics: Set[str] | None, columns_of: Callable[[str, Any], Sequence[str]]
+) -> dict[str, dict[str, Stamped]]:
+    """Stamps and values of the columns of each topic, none of a topic without messages.
+
+    Args:
+        path: of the bag.
+        topics: that are read; all for None.
+        columns_of: the columns of a topic, from its name and its first message.
+    """
+    getters: dict[str, dict[str, Callable[[Any, int, int], float]]] = {}
+    values: dict[str, array] = defaultdict(lambda: array("d"))
+    with _opened(path) as (bag, add):
+        for topic in topics or ():
+            if topic not in bag.topics:
+                known = ", ".join(sorted(bag.topics)) or "none"
+                raise SurefootError(f"{path}: no topic {topic!r} (there are {known})")
+        decode, begin = decoder(bag, add), bag.start_time
+        chosen = [c for c in bag.connections if topics is None or c.topic in topics]
+        for connection, received, raw in bag.messages(chosen):
+            for topic, message in _messages(connection.topic, decode(raw, connection.msgtype)):
+                if topic not in getters:
+                    getters[topic] = {c: _getter(c, path) for c in columns_of(topic, message)}
+                    count = sum(1 + len(one) for one in getters.values())
+                    check_limit("columns", count, f"{path}: topics, frames and fields")
+                stamp = _nanoseconds(getattr(getattr(message, "header", None), "stamp", None))
+                # Relative to the start of the bag in integer nanoseconds: an epoch in float64
+                # resolves 0.2 us.
+                values[topic].append(1e-9 * ((received if stamp is None else stamp) - begin))
+                for column, get in getters[topic].items():
+                    values[column].append(get(message, received, begin))
+                add(_READING * (1 + len(getters[topic])))
+    empty = {connection.topic: {} for connection in chosen}
+    return empty | {
+        topic: {c: (np.array(values[topic]), np.array(values[c])) for c in columns}
+        for topic, columns in getters.items()
+    }
+
+
+def _flat(found: Mapping[str, Mapping[str, Stamped]]) -> dict[str, Stamped]:
+    return {column: stamped for one in found.values() for column, stamped in one.items()}
 
 
 def _getter(column: str, path: Path) -> Callable[[Any, int, int], float]:

@@ -76,7 +76,8 @@ class ColumnEntry:
     column: Name
     """Their name; "name[3]" is an element of a list or a column of an array, counted from 0,
     `name[3][2]` one of an array of three axes, whose first is of the rows;
-    "file:name" is of the further file [sources.file], "/topic:field.path[joint]" of a bag.
+    "file:name" is of the further file [sources.file], "/topic:field.path[joint]" of a bag,
+    "/tf[frame->child]:transform.translation.x" of a frame in another.
     """
     unit: str | None = None
     """Their unit; SI by default."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.bag import is_bag
+from surefoot.sim.importing.bag import is_bag, topic_of
 from surefoot.sim.importing.columns import EULER, UNITS
 from surefoot.sim.importing.draft import Draft, Entry
 from surefoot.sim.importing.guess_columns import guess_columns, vectors
@@ -117,13 +117,22 @@ def _richness(one: RecordedFile) -> int:
 
 
 def _reference(one: RecordedFile) -> tuple[Entry, ...]:
-    """Entries of a pose; in a bag, those of one topic, preferably one named as a tracked body."""
+    """Entries of a pose; in a bag, those of one topic, preferably one named as a tracked body, of
+    transforms the one that travels farthest.
+    """
     if not is_bag(one.path):
         return _pose(one)
-    topics = list(dict.fromkeys(name.partition(":")[0] for name in one.recorded))
-    topics.sort(key=lambda topic: _POSES.get(read_name(f"{topic}/x").source, 1))
-    for topic in topics:
-        columns = {n: v for n, v in one.recorded.items() if n.startswith(f"{topic}:")}
+    topics: dict[str, dict[str, np.ndarray]] = {}
+    for name, values in one.recorded.items():
+        topics.setdefault(topic_of(name), {})[name] = values
+
+    def order(topic: str) -> tuple[int, float]:
+        travelled = [np.ptp(x) for n, x in topics[topic].items() if ".translation." in n]
+        source = read_name(f"{topic}/x").source
+        return _POSES.get(source, 1), -float(max(travelled, default=np.inf))
+
+    for topic in sorted(topics, key=order):
+        columns = topics[topic]
         t = times_of_topic(topic, columns, one.names)
         names = {n: one.names[n] for n in columns}
         if found := _pose(replace(one, columns=columns, names=names, t=t)):

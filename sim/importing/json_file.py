@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import check_limit
+from surefoot.sim.common.limits import check_limit, check_unpacked
 from surefoot.sim.importing.table import RecordedTable, parsed_as
 
 _DEEPEST = 20
@@ -54,6 +54,8 @@ def _collect(
             records = [_flat(one, name, deeper) for one in node]
             keys = dict.fromkeys(key for one in records for key in one)
             check_limit("columns", len(keys), f"{path}: fields of its records")
+            cells_of_all = 8.0 * len(keys) * len(records)
+            check_unpacked(path.stat().st_size, cells_of_all, f"{path}: bytes of its records")
             cells |= {key: _array([one.get(key) for one in records]) for key in keys}
         else:
             cells[name or "array"] = _array(node)

@@ -11,7 +11,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, bag_fields, is_bag, read_bag
+from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, is_bag, read_whole_bag
 from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
@@ -138,8 +138,7 @@ def _leading(
 
 
 def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
-    fields, skipped = bag_fields(path)
-    every = read_bag(path, fields)
+    every, skipped = read_whole_bag(path)
     finite = {name: np.isfinite(values) for name, (_, values) in every.items()}
     readings = {n: (t[finite[n]], x[finite[n]]) for n, (t, x) in every.items() if finite[n].any()}
     if not readings:

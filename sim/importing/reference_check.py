@@ -96,10 +96,8 @@ class ReferenceCheck:
                 "neighbours' (frames miscounted)"
             )
         if self.largest:
-            said.append(
-                f"reference: {self.jumps} jumps of position or attitude, the largest by "
-                f"{self.largest}"
-            )
+            what = "jumps of position or attitude, the largest by"
+            said.append(f"reference: {self.jumps} {what} {self.largest}")
         if self.held:
             said.append(
                 f"reference: {self.held} samples repeat the one before while the body moves"

@@ -8,12 +8,10 @@ from surefoot.sim.robot.machine import Machine
 
 BEGINNING = 0.1
 """Time at the start over which motion is averaged [s], three rows at least: a fifth of a stride."""
-LEG_MOVES = 0.3
-"""Rate from which a joint [rad/s] or a foot [m/s] moves: standing robots have 0.01, walking ones
-0.7.
+LEG_MOVES, BODY_TURNS = 0.3, 0.1
+"""Rate from which a joint [rad/s] or a foot [m/s] moves (standing robots have 0.01, walking ones
+0.7), and RMS rate from which a body turns [rad/s] (twenty times the noise of a gyro at rest).
 """
-BODY_TURNS = 0.1
-"""RMS rate from which a body turns [rad/s]: twenty times the noise of a gyro at rest."""
 
 
 def start_line(log: Log, machine: Machine | None = None) -> str:
@@ -36,7 +34,7 @@ def start_line(log: Log, machine: Machine | None = None) -> str:
     if turning < BODY_TURNS and leg < LEG_MOVES:
         return ""
     if log.has("reference") and log.ref_ok[0]:
-        speed = float(np.linalg.norm(reference_velocity(first).mean(axis=0)))
+        speed = np.linalg.norm(reference_velocity(first).mean(axis=0))
         shown.append(f"reference {speed:.2f} m/s")
         remedy = "filters take its velocity from there; begin where it stands for the gyro's bias"
     else:

@@ -119,8 +119,7 @@ def flickering(view: LogView) -> Iterator[Finding]:
     if (bad := np.flatnonzero(rate > FLICKERS)).size:
         columns = tuple(f"contact_{log.legs[i]}" for i in bad)
         seen = f"{rate[bad].max():.0f} changes a second"
-        cause = "noise about the threshold: move on and off of [contact] apart, or debounce longer"
-        yield Finding(columns, seen, cause)
+        yield Finding(columns, seen, "noise about the threshold: on, off and debounce of [contact]")
 
 
 def _changes(t: np.ndarray, contact: np.ndarray) -> int:

@@ -55,11 +55,10 @@ def point(view: LogView) -> Iterator[Finding]:
     found = other_point(view)
     if found is not None:
         p_IM, explained = found
-        p_IM = p_IM.round(2) + 0.0
-        where = ", ".join(f"{x:.2f}" for x in p_IM)
+        where = ", ".join(f"{x:.2f}" for x in p_IM.round(2) + 0.0)
         seen = f"{100 * explained:.0f} % of what the accelerometer differs by"
         cause = f"of a point at ({where}) m in the IMU's axes, not of the IMU; try surefoot align"
-        changes = {"reference": {"p_IM": tuple(p_IM.tolist())}}
+        changes = {"reference": {"p_IM": tuple((p_IM.round(2) + 0.0).tolist())}}
         yield Finding(REF_P, seen, cause, changes)
 
 

@@ -239,9 +239,9 @@ def held(view: LogView) -> Iterator[Finding]:
         rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
         seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
-        every = _kinds(view, (*_SENSORS, "force")).items()
-        kinds = tuple(kind for kind, c in every if which & c.keys())
-        yield Finding(columns, seen, cause, {"even": {"held": kinds}})
+        kinds = _kinds(view, (*_SENSORS, "force"))
+        held_kinds = tuple(kind for kind, named in kinds.items() if which & named.keys())
+        yield Finding(columns, seen, cause, {"even": {"held": held_kinds}})
 
 
 @rule_named("interpolated", beside="t", minor=True)

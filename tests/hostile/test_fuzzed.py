@@ -23,7 +23,7 @@ from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.export import export
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.importing.bag import bag_fields
+from surefoot.sim.importing.bag import read_whole_bag
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log
@@ -46,7 +46,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "observer.pt": Observer.load,
     "walk.parquet": Log.read,
     "trajectory.parquet": Trajectory.read,
-    "run.mcap": bag_fields,
+    "run.mcap": read_whole_bag,
     "named.csv": lambda path: guess_map([path]),
 }
 RECORDINGS: dict[str, Callable[[Path], object]] = {

@@ -157,19 +157,87 @@ def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
     assert "\n" not in str(caught.value)
 
 
-def test_columns_are_those_of_the_first_message_of_each_topic(tmp_path, monkeypatch):
-    """A bag of hours is not read to its end for their names."""
+def test_a_bag_is_read_once_for_names_and_readings(tmp_path, monkeypatch):
+    """Of each topic, the first message has the names."""
     seen, whole = [], bag._fields
 
-    def counted(message, place):
+    def counted(message, place=""):
         if not place:
             seen.append(type(message).__name__)
         return whole(message, place)
 
     monkeypatch.setattr(bag, "_fields", counted)
-    fields, _ = bag.bag_fields(write_bag(tmp_path / "run", "ros2"))
+    path = write_bag(tmp_path / "run", "ros2")
+    found, skipped = bag.read_whole_bag(path)
     assert len(seen) == len(set(seen)) == len(TYPES)
-    assert {one.partition(":")[0] for one in fields} == set(TYPES)
+    assert {one.partition(":")[0] for one in found} == set(TYPES)
+    assert not skipped
+    for name, values in read_bag(path, list(found)).items():
+        np.testing.assert_array_equal(values, found[name])
+
+
+def write_frames(path: Path, moving: bool = True) -> Path:
+    """A bag of an IMU at 200 Hz and of frames at 50 Hz: a walking body, a camera and a foot of it,
+    and a slowly corrected map.
+    """
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    T = types.types
+    of_frames = "tf2_msgs/msg/TFMessage"
+    with Writer2(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        imu = writer.add_connection("/imu", TYPES["/imu"], typestore=types)
+        tf = writer.add_connection("/tf", of_frames, typestore=types)
+        for topic, received, message in messages(types, False):
+            if topic == "/imu":
+                writer.write(imu, received, types.serialize_cdr(message, TYPES["/imu"]))
+        for k in range(50):
+            ns = EPOCH + 20_000_000 * k
+            stamp = T["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+
+            def transform(parent: str, child: str, x: float, stamp=stamp):
+                vector = T["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=0.0)
+                quaternion = T["geometry_msgs/msg/Quaternion"](w=1.0, x=0.0, y=0.0, z=0.0)
+                header = T["std_msgs/msg/Header"](stamp=stamp, frame_id=parent)
+                pose = T["geometry_msgs/msg/Transform"](vector, quaternion)
+                return T["geometry_msgs/msg/TransformStamped"](header, child, pose)
+
+            every = [transform("base", "camera", 0.3), transform("base", "FL_foot", -0.2)]
+            every += [transform("odom", "base", 0.02 * k)] if moving else []
+            if k % 5 == 0:
+                every.insert(0, transform("map", "odom", 1e-3 * k))
+            message = T[of_frames](every)
+            writer.write(tf, ns + 300_000, types.serialize_cdr(message, of_frames))
+    return path
+
+
+def test_a_frame_of_tf_has_its_own_messages(tmp_path):
+    name = "/tf[odom->base]:transform.translation.x"
+    slow = "/tf[map->odom]:transform.translation.x"
+    found = read_bag(write_frames(tmp_path / "run"), [name, slow])
+    t, x = found[name]
+    np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)  # those of its own header
+    np.testing.assert_allclose(x, 0.02 * np.arange(50))
+    assert len(found[slow][0]) == 10
+
+
+def test_the_frame_that_moves_most_is_drafted_as_the_reference(tmp_path, capsys):
+    path = write_frames(tmp_path / "run")
+    main(["import", str(path), "--guess"])
+    said = capsys.readouterr().out
+    assert '\nref_p_x = { column = "/tf[odom->base]:transform.translation.x", unit = "m" }' in said
+    assert '\nt = { column = "/tf[odom->base]:header.stamp", unit = "s" }' in said
+    assert "FL_foot" not in said.partition("# not used")[0]
+    unused = [line for line in said.splitlines() if line.startswith("# not used")]
+    assert any("does not move" in line and "/tf[base->" in line for line in unused)
+
+
+@pytest.mark.parametrize("topic", ["/tf[world->base]", "/tf"])
+def test_a_frame_that_is_not_there_is_named_with_those_that_are(tmp_path, topic):
+    path = write_frames(tmp_path / "run")
+    with pytest.raises(SurefootError) as caught:
+        read_bag(path, [f"{topic}:transform.translation.x"])
+    assert topic in str(caught.value)
+    assert "/tf[odom->base]" in str(caught.value) or topic == "/tf"
+    assert "\n" not in str(caught.value)
 
 
 def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):

@@ -35,6 +35,11 @@ NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 
 
 @pytest.fixture(scope="module")
+def ahead() -> Log:
+    return walk(Scenario("straight", (Segment(5.0, 0.7),), Ground(0.8)), SPOT, 5)
+
+
+@pytest.fixture(scope="module")
 def log() -> Log:
     return walk(Scenario("plain", COURSE, Ground(0.8)), SPOT, 5)
 
@@ -676,6 +681,14 @@ def test_one_cause_has_one_finding_and_what_it_says_to_paste_repairs(log, name):
     changed = ONE_CAUSE[name](without(log, "ref_v"))
     (found,) = check_log(changed, SPOT)
     assert found_in(pasted(changed, found.changes)) == []
+
+
+@pytest.mark.parametrize(("leg", "lacks"), [("FL", "x_"), ("RR", "tau_")])
+def test_a_hip_of_the_opposite_sign_shows_when_a_robot_walks_straight_ahead(ahead, leg, lacks):
+    """It moves about 0 rad, so that standing feet hardly move."""
+    changed = times(-1.0, "q_", "dq_", "tau_", ends=f"{leg}_hip")(ahead)
+    (found,) = check_log(without(changed, lacks), SPOT)
+    assert found.changes == {"robot": {"joint_sign": {f"{leg}_hip": -1.0}}}
 
 
 def pasted(log: Log, changes: Changes) -> Log:

@@ -1,0 +1,118 @@
+"""Logs of next to nothing: every command that reads a log works on them, or refuses in one line."""
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from forked import copied, run_forked
+
+Columns = dict[str, np.ndarray]
+
+
+def rows(*which: int) -> Callable[[Columns], Columns]:
+    """The rows of a slice."""
+    return lambda c: {name: x[slice(*which)] for name, x in c.items()}
+
+
+def without(*starts: str) -> Callable[[Columns], Columns]:
+    return lambda c: {name: x for name, x in c.items() if not name.startswith(starts)}
+
+
+def only(*starts: str) -> Callable[[Columns], Columns]:
+    return lambda c: {name: x for name, x in c.items() if name == "t" or name.startswith(starts)}
+
+
+def held(*starts: str, at: float | None = None) -> Callable[[Columns], Columns]:
+    """Columns of one value: `at`, or that of their first row."""
+    return lambda c: {
+        name: np.full(len(x), x[0] if at is None else at) if name.startswith(starts) else x
+        for name, x in c.items()
+    }
+
+
+def reference_in(*which: int) -> Callable[[Columns], Columns]:
+    """A reference that was measured in the rows of a slice alone."""
+
+    def change(c: Columns) -> Columns:
+        ok = np.zeros(len(c["t"]))
+        ok[slice(*which)] = 1.0
+        return {**c, "ref_ok": ok}
+
+    return change
+
+
+GROUPS = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "ref_p", "ref_q", "ref_")
+LOGS: dict[str, tuple[Callable[[Columns], Columns], ...]] = {
+    **{f"{n} rows": (rows(n),) for n in (0, 1, 2, 3, 5, 10)},
+    **{f"{n} rows without a reference": (rows(n), without("ref_")) for n in (3, 10)},
+    **{f"{n} rows of an IMU": (rows(n), only("gyro_", "accel_")) for n in (3, 10)},
+    "0.1 s": (rows(50),),
+    "0.1 s of legs that feel nothing": (rows(50), held("contact_", at=0.0), without("ref_")),
+    **{f"no number in {one}": (held(one, at=float("nan")),) for one in GROUPS},
+    **{f"zeros in {one}": (held(one, at=0.0),) for one in GROUPS},
+    **{f"without {one}": (without(one),) for one in (*GROUPS, "q_", "dq_")},
+    "no legs": (without("q_", "dq_", "tau_", "contact_"),),
+    "a reference of one row": (reference_in(1),),
+    "a reference of two rows": (reference_in(2),),
+    "a reference of the last row": (reference_in(-1, None),),
+    "a reference of no row": (reference_in(0),),
+    "a position that stands": (held("ref_p", "ref_v"),),
+    "an attitude that stands": (held("ref_q"),),
+    "a reference that stands": (held("ref_"),),
+    "nothing moves": (held(*GROUPS),),
+    "times alone": (only("none"),),
+    "a reference alone": (only("ref_"),),
+    "contacts alone": (only("contact_"),),
+    "angles alone": (only("q_"),),
+    "an IMU alone": (only("gyro_", "accel_"),),
+    "IMU and reference": (only("gyro_", "accel_", "ref_"),),
+}
+LEARNT = "--observer observer.pt --bounds bounds.json"
+COMMANDS = (
+    "info walk.parquet --json",
+    *(f"estimate walk.parquet --filter {name}" for name in ("imu", "leg", "leg_slip", "radar_leg")),
+    *(f"estimate walk.parquet --filter {name} {LEARNT}" for name in ("coverage", "velocity")),
+    *(f"export walk.parquet -o new{kind}" for kind in (".tum", ".csv", ".mcap")),
+    "view walk.parquet -o new.rrd",
+    "align walk.parquet -o new",
+    "noise walk.parquet",
+    "calibrate observer.pt walk.parquet -o new.json",
+    "train walk.parquet -o new.pt --epochs 1",
+    "compare walk.parquet -o new",
+    "realism walk.parquet -o new",
+    "trace walk.parquet -o new",
+)
+SLOW = ("compare", "realism", "trace")
+"""Commands that simulate or draw for longer than a refusal may take: they must not end badly."""
+SAMPLE = 100
+"""Every so many cases are run by `make test`."""
+CASES = [(log, command) for log in LOGS for command in COMMANDS]
+
+
+@pytest.mark.parametrize(
+    ("log", "command"),
+    [
+        pytest.param(*case, marks=() if number % SAMPLE == 0 else (pytest.mark.long,))
+        for number, case in enumerate(CASES)
+    ],
+)
+def test_a_log_of_next_to_nothing_is_read_or_refused_in_one_line(log, command, good, tmp_path):
+    folder = copied(good, tmp_path / "case")
+    table = pq.read_table(folder / "walk.parquet")
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    for change in LOGS[log]:
+        columns = change(columns)
+    about = table.schema.metadata[b"surefoot"]
+    assert json.loads(about)["robot"] == "spot_class"
+    made = pa.table(columns).replace_schema_metadata({b"surefoot": about})
+    pq.write_table(made, folder / "walk.parquet")
+    found = run_forked(command.split(), folder, memory=2_000_000_000)
+    if found.code == -24 and command.startswith(SLOW):
+        pytest.skip("works on it for longer than a refusal may take")
+    said = [x for x in found.err.splitlines() if not x.startswith(("warning: ", "note: "))]
+    assert found.code in (0, 1, 2, 3), found
+    assert "Warning" not in found.err, found
+    assert len(said) == (found.code != 0), found
