@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.files import bundled, is_file
+from surefoot.sim.common.files import bundled, named_file
 
 
 def bundled_scenarios() -> dict[str, Path]:
@@ -17,9 +16,4 @@ def scenario_file(name_or_path: str | Path, folder: Path = Path()) -> Path:
 
     Raises SurefootError, listing the names, if it is neither.
     """
-    path, known = folder / name_or_path, bundled_scenarios()
-    found = path if is_file(path) else known.get(str(name_or_path))
-    if found is None:
-        hint = did_you_mean(name_or_path, known)
-        raise SurefootError(f"scenario {path}: No such file; bundled are {', '.join(known)}{hint}")
-    return found
+    return named_file("scenario", folder / name_or_path, str(name_or_path), bundled_scenarios())

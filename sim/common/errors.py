@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from pathlib import Path
 
 LARGEST_WHOLE = 2**53
 """Whole number up to which a float is exact."""
@@ -19,6 +20,20 @@ def errors_in(where: str) -> Iterator[None]:
         yield
     except SurefootError as error:
         raise SurefootError(f"{where}: {error}") from None
+
+
+@contextmanager
+def parsed_as(what: str, path: Path, remedy: str = "") -> Iterator[None]:
+    """Raise SurefootError, in one line, for whatever a parser raises on a broken file."""
+    try:
+        yield
+    except SurefootError as error:
+        raise SurefootError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200]
+        raise SurefootError(
+            f"{path}: not {what} ({type(error).__name__}: {reason}){remedy}"
+        ) from error
 
 
 def check_seed(seed: int) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.common.limits import bounded_json
 
 MANIFEST = ".surefoot.jsonl"
@@ -72,6 +72,19 @@ def is_file(path: str | Path) -> bool:
 def is_there(path: str | Path) -> bool:
     """Whether a file or folder exists. False for an impossible name, as in `is_file`."""
     return os.path.exists(path)
+
+
+def named_file(what: str, path: Path, name: str, known: Mapping[str, Path]) -> Path:
+    """The file at a path or, where there is none, the known one of a name, with or without its
+    suffix `.toml`.
+
+    Raises SurefootError, listing the names, for neither. `what` it is, for the message.
+    """
+    found = path if is_file(path) else known.get(name.removesuffix(".toml"))
+    if found is None:
+        hint = did_you_mean(name, known)
+        raise SurefootError(f"{what} {path}: No such file; bundled are {', '.join(known)}{hint}")
+    return found
 
 
 @dataclass

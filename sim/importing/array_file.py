@@ -17,7 +17,7 @@ import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit, check_unpacked
-from surefoot.sim.importing.table import RecordedTable, parsed_as
+from surefoot.sim.importing.table import RecordedTable
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element
@@ -30,26 +30,24 @@ _DEEPEST = 20
 
 def read_npz(path: Path) -> RecordedTable:
     """Read the arrays of a .npz, or that of a .npy as `array`. Raises SurefootError."""
-    with parsed_as("a readable file of arrays", path):
-        if path.suffix == ".npy":
-            found = np.load(path, mmap_mode="r", allow_pickle=False)
-            _bounded(path, found.size * max(found.dtype.itemsize, 1))
-            return _table(path, {"array": np.array(found)})
-        with np.load(path, allow_pickle=False) as file:
-            members = file.zip.infolist()
-            check_limit("columns", len(members), f"{path}: arrays")
-            _bounded(path, sum(one.file_size for one in members))
-            return _table(path, {name: file[name] for name in file.files})
+    if path.suffix == ".npy":
+        found = np.load(path, mmap_mode="r", allow_pickle=False)
+        _bounded(path, found.size * max(found.dtype.itemsize, 1))
+        return _table(path, {"array": np.array(found)})
+    with np.load(path, allow_pickle=False) as file:
+        members = file.zip.infolist()
+        check_limit("columns", len(members), f"{path}: arrays")
+        _bounded(path, sum(one.file_size for one in members))
+        return _table(path, {name: file[name] for name in file.files})
 
 
 def read_mat(path: Path) -> RecordedTable:
     """Read the arrays of a MATLAB file of any version; a field of a struct is `struct.field`."""
     if h5py.is_hdf5(path):
         return read_hdf5(path)
-    with parsed_as("a readable file of arrays", path):
-        _bound_inflated(path)
-        found = scipy.io.loadmat(path, squeeze_me=True)
-        return _table(path, {n: v for n, v in found.items() if not n.startswith("__")})
+    _bound_inflated(path)
+    found = scipy.io.loadmat(path, squeeze_me=True)
+    return _table(path, {n: v for n, v in found.items() if not n.startswith("__")})
 
 
 def read_hdf5(path: Path) -> RecordedTable:
@@ -59,7 +57,7 @@ def read_hdf5(path: Path) -> RecordedTable:
     there is nothing but objects, whose numbers MATLAB stores in a form that it does not publish.
     """
     arrays: dict[str, np.ndarray] = {}
-    with parsed_as("a readable file of arrays", path), h5py.File(path, "r") as file:
+    with h5py.File(path, "r") as file:
         every = dict[str, h5py.Dataset]()
         for name, node in _datasets(file, "", {file}):
             if node.is_virtual or node.external:
@@ -77,8 +75,7 @@ def read_hdf5(path: Path) -> RecordedTable:
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
                 f"arrays{remedy if kind == 'timeseries' else ''}"
             )
-        sizes = [node.size * node.dtype.itemsize for node in every.values() if node.shape]
-        _bounded(path, sum(sizes))
+        _bounded(path, sum(one.size * one.dtype.itemsize for one in every.values() if one.shape))
         for name, node in found.items():
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
@@ -88,10 +85,9 @@ def read_hdf5(path: Path) -> RecordedTable:
 
 def read_parquet(path: Path) -> RecordedTable:
     """Read the columns of a Parquet file."""
-    with parsed_as("a Parquet file", path):
-        about = pq.read_metadata(path)
-        _bounded(path, 8.0 * about.num_rows * about.num_columns)
-        frame = pq.read_table(path).to_pandas(ignore_metadata=True)
+    about = pq.read_metadata(path)
+    _bounded(path, 8.0 * about.num_rows * about.num_columns)
+    frame = pq.read_table(path).to_pandas(ignore_metadata=True)
     return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
 
 

@@ -29,7 +29,7 @@ from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.importing.sections import EvenTable, by_name
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
-from surefoot.sim.log.schema import check_frame, joint_names, joint_prefix, leg_names
+from surefoot.sim.log.schema import GROUPS, check_frame, joint_names, joint_prefix, leg_names
 from surefoot.sim.robot.catalog import SUFFIXES
 from surefoot.sim.robot.model_of_log import model_metadata
 
@@ -68,10 +68,9 @@ class RawRecording:
         if self.poses is None:
             return None, None
         poses = imu_poses(self.poses, self.rules, self.name)
-        imu = [f"{what}_{axis}" for what in ("gyro", "accel") for axis in "xyz"]
-        if not {"t", *imu} <= set(self.main):
+        if not {"t", *GROUPS["imu"]} <= set(self.main):
             return poses, np.zeros(len(poses.t), dtype=bool)
-        columns = np.column_stack([self.main[name] for name in imu])
+        columns = np.column_stack([self.main[name] for name in GROUPS["imu"]])
         return poses, contradicted(self.main["t"], columns[:, :3], columns[:, 3:], poses)
 
     def without_reference(self) -> "RawRecording":

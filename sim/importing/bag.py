@@ -19,12 +19,11 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, parsed_as
 from surefoot.sim.common.files import is_there
 from surefoot.sim.common.limits import admitted, bounded_text, check_limit
 from surefoot.sim.importing.bag_limits import Adds, decoder, within_limits
 from surefoot.sim.importing.clock import Stamped
-from surefoot.sim.importing.table import parsed_as
 
 RECEIVED = "received"
 UNREADABLE = "NaN, text, empty or too long"

@@ -58,12 +58,11 @@ def contacts_from_loads(
     """Columns contact_<leg>, 1 where a load by leg, each (N,) at t (N,) [s], stays beyond the
     rule's thresholds.
     """
-    return {
-        f"contact_{leg}": contact_from_force(t, loads[leg] - offset, on, off, rule.debounce).astype(
-            float
-        )
-        for leg, (offset, on, off) in rule.by_leg(tuple(loads)).items()
-    }
+    found = {}
+    for leg, (offset, on, off) in rule.by_leg(tuple(loads)).items():
+        stands = contact_from_force(t, loads[leg] - offset, on, off, rule.debounce)
+        found[f"contact_{leg}"] = stands.astype(float)
+    return found
 
 
 def speeds_beside_lowest(

@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit, check_unpacked
-from surefoot.sim.importing.table import RecordedTable, parsed_as
+from surefoot.sim.importing.table import RecordedTable
 
 _DEEPEST = 20
 _SWOLLEN = 25.0
@@ -22,13 +23,12 @@ def read_json(path: Path) -> RecordedTable:
     """
     check_limit("memory", _SWOLLEN * path.stat().st_size, f"{path}: bytes in memory")
     cells: dict[str, np.ndarray] = {}
-    with parsed_as("JSON", path):
-        text = path.read_text(encoding="utf-8-sig")
-        if path.suffix == ".json":
-            found = json.loads(text)
-        else:
-            found = [json.loads(line) for line in text.splitlines() if line.strip()]
-        _collect(found, "", cells, path)
+    text = path.read_text(encoding="utf-8-sig")
+    if path.suffix == ".json":
+        found = json.loads(text)
+    else:
+        found = [json.loads(line) for line in text.splitlines() if line.strip()]
+    _collect(found, "", cells, path)
     if not cells:
         raise SurefootError(f"{path}: no records and no lists in it")
     return RecordedTable(path, cells)
@@ -75,7 +75,4 @@ def _array(values: list) -> np.ndarray:
     """(N,) or (N, K) of numbers where possible; else (N,) of objects."""
     if all(isinstance(one, int | float) for one in values):
         return np.array(values, dtype=float)
-    found = np.empty(len(values), dtype=object)
-    for k, one in enumerate(values):  # at once NumPy would make lists a matrix
-        found[k] = one
-    return found
+    return pd.Series(values, dtype=object).to_numpy()  # NumPy would make lists a matrix

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
-from surefoot.sim.common.files import bundled, is_file
+from surefoot.sim.common.files import bundled, named_file
 
 
 def bundled_maps() -> dict[str, Path]:
@@ -17,10 +16,4 @@ def map_file(name_or_path: str | Path) -> Path:
 
     Raises SurefootError, listing the names, where it is neither.
     """
-    path, known = Path(name_or_path), bundled_maps()
-    if is_file(path):
-        return path
-    if path.parent == Path() and (found := known.get(path.name.removesuffix(".toml"))):
-        return found
-    hint = did_you_mean(path.name, known)
-    raise SurefootError(f"{path}: no such import map (bundled: {', '.join(known)}){hint}")
+    return named_file("import map", Path(name_or_path), str(name_or_path), bundled_maps())

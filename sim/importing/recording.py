@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, parsed_as
 from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import admitted
 from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, read_parquet
@@ -103,7 +103,8 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    return with_stamps(reader(path) if reader else read_text(path, source))
+    with parsed_as("a readable table", path):
+        return with_stamps(reader(path) if reader else read_text(path, source))
 
 
 def is_text(path: Path) -> bool:

@@ -19,8 +19,8 @@ evenness = 0.
 """
 _FARTHEST = 100.0
 """Distance of a sensor or a tracked body from the robot's base beyond which a map is wrong [m]."""
-FootRadius = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
-Debounce = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
+UpToOne = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
+"""A radius of feet [m] or a duration of contacts [s]; a larger one is in another unit."""
 OneCharacter = Annotated[str, msgspec.Meta(pattern=r"^[^\r\n\"]\Z")]
 """Within a line, and no quotation mark."""
 
@@ -115,7 +115,7 @@ class RobotTable:
     """Position of the IMU in the base frame [m]; by default the file's."""
     imu_orientation: tuple[float, float, float, float] | None = None
     """Attitude (w, x, y, z) of the IMU in the base frame; by default the file's."""
-    foot_radius: FootRadius | None = None
+    foot_radius: UpToOne | None = None
     """Radius on which the feet roll [m]; by default the file's, which `import` then reports; 0 for
     points.
     """
@@ -175,7 +175,7 @@ class ContactTable:
     """
     offset: float | dict[str, float] = 0.0
     """Subtracted first."""
-    debounce: Debounce = 0.0
+    debounce: UpToOne = 0.0
     """Time above `on` before a foot stands [s]."""
 
     def by_leg(self, legs: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:

@@ -1,8 +1,8 @@
 """A file as a table of raw cells, and the conversion of its columns to numbers."""
 
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,20 +15,6 @@ from surefoot.sim.importing.sections import Source
 
 class NoReadings(SurefootError):
     """A column without a single reading."""
-
-
-@contextmanager
-def parsed_as(what: str, path: Path, remedy: str = "") -> Iterator[None]:
-    """Raise SurefootError, in one line, for whatever a parser raises on a broken file."""
-    try:
-        yield
-    except SurefootError as error:
-        raise SurefootError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-    except Exception as error:
-        reason = " ".join(str(error).split())[:200]
-        raise SurefootError(
-            f"{path}: not {what} ({type(error).__name__}: {reason}){remedy}"
-        ) from error
 
 
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
@@ -129,7 +115,7 @@ def _places(cell: object, deeper: int = 2) -> list[str]:
     where there are too many.
     """
     inner = _list(cell)
-    if not isinstance(inner, list | tuple | np.ndarray):
+    if inner is None:
         return [""]
     if deeper == 0 or len(inner) > _MOST_PLACES:
         return []
@@ -172,7 +158,7 @@ def _at(table: RecordedTable, where: str, cells: np.ndarray, place: int) -> np.n
     found = np.empty(len(cells), dtype=object)
     for row, cell in enumerate(cells):
         values = _list(cell)
-        if isinstance(values, list | tuple | np.ndarray) and place < len(values):
+        if values is not None and place < len(values):
             found[row] = values[place]
         elif not _empty(cell):
             raise SurefootError(
@@ -181,11 +167,11 @@ def _at(table: RecordedTable, where: str, cells: np.ndarray, place: int) -> np.n
     return found
 
 
-def _list(cell: object) -> object:
-    """The value of a cell; a text such as "[0.1, 2]" or "(0.1 2)" is a list."""
+def _list(cell: object) -> Sequence | np.ndarray | None:
+    """The list in a cell, or in its text such as "[0.1, 2]" or "(0.1 2)"; None in any other."""
     if isinstance(cell, str) and cell[:1] in ("[", "(") and cell[-1:] in ("]", ")"):
         return cell[1:-1].replace(",", " ").split()
-    return cell
+    return cell if isinstance(cell, list | tuple | np.ndarray) else None
 
 
 def _empties(cells: np.ndarray) -> np.ndarray:

@@ -153,7 +153,7 @@ def test_a_spreadsheet_is_read_in_the_letters_that_it_writes(tmp_path, encoding)
 
 def test_what_is_no_text_is_still_refused(tmp_path):
     (tmp_path / "run.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\xff" * 9)
-    with pytest.raises(SurefootError, match="not a table of text"):
+    with pytest.raises(SurefootError, match="not a readable table"):
         guess_map([tmp_path / "run.csv"])
 
 
