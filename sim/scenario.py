@@ -129,19 +129,9 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
         Segment(s.duration / k, s.forward * k, s.lateral * k, s.turn * k)
         for s, k in zip(scenario.segments, speeds, strict=True)
     )
-    return DrawnScenario(
-        replace(
-            scenario,
-            segments=segments,
-            ground=replace(
-                ground, mu=ground.mu * mu, patches=patches, strips=strips, fields=fields
-            ),
-        ),
-        period,
-        clearance,
-        gain,
-        payload,
-    )
+    ground = replace(ground, mu=ground.mu * mu, patches=patches, strips=strips, fields=fields)
+    as_walked = replace(scenario, segments=segments, ground=ground)
+    return DrawnScenario(as_walked, period, clearance, gain, payload)
 
 
 def _on(patch: Patch, layer: Layer) -> bool:
