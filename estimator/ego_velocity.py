@@ -57,6 +57,15 @@ def ego_velocities(
         noise: standard deviation of a Doppler [m/s].
         angle_noise: standard deviations of azimuth and elevation [rad].
     """
+    direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
+    ends = np.searchsorted(frame, np.arange(frames + 1))
+    velocities, covariances = np.empty((frames, 3)), np.empty((frames, 3, 3))
+    good = _each(ends, direction, doppler, noises, velocities, covariances)
+    rows = np.flatnonzero(good)
+    return rows, velocities[rows], covariances[rows]
+
+
+def _checked(direction, doppler, noise, angle_noise):
     direction = numbers("direction", direction, (-1, 3))
     doppler = numbers("doppler", doppler, (len(direction),))
     if not 0.0 < noise < np.inf:
@@ -64,11 +73,7 @@ def ego_velocities(
     noises = numbers("angle_noise", [noise, *angle_noise], (3,))
     if noises.min() < 0:
         raise SurefootError("angle_noise: two numbers >= 0 are expected")
-    ends = np.searchsorted(frame, np.arange(frames + 1))
-    velocities, covariances = np.empty((frames, 3)), np.empty((frames, 3, 3))
-    good = _each(ends, direction, doppler, noises, velocities, covariances)
-    rows = np.flatnonzero(good)
-    return rows, velocities[rows], covariances[rows]
+    return direction, doppler, noises
 
 
 @kernel
