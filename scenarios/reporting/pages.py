@@ -15,12 +15,7 @@ from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
-from surefoot.scenarios.reporting.html import (
-    Section,
-    heading,
-    markdown_report,
-    write_report,
-)
+from surefoot.scenarios.reporting.html import Section, heading, markdown_report, write_report
 from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.reporting.tables import Table, to_csv, to_markdown
 from surefoot.sim.common.errors import SurefootError
