@@ -132,9 +132,7 @@ def _commit() -> str:
 
 
 def _processor() -> str:
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        text = ""
+    cpus = Path("/proc/cpuinfo")
+    text = cpus.read_text(encoding="utf-8") if cpus.exists() else ""
     match = re.search(r"^model name\s*: (.*)$", text, re.MULTILINE)
     return match.group(1) if match else platform.processor() or platform.machine()
