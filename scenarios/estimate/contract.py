@@ -121,7 +121,7 @@ class Learnt:
         if not pairs:
             raise SurefootError(
                 f"needs bounds of its observer (loss {loss or 'any'}): those given belong to "
-                "another; calibrate this one"
+                "another observer; calibrate this one"
             )
         return min(pairs, key=lambda pair: pair[0].loss != "mse")
 
