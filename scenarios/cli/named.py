@@ -7,6 +7,7 @@ from typing import Any
 from surefoot.scenarios.estimate.estimators import check_filter
 from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.files import is_file, is_there
+from surefoot.sim.common.limits import admitted
 from surefoot.sim.common.log_file import check_first_bytes
 from surefoot.sim.common.plugins import plugins
 from surefoot.sim.importing.map_catalog import map_file
@@ -42,7 +43,7 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)
     for log in logs:
-        check_first_bytes(log)
+        check_first_bytes(admitted(log, "recording"))
 
 
 def file_there(path: str | Path) -> None:

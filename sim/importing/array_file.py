@@ -1,4 +1,4 @@
-"""Tables from files of arrays: NumPy, MATLAB and HDF5.
+"""Tables from files of arrays: NumPy, MATLAB, HDF5 and Parquet.
 
 No code in a file is executed, and a file that declares itself larger than a log is not read.
 """
@@ -12,6 +12,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pyarrow.parquet as pq
 import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
@@ -85,6 +86,15 @@ def read_hdf5(path: Path) -> RecordedTable:
         return _table(path, arrays | _matlab_strings(every))
 
 
+def read_parquet(path: Path) -> RecordedTable:
+    """Read the columns of a Parquet file."""
+    with parsed_as("a Parquet file", path):
+        about = pq.read_metadata(path)
+        _bounded(path, 8.0 * about.num_rows * about.num_columns)
+        frame = pq.read_table(path).to_pandas(ignore_metadata=True)
+    return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
+
+
 def _datasets(
     group: h5py.Group, path: str, seen: set[h5py.Group]
 ) -> Iterator[tuple[str, h5py.Dataset]]:
@@ -131,8 +141,8 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
         shared = all(one.shape[:2] == (episodes, rows) for one in wide.values())
         if shared and (episodes <= rows or len({one.shape[2:] for one in wide.values()}) > 1):
             raise SurefootError(
-                f"{path}: {name} is of {episodes} episodes of {rows} rows, and a log is of one: "
-                "save each to a file of its own"
+                f"{path}: {name} is of {min(episodes, rows)} episodes or robots of"
+                f" {max(episodes, rows)} rows, and a log is of one: save each to a file of its own"
             )
     check_limit("columns", len(cells), f"{path}: arrays")
     cells, parameters = rows_first(cells)
@@ -152,10 +162,12 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
         rows = max(range(one.ndim), key=lambda k, shape=one.shape: shape[k] * shared[shape[k]])
         found[name] = np.moveaxis(one, rows, 0)
     longest = dict(sorted((n, len(one)) for one in found.values() for n in one.shape[1:]))
+    recorded = {len(one) for one in found.values() if one[0].size > 1}
     parameters = tuple(
         name
         for name, one in found.items()
-        if one.dtype.kind != "U" and longest.get(len(one), 0) > len(one)
+        if one.dtype.kind != "U"
+        and (longest.get(len(one), 0) > len(one) or len(one) in {*longest} - recorded)
     )
     return {n: one for n, one in found.items() if n not in parameters}, parameters
 
@@ -171,10 +183,14 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})
-        elif value.dtype.kind in "fiubcU" and value.ndim == 3 and len(value) == 1 and value.size:
-            cells[name] = value[0]  # the only episode, as gym-quadruped writes it
+        elif value.dtype.kind == "M":
+            cells |= _arrays({name: value.astype("datetime64[ns]").astype(float) * 1e-9})
+        elif value.dtype.kind == "S":
+            cells |= _arrays({name: np.char.decode(value, errors="replace")})
         elif value.dtype.kind in "fiubcU" and value.ndim in (1, 2, 3) and value.size:
-            cells[name] = np.asarray(value)
+            # Of the only episode, as gym-quadruped writes it, or the only robot.
+            single = [k for k in (0, 1) if value.ndim == 3 and value.shape[k] == 1]
+            cells[name] = value.take(0, single[0]) if single else value
     return cells
 
 

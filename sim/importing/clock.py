@@ -230,7 +230,7 @@ def _contradiction(
         unit: name of a row.
         rows: (N,) their numbers in the file.
     """
-    if np.isin(t[out], t[kept]).mean() > 0.5:
+    if np.isin(out - 1, np.flatnonzero(np.diff(t) == 0.0)).mean() > 0.5:
         return (
             f"{unit} {rows[out[0]]}: repeats the stamp {seconds(t[out[0]])} s with other values, as"
             f" {len(out)} of {len(t)} do: too coarse a clock; give another t, or the rate of the"

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -134,15 +133,8 @@ def _source_doubt(source: str) -> str:
     return f"{'an' if source == 'estimate' else 'a'} {source} value, no reading?" if source else ""
 
 
-class _JointColumn(NamedTuple):
-    """A column of a joint, with a doubt."""
-
-    column: str
-    doubt: str
-
-
-_Joints = dict[str, dict[str, _JointColumn]]
-"""Kind of column -> joint -> its column."""
+_Joints = dict[str, dict[str, Entry]]
+"""Kind of column -> joint -> its column, with a doubt."""
 
 
 def _joint_columns(
@@ -178,10 +170,9 @@ def _joint_columns(
         found = _named_joints(file, machine, own) or _counted_joints(
             file, machine, own, angles, yaw
         )
-        for joint, column in found:
-            if joint in of:
-                column = of[joint]._replace(doubt=f"this, or {column.column}?")
-            of[joint] = column
+        for one in found:
+            first = of.get(one.name)
+            of[one.name] = replace(first, doubt=f"this, or {one.theirs}?") if first else one
     return joints
 
 
@@ -198,9 +189,9 @@ def _bare_angles(file: RecordedFile) -> dict[str, Named]:
 
 def _named_joints(
     file: RecordedFile, machine: Machine | None, own: Mapping[str, Named]
-) -> list[tuple[str, _JointColumn]]:
+) -> list[Entry]:
     """The joint of each column whose name has one, of columns of one kind."""
-    found: list[tuple[str, _JointColumn]] = []
+    found: list[Entry] = []
     legs = {one.leg for one in own.values() if one.leg}
     # A word common to all elements of a list names a group, not a joint.
     places: dict[str, set[int | None]] = {}
@@ -215,7 +206,7 @@ def _named_joints(
                 doubt = f"which joint of {one.leg} is {name}?"
             if machine is not None and joint not in machine.limbs.joints:
                 doubt = f"{machine.name} has no joint {joint}: which is it?"
-            found.append((joint, _JointColumn(name, doubt)))
+            found.append(Entry(joint, name, doubt=doubt))
     return found
 
 
@@ -231,7 +222,7 @@ def _counted_joints(
     own: Mapping[str, Named],
     angles: Mapping[str, Named],
     yaw: np.ndarray | None,
-) -> list[tuple[str, _JointColumn]]:
+) -> list[Entry]:
     """The joint of each column by its number: in the order of a list of joints or, of those that
     are usual, in the one that fits the angles.
 
@@ -254,9 +245,9 @@ def _counted_joints(
         joints, doubt = _fitting_order(file, machine, [values.get(at) for at in places], yaw)
     joint_at = dict(zip(places, joints, strict=True))
     return [
-        (joint_at[numbers[name]], _JointColumn(name, doubt))
+        Entry(joint_at[numbers[name]], name, doubt=doubt)
         if name in numbers
-        else ("joint", _JointColumn(name, f"which joint is {name}?" if len(own) > 1 else ""))
+        else Entry("joint", name, doubt=f"which joint is {name}?" if len(own) > 1 else "")
         for name in own
     ]
 
@@ -346,13 +337,13 @@ def _joint_entries(
     entries: list[Entry] = []
     rate = None
     values = {
-        kind: {joint: file.columns[one.column] for joint, one in of_kind.items()}
+        kind: {joint: file.columns[one.theirs] for joint, one in of_kind.items()}
         for kind, of_kind in joints.items()
     }
     swapped = _SWAPPED if _longer_inside(file, values.get("q", {}), yaw) else ""
     for kind, own in joints.items():
         prefix, readings = kind, values[kind]
-        names = [file.names[one.column] for one in own.values()]
+        names = [file.names[one.theirs] for one in own.values()]
         if kind.startswith("q"):
             unit, doubt = unit_of_angles(readings.values(), {one.unit for one in names})
         elif kind.startswith("dq"):
@@ -371,7 +362,7 @@ def _joint_entries(
         if kind in ("q", "dq"):
             doubt = doubt or _source_doubt(names[0].source)
         entries += [
-            Entry(f"{prefix}_{joint}", one.column, unit, doubt=one.doubt or doubt or swapped)
+            Entry(f"{prefix}_{joint}", one.theirs, unit, doubt=one.doubt or doubt or swapped)
             for joint, one in own.items()
         ]
     return entries, rate

@@ -110,6 +110,8 @@ def unit_of_gyro(
                 return fitting, ""
         if alike < -0.7:
             return unit, "turns against the accelerometer: signs of one of them?"
+    if accel is not None and not by_name and unit_of_accel(accel)[1] != 1.0:
+        return unit, f"{unit}, or counts as the accelerometer's: with which gain?"
     return unit, "" if by_name or not 4.0 < size < 60.0 else "rad/s or deg/s?"
 
 
@@ -158,6 +160,8 @@ def stride_in_turns(
     parts = np.split(np.arange(len(t)), np.flatnonzero(np.diff(window)) + 1)
     parts = [rows for rows in parts if len(rows) > 10]
     sizes = [[np.mean([np.std(v[rows]) for v in side]) for rows in parts] for side in (left, right)]
+    if len(parts) < 4:
+        return None
     turning = np.array([yaw[rows].mean() for rows in parts])
     strides = np.array(sizes)
     walking = strides.min(axis=0) > 0.3 * np.median(strides)

@@ -7,6 +7,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_limit
+from surefoot.sim.importing.sections import Source
+
 _LOOKED_AT = 65536
 """Number of characters at the beginning of a text that are examined."""
 SPACES = r"\s+"
@@ -57,12 +61,40 @@ def layout_of(path: Path) -> dict[str, Any]:
     begin = named[-1] if named else max(after, first)
     if begin:
         found["skip"] = begin
-    numbers = [k for k, cell in enumerate(rows[-1]) if _are_numbers([cell])]
-    if numbers and all(_are_numbers([rows[begin][k].strip() or "0"]) for k in numbers):
+    numbers = [k for k, cell in enumerate(rows[-1]) if are_numbers([cell])]
+    if numbers and all(are_numbers([rows[begin][k].strip() or "0"]) for k in numbers):
         found["header"] = False
     if separator != "," and any(_COMMA.fullmatch(cell) for cell in rows[-1]):
         found |= {"separator": separator, "decimal": ","}
     return found
+
+
+def first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
+    """Column names, separator, and whether the line after the names is words alone, such as units,
+    and numbers follow.
+    """
+    with path.open(newline="", encoding=encoding) as stream:
+        for _ in range(source.skip):
+            stream.readline()
+        line, *after = (stream.readline() for _ in range(3))
+    separator = source.separator or _separator_of_header(line)
+    names = [name.strip() for name in text_cells(line, separator)]
+    if not any(names):
+        raise SurefootError(f"{path}: line {source.skip + 1}: no header")
+    check_limit("columns", len(names), f"{path}: cells of the header")
+    header = names if source.header else [str(k) for k in range(len(names))]
+    second, third = (text_cells(one, separator) for one in after)
+    words = any(map(str.strip, second)) and not any(are_numbers([cell]) for cell in second)
+    units = source.header and words and any(are_numbers([cell]) for cell in third)
+    return header, separator, units
+
+
+def _separator_of_header(line: str) -> str:
+    """The most frequent separator; without any, spaces if there are some."""
+    most = max(",;\t|", key=line.count)
+    if line.count(most):
+        return most
+    return SPACES if " " in line.strip() else ","
 
 
 def no_table(path: Path, skip: int) -> str:
@@ -80,7 +112,8 @@ def no_table(path: Path, skip: int) -> str:
         if kinds := _kinds(rows, place):
             what = f"lines of several kinds, by their word {place + 1}: {', '.join(kinds)}"
             start = ("^" if place == 0 else "^[^ ,]*[ ,]") + kinds[0] + "[ ,]"
-            return f"has {what}; make a file of each: grep '{start}' {path.name} > {kinds[0]}.txt"
+            # Quoted, as "$" is of the shell.
+            return f"has {what}; make a file of each: grep '{start}' {path.name} > '{kinds[0]}.txt'"
     return ""
 
 
@@ -100,11 +133,12 @@ def _separator(line: str) -> str:
     for separator in (";", "\t", "|"):
         if separator in line:
             return separator
-    decimal_commas = re.search(r"\S +\S", line) and _are_numbers(line.split())
+    decimal_commas = re.search(r"\S +\S", line) and are_numbers(line.split())
     return "," if "," in line and not decimal_commas else SPACES
 
 
-def _are_numbers(cells: list[str]) -> bool:
+def are_numbers(cells: list[str]) -> bool:
+    """Whether every cell is a number, with a point or a comma."""
     return all(is_number(cell) or _COMMA.fullmatch(cell) for cell in cells)
 
 

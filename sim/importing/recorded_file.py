@@ -19,7 +19,7 @@ from surefoot.sim.importing.layout import layout_of
 from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name
 from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of
+from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of, elements
 from surefoot.sim.robot.machine import Machine
 
 _RATES = (0.5, 5000.0)
@@ -109,10 +109,12 @@ def _with_empty_cells(
         machine: whose joint names columns may use, or None.
     """
     readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for name in (name for name in table.cells if name not in full):
+    for name in elements(table):
+        if name in full:
+            continue
         with suppress(SurefootError):
             rows, values = column_readings(table, name, Source(sparse=True))
-            if _FEW < len(rows) < len(table.cells[name]):
+            if _FEW < len(rows) < max(map(len, table.cells.values())):
                 readings[name] = rows, values
     if not readings or len({*map(len, table.cells.values())}) > 1:
         return {}
@@ -124,7 +126,7 @@ def _with_empty_cells(
     stamps = full[t.theirs]
     between = {n: np.interp(stamps[at], stamps[rows], x) for n, (rows, x) in readings.items()}
     between |= {name: values[at] for name, values in full.items()}
-    return {n: between[n] for n in dict.fromkeys((*table.cells, *full)) if n in between}
+    return {n: between[n] for n in dict.fromkeys((*elements(table), *full)) if n in between}
 
 
 def _leading(
@@ -171,12 +173,15 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
     for name in (*named, *even):
         if (unit := names[name].unit) in UNITS["t"]:
             return Entry("t", name, unit)
-        step = float(np.median(np.diff(columns[name])))
+        steps = np.diff(columns[name])
+        step = float(np.median(steps[steps > 0.0]))
         for low, high in (_USUAL_RATES, _RATES):
             fits = [u for u, s in UNITS["t"].items() if low < 1.0 / (step * s) < high]
             if fits:
                 sure = name in named and len(fits) == 1 and low == _USUAL_RATES[0]
                 doubt = "" if sure else f"is this the time, in {fits[0]}?"
+                if np.all(steps == 1.0):
+                    doubt = f"in {fits[0]}, or a count of rows: which [source] rate?"
                 return Entry("t", name, fits[0], doubt=doubt)
     return None
 

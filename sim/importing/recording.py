@@ -5,12 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_file
-from surefoot.sim.common.limits import admitted, check_unpacked
-from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz
+from surefoot.sim.common.limits import admitted
+from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, read_parquet
 from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
 from surefoot.sim.importing.bag import is_bag, read_bag, topic_of
 from surefoot.sim.importing.clock import (
@@ -28,7 +27,7 @@ from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import poses_of, quaternions_of
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, parsed_as
+from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, with_stamps
 from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import Log
 
@@ -104,7 +103,7 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    return reader(path) if reader else read_text(path, source)
+    return with_stamps(reader(path) if reader else read_text(path, source))
 
 
 def is_text(path: Path) -> bool:
@@ -263,18 +262,13 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, lis
     if EULER[0] in table:
         angles = np.column_stack([table.pop(name) for name in EULER])
         table |= quaternions_of(angles)
-    else:
-        unit_quaternions(path, table, read.row, numbers)
+        return table, said
+    lost = np.all([table[f"ref_q_{axis}"] == 0.0 for axis in "wxyz"], axis=0)
+    if lost.any() and not lost.all():
+        table, numbers = {name: x[~lost] for name, x in table.items()}, numbers[~lost]
+        said.append(f"{path}: left out: {lost.sum()} samples without an attitude (0, 0, 0, 0)")
+    unit_quaternions(path, table, read.row, numbers)
     return table, said
-
-
-def _parquet(path: Path) -> RecordedTable:
-    with parsed_as("a Parquet file", path):
-        about = pq.read_metadata(path)
-        size = 8.0 * about.num_rows * about.num_columns
-        check_unpacked(path.stat().st_size, size, f"{path}: bytes of columns")
-        frame = pq.read_table(path).to_pandas(ignore_metadata=True)
-    return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
 
 
 _READERS = {
@@ -282,6 +276,6 @@ _READERS = {
     **dict.fromkeys((".npz", ".npy"), read_npz),
     **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
     ".mat": read_mat,
-    ".parquet": _parquet,
+    ".parquet": read_parquet,
 }
 """Reader by suffix; any other file is read as text."""

@@ -88,9 +88,11 @@ def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
     t = main["t"]
     inside = (t >= poses.t[0]) & (t <= poses.t[-1])
     if not inside.any():
+        longer = np.ptp(t) / max(float(np.ptp(poses.t)), 1e-12)
+        unit = "" if 0.01 < longer < 100.0 else 'is the t of one in another unit (unit = "ms")? Or '
         raise SurefootError(
             f"{source}: the reference ({span(poses.t)}) and the recording ({span(t)}) do not"
-            " overlap: another clock? surefoot align finds [reference] offset"
+            f" overlap: {unit}another clock? surefoot align finds [reference] offset"
         )
     main = {column: values[inside] for column, values in main.items()}
     p, q, ok = interpolate_reference(main["t"], poses.t, poses.p, poses.q)

@@ -3,10 +3,11 @@
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.sections import Source
@@ -30,6 +31,8 @@ def parsed_as(what: str, path: Path, remedy: str = "") -> Iterator[None]:
         ) from error
 
 
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
+_NANOSECONDS = re.compile(r"(.*?)(nsecs?|nanosecs?)")
 _PLACE = re.compile(r"(.+)\[([^\[\]]+)\]$")
 _SHOWN = 12
 _MOST_PLACES = 1024
@@ -53,6 +56,25 @@ class RecordedTable:
     row: str = "row"
     first: int = 1
     skipped: Mapping[str, str] = field(default_factory=dict)
+
+
+def with_stamps(table: RecordedTable) -> RecordedTable:
+    """The table with dates and times of day in seconds, and with a stamp that is split, such as
+    `stamp.sec` and `stamp.nanosec`, as one column `stamp` [s].
+    """
+    cells = dict(table.cells)
+    for name, one in table.cells.items():
+        date = _DATE.fullmatch(one[0].strip()) if len(one) and isinstance(one[0], str) else None
+        if date:
+            texts = pd.Series(one) if date[1] else "1970-01-01 " + pd.Series(one)
+            stamps = pd.to_datetime(texts, errors="coerce", format="ISO8601", utc=True)
+            cells[name] = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy()
+        elif split := _NANOSECONDS.fullmatch(name):
+            whole = next((n for n in (f"{split[1]}sec", f"{split[1]}secs") if n in cells), None)
+            if whole and one.dtype.kind in "fiu" and cells[whole].dtype.kind in "fiu":
+                stem = split[1].rstrip("._/") or "stamp"
+                cells[stem] = cells.pop(whole) + 1e-9 * cells.pop(name)
+    return replace(table, cells=cells)
 
 
 def column_readings(table: RecordedTable, column: str, source: Source, word: str | None = None):
@@ -89,11 +111,17 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
 def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
     """All numeric columns by their names in a map, with elements of lists as separate columns."""
     found: dict[str, np.ndarray] = {}
-    for name, cells in table.cells.items():
-        for place in _places(cells[0]) if len(cells) else ():
-            with suppress(SurefootError):
-                found[f"{name}{place}"] = column_readings(table, f"{name}{place}", Source())[1]
+    for name in elements(table):
+        with suppress(SurefootError):
+            found[name] = column_readings(table, name, Source())[1]
     return found
+
+
+def elements(table: RecordedTable) -> Iterator[str]:
+    """Names in a map of the columns and, of lists, of their elements."""
+    for name, cells in table.cells.items():
+        first = next((one for one in cells if not _empty(one)), None) if len(cells) else None
+        yield from (f"{name}{place}" for place in _places(first))
 
 
 def _places(cell: object, deeper: int = 2) -> list[str]:

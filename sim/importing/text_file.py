@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.layout import SPACES, encoding_of, no_table, text_cells
+from surefoot.sim.importing.layout import encoding_of, first_lines, no_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, parsed_as
 
@@ -20,16 +19,17 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         encoding = encoding_of(path)
         if source.long is None and (why := no_table(path, source.skip)):
             raise SurefootError(f"{path}: {why}")
-        header, separator, apart = _first_line(path, source, encoding)
+        header, separator, units = first_lines(path, source, encoding)
         with warnings.catch_warnings():
             # pandas only warns of a first line that is too long, and shifts the columns.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             frame = pd.read_csv(
                 path,
                 sep=separator,
-                header=0 if source.header and not apart else None,
-                skiprows=source.skip + apart,
+                header=None,
+                skiprows=source.skip + source.header + units,
                 comment=source.comment,
+                na_values=["-", "--"],
                 decimal=source.decimal,
                 index_col=False,
                 encoding=encoding,
@@ -48,28 +48,4 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     twice = [name for name, count in Counter(header).items() if count > 1]
     cells = {name: frame[name].to_numpy()[:rows] for name in header if name not in twice}
     skipped = dict.fromkeys(twice, "is there more than once")
-    return RecordedTable(path, cells, "line", source.skip + 1 + source.header, skipped)
-
-
-def _first_line(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
-    """Column names, separator, and whether a comment sign precedes the names."""
-    with path.open(newline="", encoding=encoding) as stream:
-        for _ in range(source.skip):
-            stream.readline()
-        line = stream.readline()
-    separator = source.separator or _separator(line)
-    names = [name.strip() for name in text_cells(line, separator)]
-    apart = source.header and separator == SPACES and names != line.split()
-    if not any(names):
-        raise SurefootError(f"{path}: line {source.skip + 1}: no header")
-    check_limit("columns", len(names), f"{path}: cells of the header")
-    header = names if source.header else [str(k) for k in range(len(names))]
-    return header, separator, apart
-
-
-def _separator(line: str) -> str:
-    """The most frequent separator; without any, spaces if there are some."""
-    most = max(",;\t|", key=line.count)
-    if line.count(most):
-        return most
-    return SPACES if " " in line.strip() else ","
+    return RecordedTable(path, cells, "line", source.skip + 1 + source.header + units, skipped)

@@ -489,7 +489,7 @@ def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form):
                 file[name] = values
     else:
         np.savez(run, **arrays) if form == "npz" else scipy.io.savemat(run, arrays)
-    with pytest.raises(SurefootError, match="gyro is of 2 episodes of 9 rows"):
+    with pytest.raises(SurefootError, match="gyro is of 2 episodes or robots of 9 rows"):
         read_table(run, Source())
 
 

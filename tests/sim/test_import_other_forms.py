@@ -1,0 +1,221 @@
+"""Recordings as people bring them: forms that a draft reads or asks about, and refusals that name
+the cause and the next step. One table for each kind."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.draft import Draft
+from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.recording import import_log
+from surefoot.sim.log import JOINTS
+
+N = 200
+T = 0.01 * np.arange(1, N + 1)
+UNIX = 1_700_000_000
+GYRO = 0.3 * np.sin(2.0 * T[:, None] + np.arange(3))
+ACCEL = np.column_stack([0.1 * np.sin(T), 0.1 * np.cos(T), 9.81 + 0.0 * T])
+ANGLES = np.tile([0.0, 0.8, -1.5], 4) + 0.2 * np.sin(6.0 * T[:, None] + np.arange(12))
+RNG = np.random.default_rng(0)
+IMU = {f"gyro_{a}": GYRO[:, k] for k, a in enumerate("xyz")}
+IMU |= {f"acc_{a}": ACCEL[:, k] for k, a in enumerate("xyz")}
+NAMES = [f"{joint}_joint" for joint in reversed(JOINTS)]
+
+
+def csv(folder: Path, columns) -> Path:
+    pd.DataFrame(columns).to_csv(folder / "run.csv", index=False)
+    return folder / "run.csv"
+
+
+def text(folder: Path, lines) -> Path:
+    (folder / "run.txt").write_text("\n".join(lines) + "\n")
+    return folder / "run.txt"
+
+
+def npz(folder: Path, **arrays) -> Path:
+    np.savez(folder / "run.npz", **arrays)
+    return folder / "run.npz"
+
+
+def json_lines(folder: Path) -> Path:
+    kinds = [
+        one
+        for k in range(N)
+        for one in (
+            {"type": "imu", "t": T[k], "gyro": [*GYRO[k]], "acc": [*ACCEL[k]]},
+            {"type": "joints", "t": T[k], "q": [*ANGLES[k]]},
+        )
+    ]
+    (folder / "run.jsonl").write_text("".join(json.dumps(one) + "\n" for one in kinds))
+    return folder / "run.jsonl"
+
+
+def drafted(path: Path, robot: str | None = None) -> Draft:
+    return guess_map([path], robot)
+
+
+def entry(draft: Draft, name: str):
+    return next(one for one in (*draft.main, *draft.reference) if one.name == name)
+
+
+STAMPS = {
+    # name of the stamps in the draft, the recording's columns of them
+    "seconds and nanoseconds": (
+        "header.stamp",
+        {
+            "header.stamp.secs": (UNIX + T).astype(int),
+            "header.stamp.nsecs": np.round(T % 1.0 * 1e9).astype(int) % 10**9,
+        },
+    ),
+    "dates": (
+        "time",
+        {"time": pd.to_datetime(UNIX + T, unit="s").strftime("%Y-%m-%d %H:%M:%S.%f")},
+    ),
+    "dates of ISO": ("time", {"time": [f"{x.isoformat()}Z" for x in pd.to_datetime(T, unit="s")]}),
+    "times of day": ("time", {"time": pd.to_datetime(T, unit="s").strftime("%H:%M:%S.%f")}),
+}
+
+
+@pytest.mark.parametrize("case", STAMPS)
+def test_stamps_that_are_split_or_written_are_seconds(tmp_path, case):
+    name, columns = STAMPS[case]
+    run = csv(tmp_path, columns | IMU)
+    draft = drafted(run)
+    assert entry(draft, "t").theirs == name
+    (tmp_path / "map.toml").write_text(draft.text)
+    log = import_log(run, tmp_path / "map.toml")
+    assert len(log.t) == N
+    np.testing.assert_allclose(log.t - log.t[0], T - T[0], atol=2e-6)
+
+
+ARRAYS = {
+    "one robot of a vectorised simulator": {"q": ANGLES[:, None], "gyro": GYRO[:, None], "t": T},
+    "fewer rows than joints": {"q": ANGLES[:9], "gyro": GYRO[:9], "kp": np.ones(12), "t": T[:9]},
+    "times as dates": {
+        "q": ANGLES, "t": (1e9 * T).astype("i8").astype("datetime64[ns]"), "gyro": GYRO,
+    },
+    "names in bytes": {"q": ANGLES[:, ::-1], "dof_names": np.array(NAMES, "S"), "t": T},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", ARRAYS)
+@pytest.mark.filterwarnings("error")
+def test_arrays_of_a_rollout_are_read_whatever_their_form(tmp_path, case):
+    draft = drafted(npz(tmp_path, **ARRAYS[case]), "spot_class")
+    assert entry(draft, "t").unit == "s"
+    place = 11 if case == "names in bytes" else 0
+    assert entry(draft, "q_FL_hip").theirs == f"q[{place}]"
+    assert not any("what are its columns" in note for note in draft.notes)
+
+
+DOUBTED = {
+    # column of the log, what is asked, columns
+    "a count of rows": ("t", "count", {"tick": np.arange(N)} | IMU),
+    "a gyro in counts": (
+        "gyro_x", "counts",
+        {"t": T} | {n: 900.0 * x for n, x in IMU.items()}
+        | {f"gyro_{a}": RNG.normal(0.0, 200.0, N) for a in "xyz"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DOUBTED)
+def test_numbers_of_an_unknown_unit_are_asked_about(tmp_path, case):
+    column, asked, columns = DOUBTED[case]
+    assert asked in entry(drafted(csv(tmp_path, columns)), column).doubt
+
+
+def test_a_dash_is_an_empty_cell_of_its_column(tmp_path):
+    forces = {f"force_{leg}": 100.0 + 0.0 * T for leg in ("FL", "FR", "RL", "RR")}
+    frame = pd.DataFrame({"t": T} | IMU | forces).astype({"force_RL": object})
+    frame.loc[5:8, "force_RL"] = "-"
+    draft = drafted(csv(tmp_path, frame))
+    assert entry(draft, "force_RL").theirs == "force_RL"
+    (tmp_path / "map.toml").write_text(draft.text)
+    assert len(import_log(tmp_path / "run.csv", tmp_path / "map.toml").t) == N
+
+
+def test_a_row_of_units_is_no_row(tmp_path):
+    lines = csv(tmp_path, {"t": 1e3 * T} | IMU).read_text().splitlines()
+    run = text(tmp_path, [lines[0], "ms" + ",SI" * 6, *lines[1:]])
+    draft = drafted(run)
+    (tmp_path / "map.toml").write_text(draft.text)
+    np.testing.assert_allclose(import_log(run, tmp_path / "map.toml").gyro, GYRO, atol=1e-9)
+
+
+def test_records_of_two_kinds_with_one_clock_are_drafted(tmp_path):
+    draft = drafted(json_lines(tmp_path), "spot_class")
+    assert {"t", "gyro_x", "accel_z", "q_FL_hip"} <= {one.name for one in draft.main}
+    (tmp_path / "map.toml").write_text(draft.text)
+    log = import_log(tmp_path / "run.jsonl", tmp_path / "map.toml")
+    np.testing.assert_allclose(log.q, ANGLES, atol=1e-9)
+
+
+def two_kinds() -> list[str]:
+    return [
+        line for t in T for line in (f"$IMU,{t:.3f},1,2,3", f"$LEG,{t:.3f},1,2,3,4")
+    ]  # fmt: skip
+
+
+REFUSED = {
+    "tags of the shell": (lambda d: text(d, two_kinds()), ("lines of several kinds", "'$IMU.txt'")),
+    "many robots": (
+        lambda d: npz(d, q=np.repeat(ANGLES[:, None], 8, 1), gyro=np.repeat(GYRO[:, None], 8, 1)),
+        ("8 episodes or robots of 200 rows",),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_refusal_names_cause_and_next_step(tmp_path, case):
+    make, words = REFUSED[case]
+    with pytest.raises(SurefootError) as refused:
+        drafted(make(tmp_path))
+    for word in words:
+        assert word in str(refused.value)
+
+
+MAP = (
+    "[columns]\nt = 't'\nx_speed = 'speed'\n[reference]\nfile = 'mocap.csv'\n[reference.columns]\n"
+)
+POSE = ["ref_p_x", "ref_p_y", "ref_p_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"]
+
+
+def with_mocap(folder: Path, robot: np.ndarray, mocap: pd.DataFrame):
+    csv(folder, {"t": robot, "speed": np.sin(robot)})
+    mocap.to_csv(folder / "mocap.csv", index=False)
+    (folder / "map.toml").write_text(MAP + "".join(f"{n} = '{n}'\n" for n in ("t", *POSE)))
+    return import_log(folder / "run.csv", folder / "map.toml")
+
+
+def poses(t) -> pd.DataFrame:
+    frame = pd.DataFrame({"t": t} | dict.fromkeys(POSE, 0.0))
+    return frame.assign(ref_p_x=0.1 * np.arange(len(t)), ref_q_w=1.0)
+
+
+MISSED = {
+    "a clock set back within its time": (
+        np.concatenate([T[:100], T[50:150] + 0.003]), T, ("jumps back", "line 102"),
+    ),
+    "milliseconds": (1e3 * T + 1e4, T, ("unit",)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MISSED)
+def test_clocks_that_do_not_fit_are_told_apart(tmp_path, case):
+    robot, mocap, words = MISSED[case]
+    with pytest.raises(SurefootError) as refused:
+        with_mocap(tmp_path, robot, poses(mocap))
+    for word in words:
+        assert word in str(refused.value)
+
+
+def test_a_tracker_that_lost_the_body_leaves_a_gap(tmp_path):
+    frame = poses(T)
+    frame.loc[80:110, POSE] = 0.0
+    log = with_mocap(tmp_path, T, frame)
+    assert 0 < np.sum(log.frame["ref_ok"] == 0.0) < 40
