@@ -224,7 +224,7 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
         ('"leg", "imu"', '"legs"', "unknown filter 'legs'"),
         ("try.toml", "trial.toml", "trial.toml: No such file"),
         ("try.toml", "learn.toml", "each once"),
-        ('name = "as built"', 'name = "as drawn"', "two conditions are named as drawn"),
+        ('name = "as built"', 'name = "as drawn"', "names of conditions must be"),
         ('name = "as built"', "", "[[condition]] 2 name is missing"),
         ("contact_delay", "smell", "[[condition]] 2 sensors: unknown key 'smell'"),
         ("contact_delay = 0.004", "contact_delay = -1.0", "must lie between"),
@@ -235,7 +235,11 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
         ('title = "A small grid"', "seeds = [-1]", "seeds[0] must be a whole number >= 0"),
         ('title = "A small grid"', "robots = ['horse']", "horse"),
         ('title = "A small grid"', "title = 5", "title must be a string, is 5"),
-        ('title = "A small grid"', "[roles]\nnobody = 'test'\n", "nobody: no scenario"),
+        (
+            'title = "A small grid"',
+            "[roles]\nnobody = 'test'\n",
+            "unknown scenario 'nobody'",
+        ),
     ],
 )
 def test_bad_files_are_one_clear_line(grid, tmp_path, old, new, said):
