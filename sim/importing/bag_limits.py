@@ -23,6 +23,7 @@ from rosbags.rosbag2 import reader as ros2
 from rosbags.rosbag2 import storage_mcap as mcap
 from rosbags.rosbag2.reader import zstd  # pyright: ignore[reportPrivateImportUsage]
 from rosbags.serde.utils import SIZEMAP
+from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import SMALL, check_limit, check_unpacked, unpacked
@@ -100,8 +101,8 @@ def within_limits(size: float, name: str) -> Iterator[Adds]:
         patch.object(ros2, "zstd", of_files),
         patch.object(ros1.Reader, "read_index_data", index),
         patch.object(apsw, "connection_hooks", [*apsw.connection_hooks, _bound_database]),
-        patch.object(anyreader, "get_types_from_msg", parser(anyreader.get_types_from_msg)),
-        patch.object(anyreader, "get_types_from_idl", parser(anyreader.get_types_from_idl)),
+        patch.object(anyreader, "get_types_from_msg", parser(get_types_from_msg)),
+        patch.object(anyreader, "get_types_from_idl", parser(get_types_from_idl)),
     ):
         yield add
 

@@ -33,7 +33,7 @@ def held(*starts: str, at: float | None = None) -> Callable[[Columns], Columns]:
     }
 
 
-def reference_in(*which: int) -> Callable[[Columns], Columns]:
+def reference_in(*which: int | None) -> Callable[[Columns], Columns]:
     """A reference that was measured in the rows of a slice alone."""
 
     def change(c: Columns) -> Columns:

@@ -175,7 +175,7 @@ def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
     mocap = wrong.mocap(frame[["t", *POSE]].iloc[::5])
     mocap.assign(t=mocap["t"] - wrong.early).to_csv(tmp_path / "mocap.csv", index=False)
     text = map_text(wrong.keys, **wrong.entries) + wrong.robot + "\n"
-    said, found = [], ()
+    said, found, log = [], (), walked
     for _ in range(2):
         (tmp_path / "map.toml").write_text(text)
         recording = read_recording(tmp_path / "robot.csv", tmp_path / "map.toml")

@@ -204,7 +204,7 @@ def write_frames(path: Path, moving: bool = True) -> Path:
             every += [transform("odom", "base", 0.02 * k)] if moving else []
             if k % 5 == 0:
                 every.insert(0, transform("map", "odom", 1e-3 * k))
-            message = T[of_frames](every)
+            message = T[of_frames](every)  # pyright: ignore[reportArgumentType]
             writer.write(tf, ns + 300_000, types.serialize_cdr(message, of_frames))
     return path
 

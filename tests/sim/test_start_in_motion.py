@@ -26,7 +26,7 @@ def walked(request) -> tuple[Log, Robot]:
 def without(log: Log, *starts: str) -> Log:
     """The log without the columns that start so."""
     names = [n for n in log.frame if not str(n).startswith(starts)]
-    return Log(log.frame[names], log.meta, log.name)
+    return Log(log.frame.filter(items=names), log.meta, log.name)
 
 
 CUTS = {
