@@ -37,7 +37,7 @@ size:
 # The site into out/site, and which pages of results have gone stale.
 docs: setup
 	$(BIN)/mkdocs build --strict
-	$(BIN)/python -m surefoot.scenarios.reporting.pages docs/results
+	$(BIN)/python docs/result_pages.py docs/results
 
 # The README's table and picture from a demo of this commit.
 readme: demo

@@ -113,8 +113,8 @@ def _moved(source: str) -> str:
 
 def _results() -> str:
     """One line a page: its title, the commit that it was measured on, and whether it is stale."""
-    sys.path.insert(0, str(ROOT))
-    from surefoot.scenarios.reporting.pages import pages_table
+    sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+    from result_pages import pages_table
 
     lines = [
         "# Results",

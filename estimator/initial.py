@@ -83,16 +83,16 @@ def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np
 def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:
     """Gyro bias (3,) [rad/s] if the log starts at rest, else zero; `std` with its deviation.
 
-    The mean of the first 0.5 s, if its two halves agree: a robot that is standing up rotates slowly
-    but steadily. The deviation is that of the mean, with one independent reading per INDEPENDENT,
-    and at least STILL_BIAS.
+    The mean of the first 0.5 s, if these have two rows or more and their two halves agree: a robot
+    that is standing up rotates slowly but steadily. The deviation is that of the mean, with one
+    independent reading per INDEPENDENT, and at least STILL_BIAS.
     """
     if not log.has("imu"):
         return np.zeros(3), std
     start = log.t <= log.t[0] + STILL_WINDOW
     gyro, accel = log.gyro[start], log.accel[start]
     spread = float(gyro.std(axis=0).max())
-    if spread > STILL_GYRO or accel.std(axis=0).max() > STILL_ACCEL:
+    if len(gyro) < 2 or spread > STILL_GYRO or accel.std(axis=0).max() > STILL_ACCEL:
         return np.zeros(3), std
     first, second = np.array_split(gyro, 2)
     turned = np.abs(first.mean(axis=0) - second.mean(axis=0)).max()

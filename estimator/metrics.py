@@ -106,8 +106,8 @@ def matched(reference: Trajectory, estimate: Trajectory) -> tuple[Trajectory, Tr
     """
     if len(reference.t) == 0 or len(estimate.t) == 0:
         raise TrajectoryError("metrics: a trajectory is empty")
-    after = np.clip(np.searchsorted(reference.t, estimate.t), 1, max(len(reference.t) - 1, 1))
-    after = np.minimum(after, len(reference.t) - 1)
+    last = len(reference.t) - 1
+    after = np.clip(np.searchsorted(reference.t, estimate.t), min(1, last), last)
     before = np.maximum(after - 1, 0)
     closer = estimate.t - reference.t[before] <= reference.t[after] - estimate.t
     nearest = np.where(closer, before, after)

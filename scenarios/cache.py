@@ -60,7 +60,7 @@ def finished_case(
     row = read_case(folder, name, inputs, module)
     if row is None:
         row = dict(make())
-        _write_case(folder, name, inputs, module, row)
+        _write_case(folder / f"{name}.json", inputs, module, row)
     return json.loads(json.dumps(row, default=float))
 
 
@@ -104,7 +104,7 @@ def product(
         with kept_file(path) as temporary:
             row = {"facts": make(temporary), "digest": file_digest(temporary)}
         # The row is written last: a file without one is incomplete and is made again.
-        _write_case(path.parent, key, inputs, code, row)
+        _write_case(path.parent / f"{key}.json", inputs, code, row)
     return Product(path, row["digest"], row["facts"])
 
 
@@ -120,10 +120,8 @@ def contents_digest(log: Log) -> str:
     return hashlib.sha256(about.encode() + rows.tobytes()).hexdigest()
 
 
-def _write_case(
-    folder: Path, name: str, inputs: Mapping[str, Any], module: str, row: Mapping[str, Any]
-) -> None:
-    values = {"code": sources_digest(module), "inputs": inputs, "row": row}
-    values["sha256"] = json_digest(row)
-    with kept_file(folder / f"{name}.json") as temporary:
+def _write_case(path: Path, inputs: Mapping[str, Any], module: str, row: Mapping[str, Any]) -> None:
+    code, digest = sources_digest(module), json_digest(row)
+    values = {"code": code, "inputs": inputs, "row": row, "sha256": digest}
+    with kept_file(path) as temporary:
         temporary.write_text(json.dumps(values, indent=1, default=float), encoding="utf-8")

@@ -17,7 +17,7 @@ from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linear
 from surefoot.models.attribution.fit import design
 from surefoot.models.attribution.priors import prior_of
 from surefoot.scenarios.reporting.tables import to_markdown
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import check_known
 from surefoot.sim.effects import known_effects
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -73,8 +73,7 @@ def plan_motions(
     """
     known = known_effects()
     for name in effects:
-        if name not in known:
-            raise SurefootError(unknown("effect", name, known))
+        check_known("effect", name, known)
     found: dict[Key, dict[str, Shown]] = {}
     tried = motions(robot)
     for k, (motion, segments) in enumerate(tried.items()):

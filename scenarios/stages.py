@@ -92,13 +92,8 @@ def stage(pool: ProcessPoolExecutor | None, label: str, tasks: dict[Any, tuple])
                 bar.update()
             return results
         futures = {submitted(pool, task): key for key, task in tasks.items()}
-        try:
-            for future in as_completed(futures):
-                results[futures[future]] = future.result()
-                bar.update()
-        except Exception:
-            for future in futures:
-                future.cancel()
-            raise
+        for future in as_completed(futures):
+            results[futures[future]] = future.result()
+            bar.update()
     # In the order of the tasks, not of their completion.
     return {key: results[key] for key in tasks}

@@ -68,9 +68,9 @@ class Search:
 def search(
     price: Callable[[Mapping[str, float]], float], start: Mapping[str, float], budget: int
 ) -> Search:
-    """Minimise the cost within `budget` evaluations, including `start`; all values are > 0."""
-    if budget < 1:
-        raise SurefootError(f"budget: {budget} where a whole number >= 1 is expected")
+    """Minimise the cost within `budget` >= 1 evaluations, including `start`; all values
+    are > 0.
+    """
     best = first = dict(start)
     lowest = first_price = price(first)
     tried, step = {_key(first)}, FIRST_FACTOR

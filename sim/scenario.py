@@ -16,7 +16,7 @@ from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_ty
 from surefoot.sim.gait.course import Segment
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.ground_from_file import GroundFile, ground_from_file
-from surefoot.sim.ground.terrain import Friction, Ground, Layer, Length, Patch, Strip
+from surefoot.sim.ground.terrain import Friction, Ground, Layer, Length, Patch, Strip, overlap
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 
@@ -129,30 +129,16 @@ def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
         Segment(s.duration / k, s.forward * k, s.lateral * k, s.turn * k)
         for s, k in zip(scenario.segments, speeds, strict=True)
     )
-    return DrawnScenario(
-        replace(
-            scenario,
-            segments=segments,
-            ground=replace(
-                ground, mu=ground.mu * mu, patches=patches, strips=strips, fields=fields
-            ),
-        ),
-        period,
-        clearance,
-        gain,
-        payload,
-    )
+    ground = replace(ground, mu=ground.mu * mu, patches=patches, strips=strips, fields=fields)
+    as_walked = replace(scenario, segments=segments, ground=ground)
+    return DrawnScenario(as_walked, period, clearance, gain, payload)
 
 
 def _on(patch: Patch, layer: Layer) -> bool:
     """Whether a patch overlaps a layer of heights; always for rough strips, which share a
     lattice.
     """
-    if isinstance(layer, Strip):
-        return True
-    x0, x1, y0, y1 = layer.rectangle
-    left, right, front, back = patch.rectangle
-    return left < x1 and x0 < right and front < y1 and y0 < back
+    return isinstance(layer, Strip) or overlap(patch.rectangle, layer.rectangle)
 
 
 def _drawn_strip(strip: Strip, mu: float, rough: float, rng: np.random.Generator) -> Strip:

@@ -213,7 +213,9 @@ class Sensing:
         self._sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
         self._errors = SensorErrors(self._sensors, rng, (rows, len(JOINTS), len(LEGS)), rate)
         self._contact = ContactSwitch(self._sensors, rng, robot.mass * GRAVITY, rate)
-        self._as_simulated = _as_simulated(made)
+        # With the legs and soles of the simulated world, effects included, for the truth.
+        tree = find_legs(made.world.model, robot.name)
+        self._as_simulated = replace(robot, legs=tree.constants, foot_radius=tree.foot_radius)
 
     def of(self, motion: Motion) -> pd.DataFrame:
         """The next rows, for the steps between the states of a motion."""
@@ -254,12 +256,6 @@ def fallen_log(made: Plan, fall: Fallen) -> Log | None:
 @cache
 def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("surefoot", "mujoco", "numpy")}
-
-
-def _as_simulated(made: Plan) -> Robot:
-    """The robot with the legs and soles of the simulated world, effects included, for the truth."""
-    tree = find_legs(made.world.model, made.robot.name)
-    return replace(made.robot, legs=tree.constants, foot_radius=tree.foot_radius)
 
 
 def _frame(

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.scenarios.estimate.estimators import check_filter
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.limits import admitted
 from surefoot.sim.common.log_file import check_first_bytes
@@ -53,9 +53,7 @@ def file_there(path: str | Path) -> None:
 
 
 def _known_effect(name: str) -> None:
-    known = (*EFFECT_NAMES, *plugins("surefoot.effects"))
-    if name not in known:
-        raise SurefootError(unknown("effect", name, known))
+    check_known("effect", name, (*EFFECT_NAMES, *plugins("surefoot.effects")))
 
 
 _NEEDED = {

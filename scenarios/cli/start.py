@@ -40,15 +40,14 @@ def entry_point() -> None:
     # For small matrices more threads only wait, for an eighth of a trace's CPU time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        try:
-            _check_environment()
-            arguments = with_plugins(sys.argv[1:])
-            # Imported after the plug-ins, since importing the commands fixes the choices of
-            # options.
-            from surefoot.scenarios.cli.main import main
-        except SurefootError as error:
-            sys.exit(f"surefoot: {one_line(error)}")
+        _check_environment()
+        arguments = with_plugins(sys.argv[1:])
+        # Imported after the plug-ins, since importing the commands fixes the choices of options.
+        from surefoot.scenarios.cli.main import main
+
         main(arguments)
+    except SurefootError as error:
+        sys.exit(f"surefoot: {one_line(error)}")
     finally:
         ignore_signals()
 

@@ -18,7 +18,7 @@ from surefoot.scenarios.settings import (
     RobotSettings,
     TuneSettings,
 )
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known
 
 
 @options.command
@@ -172,8 +172,7 @@ class Suite(GridSettings):
     """Suite: spot has ten courses, vision60 seven."""
 
     def run(self) -> None:
-        if self.name not in SUITES:
-            raise SurefootError(unknown("suite", self.name, SUITES))
+        check_known("suite", self.name, SUITES)
         from surefoot.scenarios.experiments.report import experiment
 
         experiment(self.name, self)

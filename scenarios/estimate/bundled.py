@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from surefoot.models.calibration.bias_model import BiasModel
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.observer.observer import Observer
+    from surefoot.models.observer.stream import ObserverStream
 
 
 def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
@@ -323,12 +325,15 @@ class Fusion(NamedTuple):
     inflation: float = 1.0
     model: PersistentError | None = None
 
+    def covariance(self, predicted):
+        """Covariances (M, 3, 3) or (3, 3) of velocities, whose predicted ones are (M, 3, 3)."""
+        return self.inflation * predicted if self.cov is None else self.cov
+
     def velocities(self, rows, v_I, predicted, n: int) -> Velocities:
         """The updates at these rows of n."""
         if self.epsilon is not None:
             return bounded_velocities(rows, v_I, self.epsilon, n)
-        cov = self.inflation * predicted if self.cov is None else self.cov
-        return gaussian_velocities(rows, v_I, cov, n)
+        return gaussian_velocities(rows, v_I, self.covariance(predicted), n)
 
 
 class ObserverFusion(ImuStream):
@@ -352,34 +357,24 @@ class ObserverFusion(ImuStream):
             noise: of the IMU.
         """
         super().__init__(beginning, noise, fusion.model)
-        self._observer, self._robot, self._beginning = observer, robot, beginning
-        self._fusion, self._stream = fusion, None
+        self._observer, self._robot = observer, robot
+        self._beginning, self._fusion = beginning, fusion
 
-    def _advance(self, t, gyro, q, dq, tau):
-        """Rows, velocities and covariances from the observer for these samples.
-
-        Args:
-            t: (N,) [s].
-            gyro: (N, 3) [rad/s] in I.
-            q: (N, J) [rad].
-            dq: (N, J) [rad/s].
-            tau: (N, J) [N m].
-        """
+    @cached_property
+    def _stream(self) -> ObserverStream:
+        """The observer, for a log that does not come at once."""
         from surefoot.models.observer.stream import ObserverStream
 
-        if self._stream is None:
-            at = self._beginning
-            self._stream = ObserverStream(
-                self._observer, self._robot, at.rate, at.joints, at.derived
-            )
-        return self._stream.advance(t, gyro, {"q": q, "dq": dq, "tau": tau})
+        at = self._beginning
+        return ObserverStream(self._observer, self._robot, at.rate, at.joints, at.derived)
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update when the observer has a velocity."""
         sample = check_sample(sample, self.filter.t)
-        joints = [None if x is None else x[None] for x in (sample.q, sample.dq, sample.tau)]
-        rows, velocities, predicted = self._advance(
-            np.array([sample.t]), sample.gyro[None], *joints
+        readings = {"q": sample.q, "dq": sample.dq, "tau": sample.tau}
+        joints = {group: None if x is None else x[None] for group, x in readings.items()}
+        rows, velocities, predicted = self._stream.advance(
+            np.array([sample.t]), sample.gyro[None], joints
         )
         super().step(sample)
         if not len(rows):
@@ -389,11 +384,8 @@ class ObserverFusion(ImuStream):
             pi = self.filter.update_coverage(v_I, fusion.epsilon, fusion.gamma)
             active = bool(pi < fusion.gamma)
             return Update(v_I, fusion.epsilon, pi, active) if np.isfinite(pi) else None
-        cov = fusion.cov
-        if cov is None:
-            assert predicted is not None
-            cov = fusion.inflation * predicted[0]
-        distance = self.filter.update_velocity(v_I, cov)
+        cov = fusion.covariance(predicted)
+        distance = self.filter.update_velocity(v_I, cov.reshape(3, 3))
         return Update(v_I, active=bool(np.isfinite(distance)))
 
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:
@@ -401,14 +393,14 @@ class ObserverFusion(ImuStream):
 
         A whole log at once is predicted as one batch, as in `surefoot.models.observer.predict`.
         """
-        if self._stream is None and np.isnan(self.filter.t) and not more:
+        if np.isnan(self.filter.t) and not more:
             from surefoot.models.observer.predict import predict
 
             whole = predict(self._observer, log, self._robot)
             at, v_I, predicted = whole.rows, whole.v_I, whole.covariance
         else:
-            joints = (getattr(log, g) if log.has(g) else None for g in ("q", "dq", "tau"))
-            at, v_I, predicted = self._advance(log.t, log.gyro, *joints)
+            joints = {g: getattr(log, g) if log.has(g) else None for g in ("q", "dq", "tau")}
+            at, v_I, predicted = self._stream.advance(log.t, log.gyro, joints)
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
         velocities = self._fusion.velocities(at, v_I, predicted, len(imu.t))
         settings = CoverageSettings(self._fusion.gamma)

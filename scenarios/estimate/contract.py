@@ -104,10 +104,13 @@ class Learnt:
 
     def gaussian(self) -> Observer:
         """The observer that predicts a covariance. Raises SurefootError naming the option."""
-        found = [o for o in self.observers if o.loss == "gml"]
-        if len(found) != 1:
-            raise SurefootError(f"needs observer: one trained with loss gml, not {len(found)}")
-        return found[0]
+        losses = [observer.loss for observer in self.observers]
+        if losses.count("gml") != 1:
+            raise SurefootError(
+                "needs observer: one trained with loss gml, which predicts a covariance; given: "
+                + (", ".join(losses) or "none")
+            )
+        return self.observers[losses.index("gml")]
 
     def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
         """The observer and its bounds; of two, the `mse` one unless `loss` selects another."""
@@ -116,7 +119,10 @@ class Learnt:
         wanted = [one for one in self.observers if loss in (None, one.loss)]
         pairs = [(o, b) for o in wanted for b in self.bounds if b.observer == o.hash]
         if not pairs:
-            raise SurefootError(f"needs bounds of its observer, loss {loss or 'any'}: calibrate")
+            raise SurefootError(
+                f"needs bounds of its observer (loss {loss or 'any'}): those given belong to "
+                "another observer; calibrate this one"
+            )
         return min(pairs, key=lambda pair: pair[0].loss != "mse")
 
 

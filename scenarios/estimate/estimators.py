@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.common.sources import code_digest
 
@@ -37,8 +37,7 @@ ESTIMATORS = Registry(
 
 def check_filter(name: str) -> None:
     """Raise SurefootError, naming the known estimators, for another name."""
-    if name not in ESTIMATORS:
-        raise SurefootError(unknown("filter", name, ESTIMATORS))
+    check_known("filter", name, ESTIMATORS)
 
 
 def estimator_named(name: str) -> Estimator:

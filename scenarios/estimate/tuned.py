@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from surefoot.scenarios.estimate.contract import Estimator, Parameters
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known, errors_in
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import Name, NonNegative, Positive, read_typed
 from surefoot.sim.robot import Robot
@@ -43,9 +43,9 @@ def overridden(values: Parameters, own: Parameters, where: str) -> dict[str, flo
     """Parameters with those of `own` instead. Raises SurefootError, beginning with `where`, for one
     that is not among `values`.
     """
-    for name in own:
-        if name not in values:
-            raise SurefootError(f"{where}: {unknown('parameter', name, values)}")
+    with errors_in(where):
+        for name in own:
+            check_known("parameter", name, values)
     return {**values, **own}
 
 

@@ -16,7 +16,7 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS, check_filter, est
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.catalog import experiment_file
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
-from surefoot.sim.common.errors import SurefootError, errors_in, unknown
+from surefoot.sim.common.errors import SurefootError, check_known, errors_in
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.common.toml import FileName, Level, Name, Seed, read_toml, typed
@@ -51,7 +51,7 @@ class Learning:
             check_loss(loss)
         check_inputs(self.inputs)
         check_model(self.model)
-        _check_method(self.method)
+        check_known("method", self.method, CALIBRATORS)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Further:
         for inputs in self.inputs:
             check_inputs(inputs)
         for method in self.methods:
-            _check_method(method)
+            check_known("method", method, CALIBRATORS)
 
 
 PLAIN = Condition("plain", "the scenarios as they are written")
@@ -308,11 +308,6 @@ class _File(Grid):
                 check_filter(name)
 
 
-def _check_method(method: str) -> None:
-    if method not in CALIBRATORS:
-        raise SurefootError(unknown("method", method, CALIBRATORS))
-
-
 def _each_once(key: str, values: Sequence) -> None:
     if not values or len(set(values)) < len(values):
         raise SurefootError(f"{key} must be a list of values, each once, is {list(values)}")
@@ -322,12 +317,10 @@ def _experiment(file: _File, path: Path) -> Experiment:
     loaded = [Scenario.load(scenario_file(name, path.parent)) for name in file.scenarios]
     scenarios = tuple(replace(s, role=file.roles.get(s.name, s.role)) for s in loaded)
     names = [scenario.name for scenario in scenarios]
-    for name in names:
-        if names.count(name) > 1:
-            raise SurefootError(f"scenarios: two are named {name}")
-    for name in file.roles:
-        if name not in names:
-            raise SurefootError(f"[roles] {name}: no scenario has that name")
+    _each_once("names of scenarios", names)
+    with errors_in("[roles]"):
+        for name in file.roles:
+            check_known("scenario", name, names)
     for scenario in scenarios:
         if not file.robots and not scenario.robot:
             raise SurefootError(f"scenario {scenario.name} names no robot: give robots")
@@ -345,9 +338,7 @@ def _check(found: Experiment) -> None:
     walks = sum(len(found.robots_of(s)) for s in found.scenarios)
     walks *= len(found.seeds) * len(found.conditions)
     check_limit("walks", walks * len(found.gammas), "walks times gammas")
-    for name in (names := [c.name for c in found.conditions]):
-        if names.count(name) > 1:
-            raise SurefootError(f"two conditions are named {name}")
+    _each_once("names of conditions", [c.name for c in found.conditions])
     if not set(found.sweep.seeds) <= set(found.seeds):
         raise SurefootError("[sweep] seeds must be among seeds")
     held_out = Counter(

@@ -2,18 +2,24 @@
 effects.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
-LAWS = ("normal", "uniform", "fixed")
+LAWS: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
+    "normal": lambda rng, count: rng.standard_normal(count),
+    "uniform": lambda rng, count: rng.uniform(-1.0, 1.0, count),
+    "fixed": lambda rng, count: np.ones(count),
+}
+"""Name of a law -> that many values of size 1 by it."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +44,17 @@ class Imperfection:
 
     def __post_init__(self):
         known = known_effects()
-        if self.effect not in known:
-            raise SurefootError(unknown("effect", self.effect, known))
+        check_known("effect", self.effect, known)
         if sum(getattr(self, law) is not None for law in LAWS) != 1:
             raise SurefootError(f"needs one of {', '.join(LAWS)}")
         if self.targets == ():
             raise SurefootError("targets must not be empty")
         for target in self.targets or known[self.effect].single_targets(QUADRUPED)[:1]:
-            effect(self.effect, target, self._size)
+            effect(self.effect, target, getattr(self, self._law))
 
     @property
-    def _size(self) -> float:
-        return next(size for law in LAWS if (size := getattr(self, law)) is not None)
+    def _law(self) -> str:
+        return next(law for law in LAWS if getattr(self, law) is not None)
 
     def drawn(self, instance: int, limbs: Limbs) -> list[Effect]:
         """Effects of this kind on robot number `instance`, with limbs `limbs`.
@@ -60,14 +65,9 @@ class Imperfection:
         rng = np.random.default_rng([instance, crc32(self.effect.encode())])
         kind = known_effects()[self.effect]
         targets = kind.single_targets(limbs) if self.targets is None else self.targets
-        if self.normal is not None:
-            draw = rng.standard_normal(len(targets))
-        elif self.uniform is not None:
-            draw = rng.uniform(-1.0, 1.0, len(targets))
-        else:
-            draw = np.ones(len(targets))
+        draw = LAWS[self._law](rng, len(targets))
         low, high = kind.bounds_on(limbs)
-        values = np.clip(self._size * draw, low, high)
+        values = np.clip(getattr(self, self._law) * draw, low, high)
         return [effect(self.effect, t, v) for t, v in zip(targets, values, strict=True)]
 
 

@@ -234,12 +234,7 @@ def make_estimates(
 
 
 def make_recording(
-    folder: Path,
-    walk: Product,
-    job: Job,
-    learnt: LearntFiles,
-    filters: Sequence[str],
-    gamma: float,
+    folder: Path, walk: Product, job: Job, learnt: LearntFiles, filters: Sequence[str], gamma: float
 ) -> Product:
     """A rerun recording of a walk with every filter except the baseline.
 

@@ -32,12 +32,7 @@ from surefoot.scenarios.experiments.tables import (
     slug,
     tidy,
 )
-from surefoot.scenarios.reporting.html import (
-    Picture,
-    Section,
-    markdown_report,
-    write_report,
-)
+from surefoot.scenarios.reporting.html import Picture, Section, markdown_report, write_report
 from surefoot.scenarios.reporting.pages import origin_of, write_page
 from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 from surefoot.scenarios.settings import GridSettings

@@ -226,9 +226,8 @@ def _result(
     def make() -> dict[str, Any]:
         return asdict(_estimates(experiment, folder, cell, walk, learnt))
 
-    if data is None:
-        return _from_row(make())
-    return _from_row(finished_case(data, *_case(experiment, cell), ESTIMATION, make))
+    row = finished_case(data, *_case(experiment, cell), ESTIMATION, make) if data else make()
+    return _from_row(row)
 
 
 def _estimates(

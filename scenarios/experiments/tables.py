@@ -15,7 +15,7 @@ from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.scenarios.reporting.tables import METRICS
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import check_known
 from surefoot.sim.common.toml import read_toml
 
 PUBLISHED = SUITES_FOLDER / "published.toml"
@@ -165,9 +165,9 @@ def published(name: str) -> tuple[pd.DataFrame, pd.DataFrame, str]:
     The averages are the printed ones and those recomputed from the rows, by method.
     """
     table = read_toml(PUBLISHED, "published")
-    if name not in table:
-        raise SurefootError(f"published: {unknown('table', name, set(table) - {'columns'})}")
-    part, columns = table[name], table["columns"]
+    columns = table.pop("columns")
+    check_known("published table", name, table)
+    part = table[name]
     rows = pd.DataFrame(part["rows"], columns=["sequence", "method", *columns])
     printed = pd.DataFrame(part["printed_averages"], columns=["method", *columns])
     again = rows.groupby("method", sort=False)[columns].mean().reset_index()

@@ -44,11 +44,7 @@ from surefoot.sim.robot import Robot
 
 
 def write_calibration_report(
-    out: Path,
-    observer: Observer,
-    bounds: Bounds,
-    logs: Sequence[Log],
-    page: Path | None = None,
+    out: Path, observer: Observer, bounds: Bounds, logs: Sequence[Log], page: Path | None = None
 ) -> list[Section]:
     """Write report.html, its tables (.md, .csv) and the mixing curve into an empty folder.
 

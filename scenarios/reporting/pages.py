@@ -1,26 +1,16 @@
-"""Pages of results. The command that measures writes them; each names the code that made it.
-
-`python -m surefoot.scenarios.reporting.pages docs/results` lists the pages with the commit that
-each was measured on. A page is stale if its code has changed since then, or is unknown.
-"""
+"""Pages of results. The command that measures writes them; each names the code that made it."""
 
 import os
 import platform
 import re
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
-from surefoot.scenarios.reporting.html import (
-    Section,
-    heading,
-    markdown_report,
-    write_report,
-)
+from surefoot.scenarios.reporting.html import Section, heading, markdown_report, write_report
 from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.reporting.tables import Table, to_csv, to_markdown
 from surefoot.sim.common.errors import SurefootError
@@ -120,17 +110,6 @@ def read_origin(path: Path) -> Origin:
     return Origin(**{name: value.strip("`") for name, value in found.items()})
 
 
-def pages_table(folder: Path) -> list[dict[str, str]]:
-    """One row for each page of a folder: the commit it was measured on, and whether it is stale."""
-    rows = []
-    for path in sorted(folder.glob("*.md")):
-        one = read_origin(path)
-        if one.commit:
-            state = "stale" if one.stale else "current"
-            rows.append({"page": path.name, "commit": one.commit, "date": one.date, "state": state})
-    return rows
-
-
 def _header(origin: Origin) -> list[str]:
     coded = {"commit", "command", "module", "digest"}
     return [
@@ -153,13 +132,7 @@ def _commit() -> str:
 
 
 def _processor() -> str:
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        text = ""
+    cpus = Path("/proc/cpuinfo")
+    text = cpus.read_text(encoding="utf-8") if cpus.exists() else ""
     match = re.search(r"^model name\s*: (.*)$", text, re.MULTILINE)
     return match.group(1) if match else platform.processor() or platform.machine()
-
-
-if __name__ == "__main__":
-    print(to_markdown(pages_table(Path(*sys.argv[1:2] or ["docs/results"]))))

@@ -11,8 +11,4 @@ def percent_bar(label: str) -> Iterator[Callable[[float], None]]:
     """Context with a function that takes the completed share of the work, from 0 to 1."""
     layout = "{l_bar}{bar}| {elapsed}<{remaining}"
     with drawn_bar(total=100, desc=label, unit="%", bar_format=layout) as bar:
-
-        def progress(share: float) -> None:
-            bar.update(100.0 * share - bar.n)
-
-        yield progress
+        yield lambda share: bar.update(100.0 * share - bar.n)

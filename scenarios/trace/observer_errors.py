@@ -26,7 +26,6 @@ strides of a trot, and less than half of one.
 """
 STRIDE_BINS = 5 * len(QUARTERS)
 """Number of bins of a stride's phase."""
-_STANDING = "standing"
 ERROR_PARTS = {
     "constant": "the mean",
     "with the motion": "linear in velocity and turn rate, by least squares",
@@ -80,7 +79,7 @@ def error_parts(observer: Observer, log: Log, robot: Robot | None = None) -> Err
     v, _ = body_velocity(log, rows)
     regressors = np.column_stack([v, log.gyro[rows][:, 2]])
     phase = stride_phase(log.t, log.contact[:, 0])[rows] if log.has("contact") else None
-    found = {"all": errors, _STANDING: errors[~moves], "moving": errors[moves]}
+    found = {"all": errors, "standing": errors[~moves], "moving": errors[moves]}
     found |= split_errors(errors, regressors, phase, moves)
     return {name: root_mean_square(part) for name, part in found.items()}
 

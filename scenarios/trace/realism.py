@@ -147,10 +147,7 @@ def realism(
     if effects or settings.as_walked:
         walked = load_as_walked() if settings.as_walked else None
         compared.append(SimulatedRobot("as walked", effects, walked, walker))
-    found = [
-        compare_walks(log, robot, one, seed, lambda share, k=k: progress(0.5 * (k + share)))
-        for k, one in enumerate(compared)
-    ]
+    found = _compared(log, robot, compared, seed, progress)
     parts = card_sections(found)
     drifts = drift_table(found)
     parts.insert(0, Section(f"Drift of the {FILTER} filter", DRIFT_WORDS, drifts))
@@ -211,6 +208,20 @@ def compare_walks(
     )
     card = realism_card(measured, walks, np.random.default_rng(seed), scales)
     return WalkComparison(simulating.words, measured, walks, card, pace)
+
+
+def _compared(
+    log: Log,
+    robot: Robot,
+    robots: Sequence[SimulatedRobot],
+    seed: int,
+    progress: Callable[[float], None],
+) -> list[WalkComparison]:
+    """`compare_walks` with each of the robots to simulate."""
+    return [
+        compare_walks(log, robot, one, seed, lambda done, k=k: progress((k + done) / len(robots)))
+        for k, one in enumerate(robots)
+    ]
 
 
 def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
@@ -362,16 +373,8 @@ def choose_gait(
     """
     gaits = {"the plain gait": None, "the gait as walked": replace(load_as_walked(), size=())}
     try:
-        plain, walked = (
-            compare_walks(
-                log,
-                robot,
-                SimulatedRobot(words, effects, gait),
-                seed,
-                lambda share, k=k: progress(0.5 * (k + share)),
-            )
-            for k, (words, gait) in enumerate(gaits.items())
-        )
+        robots = [SimulatedRobot(words, effects, gait) for words, gait in gaits.items()]
+        plain, walked = _compared(log, robot, robots, seed, progress)
     except SurefootError as error:
         return GaitChoice(False, f"The plain gait; no realism card: {error}.", [])
     score = [one.card.counts["like"] - one.card.counts["unlike"] for one in (plain, walked)]

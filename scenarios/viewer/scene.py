@@ -225,24 +225,23 @@ def write_estimates(
         poses = _trunk_poses(robot, error.p_GI, error.R_GI)
         _send_poses(stream, f"{root}/body", error.t, *poses)
         _write_marker(stream, f"{root}/body", name, error, size, height=2.0 + 0.7 * k)
-        if error.position_covariance is not None:
-            _write_ellipsoid(stream, root, error, error.position_covariance, color)
+        _write_ellipsoid(stream, root, error, color)
 
 
-def _write_ellipsoid(
-    stream: rr.RecordingStream, root: str, error: ErrorSeries, covariance: np.ndarray, color: str
-) -> None:
-    """Write the estimator's position covariance as ellipsoids with semi-axes of three sigma.
+def _write_ellipsoid(stream: rr.RecordingStream, root: str, error: ErrorSeries, color: str) -> None:
+    """Write the estimator's position covariance, if any, as ellipsoids with semi-axes of three
+    sigma.
 
     Args:
         stream: rerun's recording.
         root: of the estimator's entities.
-        error: gives the positions of the ellipsoids.
-        covariance: (N, 3, 3) [m^2] in G, of the position.
+        error: gives the positions of the ellipsoids and their covariances.
         color: of the estimator.
     """
+    if error.position_covariance is None:
+        return
     rows = rows_every(error.t, 1.0 / _ELLIPSOID_RATE)
-    variance, axes = np.linalg.eigh(covariance[rows])
+    variance, axes = np.linalg.eigh(error.position_covariance[rows])
     axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
     style = rr.Ellipsoids3D.from_fields(
         colors=[rgba(color, 0.25)], line_radii=[_pixels(0.7)], fill_mode="majorwireframe"

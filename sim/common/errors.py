@@ -1,6 +1,6 @@
 """The error for bad input, and the check of whole numbers."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -42,6 +42,12 @@ def check_seed(seed: int) -> None:
         raise SurefootError(f"seed {seed}: must not be negative")
     if seed > LARGEST_WHOLE:
         raise SurefootError("seed: must not be beyond 2^53")
+
+
+def check_known(what: str, name: object, known: Collection[str]) -> None:
+    """Raise SurefootError with the text of `unknown` for a name that is not among those known."""
+    if name not in known:
+        raise SurefootError(unknown(what, name, known))
 
 
 def unknown(what: str, name: object, known: Iterable[str]) -> str:

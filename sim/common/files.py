@@ -132,11 +132,9 @@ def refuse_overwrite(path: str | Path, force: bool) -> None:
     check_plain(path.parent / MANIFEST)
     if path.is_dir():
         raise SurefootError(f"{path}: is a folder, not a file to write")
-    if not path.exists():
-        return
-    if not force:
+    if path.exists() and not force:
         raise SurefootError(f"{path}: exists already; give {force_option()} to overwrite it")
-    if _run is not None:
+    if path.exists() and _run is not None:
         _check_made(path, _run.command)
 
 
@@ -364,10 +362,9 @@ def whole_file(path: str | Path, force: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     refuse_overwrite(path, force)
-    with _staged(path) as temporary:
+    with kept_file(path) as temporary:
         yield temporary
         _list(path.parent, path.parent, {path.name: temporary})
-        _replace(temporary, path)
     _note_written(path)
 
 
@@ -384,7 +381,9 @@ def kept_file(path: Path) -> Iterator[Path]:
     """
     with _staged(path) as temporary:
         yield temporary
-        _replace(temporary, path)
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
 
 
 @contextmanager
@@ -400,12 +399,6 @@ def _staged(path: Path) -> Iterator[Path]:
         other = error.filename if isinstance(error.filename, str) else None
         at = path if other is None or _is_temporary(Path(other)) else Path(other)
         raise SurefootError(f"{_short(at)}: cannot be written ({reason})") from error
-
-
-def _replace(temporary: Path, path: Path) -> None:
-    with temporary.open("rb+") as stream:
-        os.fsync(stream.fileno())
-    os.replace(temporary, path)
 
 
 @contextmanager
@@ -498,22 +491,18 @@ def refuse_full(out: Path, force: bool) -> None:
 
     With `force` the folder may have outputs of the same command, and files of other names.
     """
-    if _identity(out) is None:
-        _check_place(out)
-        return
-    if not out.is_dir():
+    refuse_input(out)
+    if out.exists() and not out.is_dir():
         raise SurefootError(f"-o {out}: is a file, not a folder")
     check_plain(out / MANIFEST)
-    if not any(path.name != MANIFEST for path in out.iterdir()):
+    if not out.exists() or all(path.name == MANIFEST for path in out.iterdir()):
         return
     if not force:
         raise SurefootError(
             f"-o {out}: is not empty; give {force_option()} to overwrite what is in it"
         )
-    if _run is None:
-        return
     own = _own_files(out)
-    if not own:
+    if _run is not None and not own:
         raise SurefootError(
             f"-o {out}: --force replaces what surefoot {_run.command} made, and it made nothing "
             "here; give another folder"

@@ -241,27 +241,30 @@ def load_plugin(file: str | Path) -> None:
     module = sys.modules[module_name] = module_from_spec(spec)
     with of_plugin(f"--plugin {file}: cannot be run"):
         spec.loader.exec_module(module)
-    offered = getattr(module, "PLUGINS", None)
-    if not isinstance(offered, dict) or not offered:
-        raise SurefootError(f'--plugin {file}: needs PLUGINS = {{"surefoot.estimators": {{...}}}}')
-    for group, members in offered.items():
-        if group not in PLUGIN_GROUPS:
-            raise SurefootError(
-                f"--plugin {file}: no group '{group}'; known: {', '.join(PLUGIN_GROUPS)}"
-            )
-        if not isinstance(members, dict):
-            raise SurefootError(f"--plugin {file}: {group} must be a dict of classes by name")
-        for name, member in members.items():
-            if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]*", name)):
-                raise SurefootError(f"--plugin {file}: {group}: {name!r} is no name")
-            if not isinstance(member, type):
-                raise SurefootError(f"--plugin {file}: {name} must be a class, is {member!r:.60}")
-            value = f"{module_name}:{member.__qualname__}"
-            _OF_FILES.setdefault(group, []).append(EntryPoint(name, value, group))
+    with errors_in(f"--plugin {file}"):
+        _register(module_name, getattr(module, "PLUGINS", None))
     _LOADED.add(str(path.resolve()))
     # Workers of this process are given the same files.
     os.environ[FILES] = os.pathsep.join(sorted(_LOADED))
     plugins.cache_clear()
+
+
+def _register(module: str, offered: Any) -> None:
+    """Register what a plug-in file offers. Raises SurefootError for what cannot be one."""
+    if not isinstance(offered, dict) or not offered:
+        raise SurefootError('needs PLUGINS = {"surefoot.estimators": {...}}')
+    for group, members in offered.items():
+        if group not in PLUGIN_GROUPS:
+            raise SurefootError(f"no group '{group}'; known: {', '.join(PLUGIN_GROUPS)}")
+        if not isinstance(members, dict):
+            raise SurefootError(f"{group} must be a dict of classes by name")
+        for name, member in members.items():
+            if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]*", name)):
+                raise SurefootError(f"{group}: {name!r} is no name")
+            if not isinstance(member, type):
+                raise SurefootError(f"{name} must be a class, is {member!r:.60}")
+            value = f"{module}:{member.__qualname__}"
+            _OF_FILES.setdefault(group, []).append(EntryPoint(name, value, group))
 
 
 def with_plugins(arguments: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ Packages add effects by the entry point group `surefoot.effects`, scripts by `@a
 from collections.abc import Iterable
 from typing import Any, TypeVar, get_args
 
-from surefoot.sim.common.errors import SurefootError, errors_in, unknown
+from surefoot.sim.common.errors import SurefootError, check_known, errors_in
 from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects import body, contact, elastic, imu, joint, links, timing
 from surefoot.sim.effects.base import Effect
@@ -80,8 +80,7 @@ def effect(name: str, target: str, value: float) -> Effect:
     """
     known = known_effects()
     name = RENAMED.get(name, name)
-    if name not in known:
-        raise SurefootError(unknown("effect", name, known))
+    check_known("effect", name, known)
     return known[name](target, float(value))
 
 

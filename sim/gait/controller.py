@@ -207,11 +207,8 @@ def slow_down_when_sliding(controller, state, loaded, command, feet):
                 memory.way[leg] = min(
                     memory.way[leg] + speed * dt, 3.0 * SLIDING_DISTANCE * gait.leg_length
                 )
-    way = 0.0
-    for leg in range(4):
-        way += memory.way[leg]
     # A single foot that slips off an edge does not mean slippery ground.
-    if way / 4.0 > SLIDING_DISTANCE * gait.leg_length:
+    if memory.way.mean() > SLIDING_DISTANCE * gait.leg_length:
         memory.slid[0] = t
     part = min(dt / gait.period, 1.0)
     slides = t - memory.slid[0] < gait.period
@@ -240,11 +237,7 @@ def sway_body(controller, state, heading, command, feet):
     """
     gait, memory = controller.gait, controller.memory
     total, x, y = 1e-3, 0.0, 0.0
-    middle_x = middle_y = 0.0
-    for leg in range(4):
-        middle_x += gait.nominal_B[leg, 0]
-        middle_y += gait.nominal_B[leg, 1]
-    middle_x, middle_y = middle_x / 4.0, middle_y / 4.0
+    middle_x, middle_y = gait.nominal_B[:, 0].mean(), gait.nominal_B[:, 1].mean()
     for leg in range(4):
         if feet.mode[leg] != SWING:
             part = load_share(gait, feet.progress[leg])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.plugins import Registry
 
 
@@ -56,6 +56,5 @@ PATTERNS = Registry("surefoot.gaits", _BUNDLED, ("phase", "duty", "period"), _ch
 
 def pattern_named(name: str) -> Pattern:
     """The gait of that name. Raises SurefootError naming the known ones."""
-    if name not in PATTERNS:
-        raise SurefootError(unknown("pattern", name, PATTERNS))
+    check_known("pattern", name, PATTERNS)
     return PATTERNS[name]

@@ -86,12 +86,12 @@ def ground_of_log(log: "Log") -> Ground | None:
         )
 
 
-def thinned(ground: Ground, most: int = MOST_POINTS) -> Ground:
-    """The ground with its height fields reduced to about `most` points in total, for drawing."""
+def thinned(ground: Ground) -> Ground:
+    """The ground with its height fields reduced to about MOST_POINTS in total, for drawing."""
     points = sum(field.heights.size for field in ground.fields)
-    if points <= most:
+    if points <= MOST_POINTS:
         return ground
-    every = ceil(sqrt(points / most))
+    every = ceil(sqrt(points / MOST_POINTS))
     return replace(ground, fields=tuple(_thinned(field, every) for field in ground.fields))
 
 

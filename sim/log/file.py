@@ -25,7 +25,7 @@ from surefoot.sim.log.schema import (
     KEY,
     Meta,
     check_frame,
-    check_table,
+    check_types,
     metadata_digest,
     read_metadata,
 )
@@ -114,7 +114,7 @@ class LogReader:
             check_limit("columns", len(self.columns), "columns")
             size = 8.0 * self.rows * len(self.columns)
             check_unpacked(self.path.stat().st_size, size, "bytes of columns", at_once=False)
-            check_table(file.schema_arrow)
+            check_types(zip(self.columns, file.schema_arrow.types, strict=True))
             self.meta = read_metadata(file.schema_arrow.metadata)
             if 0 < self.rows < FEWEST_ROWS:
                 raise SurefootError(f"has {self.rows} rows, a log {FEWEST_ROWS} at least")

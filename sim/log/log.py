@@ -113,7 +113,11 @@ class Log:
         """The columns of a group; any other name is a column's own."""
         return group_columns(group, self.joints, self.legs) if group in GROUPS else (group,)
 
-    def _array(self, group: str, names: Sequence[str]) -> np.ndarray:
+    def _array(self, group: str, prefix: str = "") -> np.ndarray:
+        """The columns (N, C) of a group whose names begin with `prefix`."""
+        return self._stacked(group, [n for n in self._names(group) if n.startswith(prefix)])
+
+    def _stacked(self, group: str, names: Sequence[str]) -> np.ndarray:
         def stacked() -> np.ndarray:
             self.require(group)
             if any(np.iscomplexobj(self.columns[name]) for name in names):
@@ -121,17 +125,11 @@ class Log:
             # Column by column: selecting them together takes pandas several times as long.
             return np.column_stack([np.asarray(self.columns[n], dtype=float) for n in names])
 
-        return self.once(names[0] if names else group, names, stacked)
-
-    def _joint_array(self, prefix: str) -> np.ndarray:
-        return self._array(prefix, [f"{prefix}_{joint}" for joint in self.joints])
-
-    def _leg_array(self, group: str, prefix: str) -> np.ndarray:
-        return self._array(group, [f"{prefix}_{leg}" for leg in self.legs])
+        return self.once(names[0], names, stacked)
 
     def _leg_vectors(self, group: str, prefix: str) -> np.ndarray:
         names = [f"{prefix}_{leg}_{axis}" for leg in self.legs for axis in "xyz"]
-        return self._array(group, names).reshape(-1, len(self.legs), 3)
+        return self._stacked(group, names).reshape(-1, len(self.legs), 3)
 
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
@@ -162,54 +160,52 @@ class Log:
     @property
     def gyro(self) -> np.ndarray:
         """Angular velocity (N, 3) in I, rad/s, mean over the sample."""
-        return self._array("imu", [f"gyro_{axis}" for axis in "xyz"])
+        return self._array("imu", "gyro_")
 
     @property
     def accel(self) -> np.ndarray:
         """Specific force (N, 3) in I, m/s^2, mean over the sample."""
-        return self._array("imu", [f"accel_{axis}" for axis in "xyz"])
+        return self._array("imu", "accel_")
 
     @property
     def q(self) -> np.ndarray:
         """Joint positions (N, J), rad."""
-        return self._joint_array("q")
+        return self._array("q")
 
     @property
     def dq(self) -> np.ndarray:
         """Joint velocities (N, J), rad/s, as logged; `joint_velocity` derives missing ones."""
-        return self._joint_array("dq")
+        return self._array("dq")
 
     @property
     def tau(self) -> np.ndarray:
         """Joint torques (N, J), N m."""
-        return self._joint_array("tau")
+        return self._array("tau")
 
     @property
     def q_des(self) -> np.ndarray:
         """Commanded joint positions (N, J), rad."""
-        return self._joint_array("q_des")
+        return self._array("q_des")
 
     @property
     def dq_des(self) -> np.ndarray:
         """Commanded joint velocities (N, J), rad/s."""
-        return self._joint_array("dq_des")
+        return self._array("dq_des")
 
     @property
     def tau_ff(self) -> np.ndarray:
         """Feed-forward joint torques (N, J), N m."""
-        return self._joint_array("tau_ff")
+        return self._array("tau_ff")
 
     @property
     def contact(self) -> np.ndarray:
         """Feet in contact (N, L), bool, as the robot senses it."""
-        return self.once(
-            "contact", ["contact"], lambda: self._leg_array("contact", "contact") > 0.5
-        )
+        return self.once("contact", ["contact"], lambda: self._array("contact") > 0.5)
 
     @property
     def force(self) -> np.ndarray:
         """Foot force (N, L), raw, in the sensor's own unit."""
-        return self._leg_array("force", "force")
+        return self._array("force")
 
     @property
     def foot_I(self) -> np.ndarray:
@@ -224,12 +220,12 @@ class Log:
     @property
     def ref_p(self) -> np.ndarray:
         """Reference position p_GI (N, 3), m."""
-        return self._array("reference", [f"ref_p_{axis}" for axis in "xyz"])
+        return self._array("reference", "ref_p_")
 
     @property
     def ref_q(self) -> np.ndarray:
         """Reference attitude (N, 4) of I in G as w, x, y, z."""
-        return self._array("reference", [f"ref_q_{axis}" for axis in "wxyz"])
+        return self._array("reference", "ref_q_")
 
     @property
     def ref_R_GI(self) -> np.ndarray:
@@ -239,7 +235,7 @@ class Log:
     @property
     def ref_v(self) -> np.ndarray:
         """Reference velocity v_GI (N, 3), m/s; `reference_velocity` derives a missing one."""
-        return self._array("ref_v", [f"ref_v_{axis}" for axis in "xyz"])
+        return self._array("ref_v")
 
     @property
     def ref_ok(self) -> np.ndarray:
@@ -252,12 +248,12 @@ class Log:
     @property
     def slip(self) -> np.ndarray:
         """Truth: speed (N, L) of each loaded foot over the ground, m/s."""
-        return self._leg_array("truth", "slip")
+        return self._array("truth", "slip_")
 
     @property
     def mu(self) -> np.ndarray:
         """Truth: friction coefficient (N, L) under each foot."""
-        return self._leg_array("truth", "mu")
+        return self._array("truth", "mu_")
 
 
 class MemoisedLog(Log):

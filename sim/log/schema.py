@@ -201,13 +201,17 @@ class _Parts:
         typed({"model": {k: v for k, v in self.model.items() if k in known}}, dict[str, _Model])
 
 
-def check_table(schema: pa.Schema) -> None:
-    """Raise unless every column of the Parquet schema is float64 and unique."""
-    for column in schema:
-        if schema.names.count(column.name) > 1:
-            raise SurefootError(f"column {column.name} is there more than once")
-        if column.type != pa.float64():
-            raise SurefootError(f"column {column.name} has type {column.type}, not float64")
+def check_types(columns: Iterable[tuple[str, object]]) -> None:
+    """Raise unless every column is float64 and unique; columns: names, and types as NumPy or Arrow
+    has them.
+    """
+    seen: set[str] = set()
+    for name, kind in columns:
+        if name in seen:
+            raise SurefootError(f"column {name} is there more than once")
+        if kind not in (np.float64, pa.float64()):
+            raise SurefootError(f"column {name} has type {kind}, not float64")
+        seen.add(name)
 
 
 def metadata_digest(text: bytes) -> bytes:
@@ -252,9 +256,7 @@ def check_frame(
         before: time of the row before it [s].
     """
     _check_columns([str(name) for name in frame.columns])
-    for name, dtype in frame.dtypes.items():
-        if dtype != np.float64:
-            raise SurefootError(f"column {name} has type {dtype}, not float64")
+    check_types((str(name), dtype) for name, dtype in frame.dtypes.items())
     if len(frame) == 0:
         raise SurefootError("the log has no rows")
     for name in frame.columns:
@@ -275,11 +277,7 @@ def check_frame(
 
 
 def _check_columns(names: list[str]) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise SurefootError(f"column {name} is there more than once")
-        seen.add(name)
+    seen = set(names)
     if "t" not in seen:
         raise SurefootError("column t is missing")
     for name in names:

@@ -80,12 +80,11 @@ def once_for_loads(what: str, log: Log, robot: Machine, make: Callable[[], T], *
 
 def feet_jacobian_B(log: Log, robot: Robot) -> np.ndarray:
     """Jacobian of each foot by its own leg's joints (N, L, 3, P) in B [m/rad]."""
-    return log.once(
-        "Jacobians of the feet",
-        ["q"],
-        lambda: robot.R_BI @ robot.feet_jacobian_I(log.q),
-        *(robot.legs, robot.R_BI),
-    )
+
+    def made() -> np.ndarray:
+        return robot.R_BI @ robot.feet_jacobian_I(log.q)
+
+    return log.once("Jacobians of the feet", ["q"], made, robot.legs, robot.R_BI)
 
 
 def _balanced(log: Log, robot: Robot) -> MomentumBalance:

@@ -41,7 +41,7 @@ class BodyChanges(NamedTuple):
     """Deviation of a robot from its file: frames of its joints, each with everything attached, and
     links.
 
-    All frames are relative to the joint before, or the base; None where they are as in the file.
+    All frames are relative to the joint before, or the base; empty where they are as in the file.
 
     Attributes:
         drawn: position of each joint's frame in the file (J, 3) [m].
@@ -50,9 +50,9 @@ class BodyChanges(NamedTuple):
         links: changes of the links' inertia.
     """
 
-    drawn: np.ndarray | None = None
-    placed: np.ndarray | None = None
-    turn: np.ndarray | None = None
+    drawn: np.ndarray = np.empty((0, 3))
+    placed: np.ndarray = np.empty((0, 3))
+    turn: np.ndarray = np.empty((0, 3, 3))
     links: tuple[LinkChange, ...] = ()
 
 
@@ -163,9 +163,7 @@ class Dynamics:
         """Context with the joints' frames and the links changed in the model."""
         model, changes = self.model, self.changes
         as_drawn = {name: getattr(model, name).copy() for name in _CHANGED_FIELDS}
-        if changes.turn is not None:
-            assert changes.drawn is not None  # the three go together
-            assert changes.placed is not None
+        if len(changes.turn):
             frames = zip(self.hung, changes.drawn, changes.placed, changes.turn, strict=True)
             for body, drawn, placed, turn in frames:
                 # All bodies between this one and the joint rotate with it.

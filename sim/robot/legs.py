@@ -212,7 +212,7 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int) -> Non
         if link & set(ends):
             raise SurefootError(
                 f"a leg is a closed loop (constraint on {model.body(ends[0]).name}), whose "
-                " feet hinges alone do not place; a log with foot positions does without them"
+                "feet hinges alone do not place; a log with foot positions does without them"
             )
 
 
@@ -234,7 +234,7 @@ def _refuse_wheel(model: mujoco.MjModel, data: mujoco.MjData, hinge: int) -> Non
         if along.max() > 0.95 and oval < ROUND * across.max():
             raise SurefootError(
                 f"joint {model.joint(hinge).name} of a leg is the axle of a wheel: legs end "
-                " in feet; a log with foot positions does without them"
+                "in feet; a log with foot positions does without them"
             )
 
 
@@ -523,7 +523,7 @@ def _named_by_place(
         if len(match) != 1:
             raise SurefootError(
                 "cannot distinguish front, rear, left and right legs; the base's x axis must "
-                " point forward and y left"
+                "point forward and y left"
             )
         ordered.append(int(match[0]))
     return ordered, LEGS

@@ -118,10 +118,9 @@ def refuse_foreign(there: Iterable[str], known: tuple[str, ...], what: str, mach
 
 def limbs_by_name(legs: tuple[str, ...], joints: tuple[str, ...]) -> Limbs:
     """Limbs of joints that are named after their leg, `<leg>_<kind>`, from the body to the foot."""
-    chains = (
+    chains = tuple(
         tuple(i for i, joint in enumerate(joints) if joint.startswith(f"{leg}_")) for leg in legs
     )
-    chains = tuple(chains)
     return Limbs(legs, joints, chains, tuple(joints[j] for chain in chains for j in chain[1:]))
 
 

@@ -239,7 +239,19 @@ class Robot:
         inertia (3,) about it along B's axes [kg m^2], and the effective mass of one leg at its foot
         [kg].
         """
-        return _inertial(self)
+        model = self.spec().compile()
+        data, base = self.at_home(model), model.body(self.base_name).id
+        data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+        mujoco.mj_forward(model, data)
+        M = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, M)
+        com = data.subtree_com[base]
+        about_origin = np.diag(M[3:6, 3:6])
+        shift = self.mass * (com @ com - com**2)
+        joints = [model.joint(name).dofadr[0] for name in self.joint_names[:3]]
+        J_inv = np.linalg.inv(self.feet_jacobian_I(self.q_home[None])[0, 0])
+        felt = J_inv.T @ M[np.ix_(joints, joints)] @ J_inv
+        return self.mass, com.copy(), about_origin - shift, float(np.trace(felt) / 3)
 
     @cached_property
     def digest(self) -> str:
@@ -274,23 +286,6 @@ def _body_changes(robot: Robot) -> BodyChanges:
             drawn[joint], placed[joint] = there.offset[leg, j], here.offset[leg, j]
             turn[joint] = here.rotation[leg, j] @ there.rotation[leg, j].T
     return BodyChanges(drawn, placed, turn, links)
-
-
-def _inertial(robot: Robot) -> tuple[float, np.ndarray, np.ndarray, float]:
-    model = robot.spec().compile()
-    data, base = robot.at_home(model), model.body(robot.base_name).id
-    data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
-    mujoco.mj_forward(model, data)
-    M = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, M)
-    com = data.subtree_com[base]
-    about_origin = np.diag(M[3:6, 3:6])
-    shift = robot.mass * (com @ com - com**2)
-    joints = [model.joint(name).dofadr[0] for name in robot.joint_names[:3]]
-    J = robot.feet_jacobian_I(robot.q_home[None])[0, 0]
-    J_inv = np.linalg.inv(J)
-    felt = J_inv.T @ M[np.ix_(joints, joints)] @ J_inv
-    return robot.mass, com.copy(), about_origin - shift, float(np.trace(felt) / 3)
 
 
 def _imu_site(model: mujoco.MjModel, base: int) -> int:

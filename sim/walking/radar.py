@@ -81,8 +81,8 @@ def radar(log: Log, scenario: Scenario, robot: Robot, sensor: RadarSensor | None
     """Returns of a radar on the robot during a simulated log.
 
     The ground is the scenario's as the log's seed drew it; the radar's own noise comes from the
-    same seed. Raises SurefootError where the log has no seed or no reference, or is of another
-    scenario.
+    same seed. Raises SurefootError where the log has no seed, its reference is missing or valid
+    nowhere, or it is of another scenario.
     """
     sensor = sensor or RadarSensor()
     log.require("reference")
@@ -100,7 +100,7 @@ def radar(log: Log, scenario: Scenario, robot: Robot, sensor: RadarSensor | None
 def radar_over(
     log: Log, ground: Ground, robot: Robot, sensor: RadarSensor, rng: np.random.Generator
 ) -> Radar:
-    """The returns over a given ground.
+    """The returns over a given ground. Raises SurefootError where the reference is valid nowhere.
 
     Args:
         log: with its reference.
@@ -117,6 +117,8 @@ def radar_over(
     p_IR, R_IR = mounting(robot, sensor)
     rows = rows_every(log.t, sensor.period)
     rows = rows[log.ref_ok[rows] > 0]
+    if not len(rows):
+        raise SurefootError(f"{log.name}: ref_ok is 0 at every frame of the simulated radar")
     R_GI = log.ref_R_GI
     place = log.ref_p + R_GI @ p_IR
     v_G = log.ref_v + np.gradient(R_GI @ p_IR, log.t, axis=0)

@@ -158,6 +158,15 @@ def test_a_bias_read_at_rest_is_as_sure_as_its_independent_readings():
     assert std.b_g == pytest.approx(0.01 / np.sqrt(25.0), rel=0.01)
 
 
+def test_a_single_reading_of_a_slow_log_gives_no_bias():
+    """At 1 Hz the first half second has one row, whose two halves nobody can compare."""
+    slow = log(motion(3.0, 500.0)).rows(slice(None, None, 500))
+    found, std = still_gyro_bias(slow, GRAVITY_STD)
+    assert slow.gyro[0].any()
+    assert not found.any()
+    assert std is GRAVITY_STD
+
+
 def test_level_turns_the_force_upwards():
     rng = np.random.default_rng(0)
     for force in [*rng.normal(size=(20, 3)), np.array([1.0, 0, 0]), np.array([0, 0, -1.0])]:

@@ -86,7 +86,7 @@ def test_outputs_are_whole_and_never_overwritten(compared, tmp_path):
 
 def test_an_mse_observer_is_refused_where_a_covariance_is_needed(walks, robot, learnt):
     mse = Learnt(learnt.observers[:1], learnt.bounds[:1])
-    with pytest.raises(SurefootError, match="loss gml"):
+    with pytest.raises(SurefootError, match=r"loss gml, .*covariance; given: mse"):
         run_filter("velocity", walks[2], robot, mse)
 
 

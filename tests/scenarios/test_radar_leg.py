@@ -83,3 +83,13 @@ def test_bundled_courses_are_known_by_name_and_the_table_says_perceptive():
     module._scenarios.cache_clear()
     assert {"Atrium", "RoomScan", "demo_walk"} <= set(module._scenarios())
     assert estimator_named("radar_leg").description.startswith("Perceptive")
+
+
+def test_a_log_whose_reference_is_valid_nowhere_is_left_out_with_the_reason(known, log, robot):
+    unseen = replace(log, frame=log.frame.assign(ref_ok=0.0))
+    with pytest.raises(SurefootError, match=r"radar_leg: .*ref_ok is 0") as error:
+        run_filter("radar_leg", unseen, robot)
+    assert "\n" not in str(error.value)
+    results, left_out = run_all(unseen, robot, Learnt(), ["radar_leg"])
+    assert not results
+    assert "ref_ok is 0" in left_out["radar_leg"]

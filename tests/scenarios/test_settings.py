@@ -82,7 +82,7 @@ def test_the_start(log, settings):
         ("noise.gyro", "write it as noise.gyro=1e-3"),
         ("start.tilt='x'", "tilt must be a number"),
         ("state.q_GI=[1, 1, 0, 0]", "no unit quaternion"),
-        ("filters.lag.gyro=1e-3", "choose"),
+        ("filters.lag.gyro=1e-3", "unknown filter 'lag'"),
     ],
 )
 def test_a_mistake_is_one_line(line, words):
