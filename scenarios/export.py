@@ -98,20 +98,18 @@ def _of_log(store: Typestore, log: Log) -> Messages:
     imu, joints = types["sensor_msgs/msg/Imu"], types["sensor_msgs/msg/JointState"]
     quaternion = types["geometry_msgs/msg/Quaternion"]
     flag = types["std_msgs/msg/Bool"]
-    inertial, moving = log.has("imu"), log.has("q")
-    gyro, accel = (log.gyro, log.accel) if inertial else (None, None)
-    q = log.q if moving else None
-    empty = np.zeros((len(log.t), 0))
-    dq, tau = (getattr(log, name) if log.has(name) else empty for name in ("dq", "tau"))
-    contact = log.contact if log.has("contact") else empty
+    inertial, moving, empty = log.has("imu"), log.has("q"), np.zeros((len(log.t), 0))
+    gyro, accel = (log.gyro, log.accel) if inertial else (empty, empty)
+    streams = ("q", "dq", "tau", "contact")
+    q, dq, tau, contact = (getattr(log, one) if log.has(one) else empty for one in streams)
     unknown, zero = np.r_[_UNKNOWN, np.zeros(8)], np.zeros(9)
     for k, t in enumerate(log.t):
         at = header(_time(store, t), BODY)
-        if gyro is not None and accel is not None:
+        if inertial:
             none = quaternion(0.0, 0.0, 0.0, 1.0)
             reading = imu(at, none, unknown, vector(*gyro[k]), zero, vector(*accel[k]), zero)
             yield "/imu", t, reading
-        if q is not None:
+        if moving:
             yield "/joint_states", t, joints(at, list(log.joints), q[k], dq[k], tau[k])
         for leg, stands in zip(log.legs, contact[k], strict=False):
             yield f"/contact/{leg}", t, flag(bool(stands))

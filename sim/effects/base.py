@@ -145,6 +145,18 @@ class Effect:
         """The single targets that the effect's target comprises (see `members_of`)."""
         return self.members_of(self.target, limbs)
 
+    def left_of(self, size: float, part: str, least: float = 0.0) -> float:
+        """What a part of this size has with the effect.
+
+        Raises SurefootError where the effect takes so much that less than `least` is left.
+        """
+        if self.value < 0.0 and size + self.value < least:
+            raise SurefootError(
+                f"effect {self.name} {self.target}: {part} has only {size:.4g} {self.unit}, from "
+                f"which {-self.value:g} cannot be taken"
+            )
+        return size + self.value
+
     @classmethod
     def _unknown(cls, target: str, known: tuple[str, ...]) -> str:
         return f"effect {cls.name}: {unknown('target', target, known)}"
@@ -261,6 +273,7 @@ class ReadingError(Effect):
 
     readings: ClassVar[tuple[str, ...]]
     """The readings that err: some of gyro, accel, q, dq and tau."""
+    targets = "joint"
     chain_rule = "readings"
 
     def sizes(self, robot: Robot) -> np.ndarray:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import AXES, Effect, along, declared_on, turn_about
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import add_payload
@@ -183,12 +182,7 @@ class FootRolling(_LegGeometry):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for name in self.members(robot.limbs):
             foot, site = foot_parts(spec, name)
-            radius = foot.size[0] + self.value
-            if radius < 1e-3:
-                raise SurefootError(
-                    f"effect foot_rolling: {self.value:g} m leaves foot {name} no radius "
-                    f"(it has {foot.size[0]:g} m)"
-                )
+            radius = self.left_of(foot.size[0], f"foot {name}", 1e-3)
             foot.size, site.size = [radius, 0, 0], [1.3 * radius, 0, 0]
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:

@@ -8,18 +8,16 @@ densities) are not scaled.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects.base import Effect
-from surefoot.sim.effects.catalogue import effect, known_effects
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.robot import Robot
 
 DIMENSIONS = {
-    "rad": (0, 0, 0),
-    "ratio": (0, 0, 0),
+    **dict.fromkeys(("rad", "ratio", "rad/s", "m/s^2", "rad/s per m/s^2"), (0, 0, 0)),
     "m": (0, 1, 0),
     "s": (0, 0, 1),
     "kg": (1, 0, 0),
@@ -29,9 +27,6 @@ DIMENSIONS = {
     "m/N": (-1, 1, 0),
     "rad/(N m)": (-1, -1, 0),
     "N m s/rad": (1, 1, 1),
-    "rad/s": (0, 0, 0),
-    "m/s^2": (0, 0, 0),
-    "rad/s per m/s^2": (0, 0, 0),
 }
 """Unit of an effect -> powers of weight, leg length and stride period by which its size scales.
 
@@ -82,7 +77,6 @@ def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tu
         factor = growth(DIMENSIONS[one.unit], measured, to)
         if one.name == "foot_rolling":  # a length of the foot, not of the leg
             factor = to.foot_radius / measured.foot_radius
-        kind = known_effects()[one.name]
-        low, high = kind.bounds_on_legs or kind.bounds
-        found.append(effect(one.name, one.target, min(max(factor * one.value, low), high)))
+        low, high = one.bounds_on_legs or one.bounds
+        found.append(replace(one, value=float(min(max(factor * one.value, low), high))))
     return tuple(found)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.base import Effect, declared_on
 from surefoot.sim.ground.terrain import Ground
@@ -46,7 +45,7 @@ class ViscousFriction(_DriveEffect):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         # MuJoCo's damping is a polynomial; its first coefficient multiplies the rate itself.
         for joint in _joints(spec, robot, self):
-            joint.damping[0] = _changed(joint.damping[0], self, joint)
+            joint.damping[0] = self.left_of(joint.damping[0], joint.name)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(log, robot, self, lambda rate: rate), robot
@@ -68,7 +67,7 @@ class CoulombFriction(_DriveEffect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in _joints(spec, robot, self):
-            joint.frictionloss = _changed(joint.frictionloss, self, joint)
+            joint.frictionloss = self.left_of(joint.frictionloss, joint.name)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(log, robot, self, lambda rate: np.tanh(rate / _stiction(rate))), robot
@@ -90,7 +89,7 @@ class Armature(_DriveEffect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in _joints(spec, robot, self):
-            joint.armature = _changed(joint.armature, self, joint)
+            joint.armature = self.left_of(joint.armature, joint.name)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(log, robot, self, lambda rate: np.gradient(rate, log.t)), robot
@@ -193,13 +192,3 @@ def _less_torque(
 def _joints(spec: mujoco.MjSpec, robot: Robot, one: Effect) -> list[mujoco.MjsJoint]:
     names = dict(zip(robot.limbs.joints, robot.joint_names, strict=True))
     return [spec.joint(names[joint]) for joint in one.members(robot.limbs)]
-
-
-def _changed(size: float, one: Effect, joint: mujoco.MjsJoint) -> float:
-    """What a joint has with the effect. Raises SurefootError below zero."""
-    if size + one.value < 0.0:
-        raise SurefootError(
-            f"effect {one.name} {one.target}: {joint.name} has only {size:g} {one.unit}, and "
-            f"{-one.value:g} less is not possible"
-        )
-    return size + one.value

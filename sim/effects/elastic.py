@@ -147,8 +147,7 @@ def _deflected(log: Log, compliance: float, by: Deflection, joints: tuple[str, .
     columns = {}
     for joint in joints:
         at = log.joints.index(joint)
-        columns[f"q_{joint}"] = log.columns[f"q_{joint}"] + compliance * by.angle[:, at]
-        if f"dq_{joint}" in log.columns:
-            rate = log.columns[f"dq_{joint}"] + compliance * by.rate[:, at]
-            columns[f"dq_{joint}"] = rate
+        for name, moved in ((f"q_{joint}", by.angle), (f"dq_{joint}", by.rate)):
+            if name in log.columns:
+                columns[name] = log.columns[name] + compliance * moved[:, at]
     return log.with_columns(columns)

@@ -31,7 +31,6 @@ class EncoderOffset(Offset):
     bounds = (-0.2, 0.2)
     unit_of_slides = "m"
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = "joint"
     readings = ("q",)
     step = 1e-3
 
@@ -42,7 +41,6 @@ class EncoderScale(Scale):
     name = "encoder_scale"
     bounds = (-0.2, 0.2)
     channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
-    targets = "joint"
     readings = ("q", "dq")
     step = 1e-3
 
@@ -62,7 +60,6 @@ class Backlash(ReadingError):
     bounds = (0.0, 0.1)
     unit_of_slides = "m"
     channels = ("joint_rate", "leg_velocity", "foot_height", "base_wrench")
-    targets = "joint"
     groups = True
     needs = ("tau",)
     readings = ("q",)
@@ -98,7 +95,6 @@ class TorqueScale(Scale):
     bounds = (-0.5, 0.5)
     channels = ("joint_torque", "base_wrench", "command")
     groups = True
-    targets = "joint"
     readings = ("tau",)
     step = 1e-2
 
@@ -115,6 +111,5 @@ class TorqueBias(Offset):
     bounds_on_legs = (-200.0, 200.0)
     unit_of_slides = "N"
     channels = ("joint_torque", "base_wrench", "command")
-    targets = "joint"
     readings = ("tau",)
     step = 0.1

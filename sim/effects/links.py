@@ -10,12 +10,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import Effect, along, declared_on
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import LinkChange, with_own_inertia
 from surefoot.sim.robot.limbs import Limbs
+
+_LEAST = 1e-12
+"""Least mass [kg] and moment [kg m^2] of a link, which must have some."""
 
 
 class _LinkEffect(Effect):
@@ -39,8 +41,7 @@ class LinkMass(_LinkEffect):
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
             body = _link(spec, robot, joint)
-            _check_loss(self, joint, body.mass, "kg")
-            body.mass = body.mass + self.value
+            body.mass = self.left_of(body.mass, f"the link of {joint}", _LEAST)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return log, _with_links(self, robot, mass=self.value)
@@ -57,19 +58,15 @@ class LinkCom(_LinkEffect):
     step = 1e-3
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        joint, axis = self._place()
+        joint, axis = self.target.rsplit("_", 1)
         body = _link(spec, robot, joint)
         body.ipos = body.ipos + along(axis, self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        joint, axis = self._place()
+        joint, axis = self.target.rsplit("_", 1)
         at = robot.limbs.joints.index(joint)
         change = LinkChange(at, com=tuple(along(axis, self.value)))
         return log, declared_on(robot, links=(change,))
-
-    def _place(self) -> tuple[str, str]:
-        joint, axis = self.target.rsplit("_", 1)
-        return joint, axis
 
 
 class LinkInertia(_LinkEffect):
@@ -99,7 +96,7 @@ class LinkInertia(_LinkEffect):
             body = _link(spec, robot, joint)
             least, middle, most = np.sort(body.inertia)
             # A body's largest moment is at most the sum of the other two.
-            _check_loss(self, joint, min(least, least + middle - most), self.unit)
+            self.left_of(min(least, least + middle - most), f"the link of {joint}", _LEAST)
             body.inertia = body.inertia + self.value
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
@@ -110,15 +107,6 @@ def _with_links(one: Effect, robot: Robot, **change: Any) -> Robot:
     """The robot with this change of each of the effect's links declared."""
     joints = [robot.limbs.joints.index(joint) for joint in one.members(robot.limbs)]
     return declared_on(robot, links=tuple(LinkChange(joint, **change) for joint in joints))
-
-
-def _check_loss(one: Effect, joint: str, most: float, unit: str) -> None:
-    """Raise SurefootError if an effect takes more from the link of `joint` than `most` [unit]."""
-    if one.value < 0.0 and -one.value >= most:
-        raise SurefootError(
-            f"effect {one.name} {one.target}: less than {most:.3g} {unit} can be taken from the "
-            f"link of {joint}, not {-one.value:g}"
-        )
 
 
 def _link(spec: mujoco.MjSpec, robot: Robot, joint: str) -> mujoco.MjsBody:

@@ -14,15 +14,10 @@ AXES = ("x", "y", "z")
 
 def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
     """Names of the parts of this kind on a machine with these limbs."""
-    if part == "joint":
-        return limbs.joints
-    if part == "joint_axis":
-        return tuple(f"{joint}_{axis}" for joint in limbs.joints for axis in AXES)
-    if part == "leg":
-        return limbs.legs
-    if part == "leg_link":
-        return limbs.links
-    return tuple(f"{leg}_{axis}" for leg in limbs.legs for axis in AXES)
+    names = {"joint": limbs.joints, "leg": limbs.legs, "leg_link": limbs.links}
+    if part in names:
+        return names[part]
+    return tuple(f"{one}_{axis}" for one in names[part.removesuffix("_axis")] for axis in AXES)
 
 
 def groups(part: Part, limbs: Limbs) -> dict[str, tuple[str, ...]]:

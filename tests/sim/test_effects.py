@@ -85,7 +85,7 @@ def test_foot_rolling_changes_the_radius_and_leaves_the_centres(robot, log):
 
 
 def test_foot_rolling_leaves_every_foot_a_radius(robot):
-    with pytest.raises(SurefootError, match=r"leaves foot FL no radius"):
+    with pytest.raises(SurefootError, match=r"foot FL has only .* m, from which 0.04"):
         edited(robot, effect("foot_rolling", "all", -0.04))
 
 

@@ -146,7 +146,7 @@ def test_what_a_file_of_effects_may_say_of_a_link(name, target, least, most):
 )
 def test_a_link_cannot_lose_more_than_it_has(name, less, unit):
     one = effect(name, "FL_calf", less)
-    with pytest.raises(SurefootError, match=rf"less than .* {unit}.* the link of FL_calf"):
+    with pytest.raises(SurefootError, match=rf"the link of FL_calf has only .* {unit}"):
         one.edit_spec(robot_spec(SPOT), SPOT)
 
 
@@ -157,7 +157,7 @@ def test_the_largest_moment_of_a_link_stays_at_most_the_sum_of_the_others():
     assert 0.0 < spare < least
     effect("link_inertia", "FL_calf", -0.99 * spare).edit_spec(spec, SPOT)
     assert spec.compile() is not None
-    with pytest.raises(SurefootError, match="can be taken from"):
+    with pytest.raises(SurefootError, match="cannot be taken"):
         effect("link_inertia", "FL_calf", -1.01 * spare).edit_spec(robot_spec(SPOT), SPOT)
 
 
