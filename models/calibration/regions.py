@@ -19,7 +19,7 @@ from surefoot.models.calibration.conformal import (
     level_per_axis,
 )
 from surefoot.models.registry import CALIBRATORS
-from surefoot.sim.common.errors import unknown
+from surefoot.sim.common.errors import check_known
 
 CONFIDENCE = 0.95
 """Confidence of `scenario` bounds, over possible calibrations."""
@@ -163,6 +163,5 @@ def mahalanobis(errors: np.ndarray, shape: np.ndarray) -> np.ndarray:
 
 def calibrator(method: str, gamma: float, confidence: float = CONFIDENCE) -> Calibrator:
     """The method of that name. Raises BoundsError where there is none, or gamma is out of range."""
-    if method not in CALIBRATORS:
-        raise BoundsError(unknown("method", method, CALIBRATORS))
+    check_known("method", method, CALIBRATORS, BoundsError)
     return CALIBRATORS[method](gamma, confidence)

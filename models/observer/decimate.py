@@ -21,6 +21,14 @@ class DecimationError(SurefootError):
     """A log too slow, or too short, for the observer's rate."""
 
 
+def check_rate(rate: float, prefix: str = "") -> None:
+    """Raise DecimationError, with a prefix, for a rate [Hz] below the observer's."""
+    if rate < RATE * (1 - 1e-3):
+        raise DecimationError(
+            f"{prefix}sampled at {rate:g} Hz, the observer needs {RATE:g} Hz at least"
+        )
+
+
 def anti_alias(age: np.ndarray) -> np.ndarray:
     """Unnormalised weight of a sample that is `age` seconds old at the output's time."""
     inside = (age > -1e-9) & (age < ANTI_ALIAS_SPAN)
@@ -35,10 +43,7 @@ def observer_rows(log: Log) -> np.ndarray:
     than 100 Hz.
     """
     t = log.t
-    if log.rate < RATE * (1 - 1e-3):
-        raise DecimationError(
-            f"{log.name}: sampled at {log.rate:g} Hz, the observer needs {RATE:g} Hz at least"
-        )
+    check_rate(log.rate, f"{log.name}: ")
     step = 1.0 / RATE
     # Only grid points next to a row: over a gap of hours the whole grid would not fit into memory.
     last = int((t[-1] - t[0]) / step + 1e-3)

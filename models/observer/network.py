@@ -91,7 +91,6 @@ class Network(torch.nn.Module):
         if self.odometry is not None:
             # Start as plain odometry.
             torch.nn.init.zeros_(self.head.weight)
-            self.odometry.initialise()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         features = self.body(x.clone())  # an architecture may write to its input

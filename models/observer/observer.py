@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from io import BytesIO
@@ -28,7 +27,7 @@ from surefoot.models.observer.odometry import (
     contact_points,
 )
 from surefoot.models.registry import ARCHITECTURES, LOSSES
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known, unknown
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.limits import admitted
 from surefoot.sim.common.quaternion import check_rotation
@@ -235,20 +234,10 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
     return np.concatenate((own, contact_points(known, q, dq)), axis=1)
 
 
-def check_loss(loss: str) -> str:
-    """Return the loss if it exists. Raises ObserverError otherwise."""
-    return _known("loss", loss, LOSSES)
-
-
-def check_model(model: str) -> str:
-    """Return the architecture's name if it exists. Raises ObserverError otherwise."""
-    return _known("model", model, ARCHITECTURES)
-
-
-def _known(what: str, name: str, names: Collection[str]) -> str:
-    if name not in names:
-        raise ObserverError(unknown(what, name, names))
-    return name
+def check_network(model: str, loss: str) -> None:
+    """Raise ObserverError for a loss or an architecture that does not exist."""
+    check_known("model", model, ARCHITECTURES, ObserverError)
+    check_known("loss", loss, LOSSES, ObserverError)
 
 
 def torch_bytes(values: dict[str, Any]) -> bytes:
@@ -307,8 +296,7 @@ def _from_plain(values: dict[str, Any]) -> Observer:
     )
     known["inputs"] = check_inputs(tuple(known["inputs"]))
     known["joints"] = tuple(known["joints"])
-    known["loss"] = check_loss(known["loss"])
-    known["model"] = check_model(known["model"])
+    check_network(known["model"], known["loss"])
     kinds = {"robot": str, "seed": int, "rate": float, "width": int, "causal_dq": bool}
     for name, kind in kinds.items():
         if type(known[name]) is not kind:

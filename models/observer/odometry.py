@@ -142,6 +142,7 @@ def _contact_points(known, q, dq):
 class Odometry(torch.nn.Module):
     """The sum over the L legs above, in the network's units; x (..., C) ends with the velocities.
 
+    Untrained, it is plain odometry: equal weights of all legs, gain 1.
     `mean` and `scale` (3 L,) convert a scaled velocity of a contact point to the output's units.
     """
 
@@ -151,15 +152,11 @@ class Odometry(torch.nn.Module):
     def __init__(self, features: int, legs: int):
         super().__init__()
         self.gates = torch.nn.Linear(features, legs)
+        torch.nn.init.zeros_(self.gates.weight)
+        torch.nn.init.zeros_(self.gates.bias)
         self.gain = torch.nn.Parameter(torch.ones(3))
         self.register_buffer("mean", torch.zeros(3 * legs))
         self.register_buffer("scale", torch.ones(3 * legs))
-
-    def initialise(self) -> None:
-        """Initialise as plain odometry: equal weights of all legs, gain 1."""
-        torch.nn.init.zeros_(self.gates.weight)
-        torch.nn.init.zeros_(self.gates.bias)
-        torch.nn.init.ones_(self.gain)
 
     def set_units(self, mean: np.ndarray, scale: np.ndarray, output_scale: np.ndarray) -> None:
         """Set the units from the inputs' mean and scale (C,), and the outputs' scale (3,) [m/s]."""

@@ -97,10 +97,8 @@ class Loop:
         self._features = body.stepper()
         head, odometry = observer.network.head, observer.network.odometry
         self._odometry = odometry.stepper() if odometry is not None else None
-        self._head = (
-            np.ascontiguousarray(head.weight.detach().numpy().T),
-            head.bias.detach().numpy(),
-        )
+        self._weight = np.ascontiguousarray(head.weight.detach().numpy().T)
+        self._bias = head.bias.detach().numpy()
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """v_I (3,) [m/s], and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
@@ -111,7 +109,7 @@ class Loop:
         """
         scaled = self.observer.scaled(x[None])[0]
         features = self._features(scaled)
-        outputs = (features @ self._head[0] + self._head[1])[None]
+        outputs = (features @ self._weight + self._bias)[None]
         if self._odometry is not None:
             outputs[0, :3] += self._odometry(scaled, features)
         v_I, covariance = _physical(self.observer, outputs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surefoot.models.observer.decimate import ANTI_ALIAS_SPAN, RATE, DecimationError, decimate
+from surefoot.models.observer.decimate import ANTI_ALIAS_SPAN, RATE, check_rate, decimate
 from surefoot.models.observer.imu_mounting import Mounted, move_velocity, same_mounting
 from surefoot.models.observer.observer import Observer, ObserverError, check_robot, signals
 from surefoot.models.observer.predict import Loop
@@ -42,10 +42,7 @@ class ObserverStream:
                 are derived again.
         """
         check_robot(observer, robot, joints)
-        if rate < RATE * (1 - 1e-3):
-            raise DecimationError(
-                f"sampled at {rate:g} Hz, the observer needs {RATE:g} Hz at least"
-            )
+        check_rate(rate)
         self._observer, self._robot = observer, robot
         self._moved = not same_mounting(observer, robot)
         self._loop = Loop(observer)

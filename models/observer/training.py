@@ -31,8 +31,7 @@ from surefoot.models.observer.observer import (
     ObserverError,
     TrainingLog,
     check_inputs,
-    check_loss,
-    check_model,
+    check_network,
     log_digest,
     torch_bytes,
 )
@@ -84,10 +83,10 @@ def train(
     logs = [logs] if isinstance(logs, Log) else list(logs)
     check_seed(settings.seed)
     inputs = check_inputs(settings.inputs)
-    model, loss = check_model(settings.model), check_loss(settings.loss)
+    check_network(settings.model, settings.loss)
     if not logs:
         raise ObserverError("train: no log given")
-    units: int = ARCHITECTURES[model].width if settings.width is None else settings.width
+    units: int = ARCHITECTURES[settings.model].width if settings.width is None else settings.width
     if not 0 < units <= WIDEST:
         raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {units}")
     dataset = prepare(logs, robot, inputs)
@@ -98,7 +97,7 @@ def train(
         network.load_state_dict(fitted.best)
         errors = _errors(network, dataset)
     return Observer(
-        model=model,
+        model=settings.model,
         width=units,
         weights=network.state_dict(),
         inputs=inputs,
@@ -110,7 +109,7 @@ def train(
         robot=dataset.robot.name,
         p_BI=np.array(dataset.robot.p_BI, dtype=float),
         R_BI=np.array(dataset.robot.R_BI, dtype=float),
-        loss=loss,
+        loss=settings.loss,
         logs=tuple(TrainingLog(log.name, log_digest(log)) for log in logs),
         seed=settings.seed,
         rate=RATE,

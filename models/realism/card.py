@@ -1,7 +1,7 @@
 """The realism card: a measured walk and simulated ones compared, one quantity a row."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
@@ -79,9 +79,6 @@ class Row:
     tolerance: float
     verdict: Verdict
     reason: str
-
-    def as_dict(self) -> dict[str, float | str]:
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -194,7 +191,7 @@ def estimate(
     everything, statistic = np.concatenate(values), quantity.statistic
     picks = rng.integers(len(groups), size=(DRAWS, len(groups)))
     draws = [statistic(everything[np.concatenate([groups[i] for i in p])]) for p in picks]
-    return statistic(everything), np.array(draws)
+    return float(statistic(everything)), np.array(draws)
 
 
 def _verdict(low: float, high: float, within: float) -> Verdict:

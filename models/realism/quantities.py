@@ -118,8 +118,7 @@ def standing_speed(walk: WalkView, part: str, axis: int) -> Values:
     means, times = [], []
     for leg, (first, end) in enumerate(walk.stances):
         speed = np.where(inside[:, leg], v[:, leg, axis], np.nan) * sign[leg]
-        mean = _mean_of_runs(speed, first, end)
-        means.append(mean)
+        means.append(_mean_of_runs(speed, first, end))
         times.append(walk.log.t[first])
     return _known(np.concatenate(means), np.concatenate(times))
 
@@ -204,8 +203,7 @@ def spectra(walk: WalkView, sensor: str) -> Values:
 
     [unit^2/Hz], one for each second of walk, overlapping by half; NaN above half the log's rate.
     """
-    reading = getattr(walk.log, sensor)
-    return _spectra(walk, reading)
+    return _spectra(walk, getattr(walk.log, sensor))
 
 
 def vibration(walk: WalkView, axis: int) -> Values:
@@ -266,14 +264,6 @@ def change_spread(values: np.ndarray) -> float:
 def root_mean(values: np.ndarray) -> float:
     """Root of the mean of values (K,) that are squares already."""
     return float(np.sqrt(values.mean()))
-
-
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean())
-
-
-def _median(values: np.ndarray) -> float:
-    return float(np.median(values))
 
 
 def _mean_of_runs(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -342,12 +332,12 @@ _SLIPS = [(part, *side) for part in PARTS for side in enumerate(DIRECTIONS_OF_FE
 _JOINTS, _AXES = enumerate(("hip", "thigh", "calf")), enumerate(("forward", "lateral", "up"))
 _ACCEL = partial(spectra, sensor="accel")
 QUANTITIES = (
-    Quantity("forward speed", "m/s", forward_speed, _mean),
-    Quantity("stride period", "s", period, _median),
+    Quantity("forward speed", "m/s", forward_speed, np.mean),
+    Quantity("stride period", "s", period, np.median),
     Quantity("stride period, jitter", "share", period_change, change_spread),
-    Quantity("duty factor", "share", duty, _median),
-    Quantity("more than half of the feet down", "share", most_feet_down, _mean),
-    Quantity("all feet down", "share", all_feet_down, _mean),
+    Quantity("duty factor", "share", duty, np.median),
+    Quantity("more than half of the feet down", "share", most_feet_down, np.mean),
+    Quantity("all feet down", "share", all_feet_down, np.mean),
     *(
         Quantity(f"foothold jitter, {name}", "m", partial(foothold_change, axis=i), change_spread)
         for i, name in _STEPS
@@ -357,15 +347,15 @@ QUANTITIES = (
             f"standing foot, {part}, {name}",
             "m/s",
             partial(standing_speed, part=part, axis=i),
-            _median,
+            np.median,
         )
         for part, i, name in _SLIPS
     ),
     Quantity("speed missed by standing legs", "share", walk_stance_means, missed_share),
     Quantity("the same, stance to stance", "m/s", walk_stance_means, missed_spread),
-    Quantity("foot force, peak to middle", "ratio", force_peak, _median),
-    Quantity("foot force, peak to weight", "ratio", force_weight, _median),
-    Quantity("foot force, threshold to middle", "ratio", force_threshold, _median),
+    Quantity("foot force, peak to middle", "ratio", force_peak, np.median),
+    Quantity("foot force, peak to weight", "ratio", force_weight, np.median),
+    Quantity("foot force, threshold to middle", "ratio", force_threshold, np.median),
     *(
         Quantity(f"joint rate ripple, {name}", "rad/s", partial(joint_ripple, kind=i), root_mean)
         for i, name in _JOINTS
@@ -380,6 +370,6 @@ QUANTITIES = (
     Quantity("gyro, bandwidth", "Hz", partial(spectra, sensor="gyro"), bandwidth),
     Quantity("roll rate", "rad/s", partial(sway, axis=0), root_mean),
     Quantity("pitch rate", "rad/s", partial(sway, axis=1), root_mean),
-    Quantity("mixing time of leg velocity errors", "s", mixing_time, _median),
+    Quantity("mixing time of leg velocity errors", "s", mixing_time, np.median),
 )
 """The quantities of the realism card, in its order."""

@@ -9,7 +9,7 @@ from zlib import crc32
 
 import msgspec
 
-from surefoot.models.observer.observer import check_inputs, check_loss, check_model
+from surefoot.models.observer.observer import check_inputs, check_network
 from surefoot.models.observer.settings import TRAIN_DEFAULT
 from surefoot.models.registry import CALIBRATORS, LOSSES
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, check_filter, estimator_named
@@ -48,9 +48,8 @@ class Learning:
     def __post_init__(self):
         _each_once("losses", self.losses)
         for loss in self.losses:
-            check_loss(loss)
+            check_network(self.model, loss)
         check_inputs(self.inputs)
-        check_model(self.model)
         check_known("method", self.method, CALIBRATORS)
 
 

@@ -6,7 +6,7 @@ The drift of the leg filter only evaluates a simulated robot. Its effects and ga
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -152,7 +152,7 @@ def realism(
     drifts = drift_table(found)
     parts.insert(0, Section(f"Drift of the {FILTER} filter", DRIFT_WORDS, drifts))
     tables = {
-        "realism": [{"walk": c.words, **r.as_dict()} for c in found for r in c.card.rows],
+        "realism": [{"walk": c.words, **asdict(r)} for c in found for r in c.card.rows],
         "drift": drifts,
     }
     with whole_folder(out, force) as folder:
@@ -326,7 +326,7 @@ def _json(found: Sequence[WalkComparison]) -> dict:
         one.words: {
             "pace": one.pace,
             "counts": one.card.counts,
-            "rows": [row.as_dict() for row in one.card.rows],
+            "rows": [asdict(row) for row in one.card.rows],
             "missing": one.card.missing,
         }
         for one in found

@@ -44,10 +44,12 @@ def check_seed(seed: int) -> None:
         raise SurefootError("seed: must not be beyond 2^53")
 
 
-def check_known(what: str, name: object, known: Collection[str]) -> None:
-    """Raise SurefootError with the text of `unknown` for a name that is not among those known."""
+def check_known(
+    what: str, name: object, known: Collection[str], error: type[SurefootError] = SurefootError
+) -> None:
+    """Raise `error` with the text of `unknown` for a name that is not among those known."""
     if name not in known:
-        raise SurefootError(unknown(what, name, known))
+        raise error(unknown(what, name, known))
 
 
 def unknown(what: str, name: object, known: Iterable[str]) -> str:
