@@ -3,12 +3,7 @@
 import numpy as np
 from numba import types
 
-from surefoot.estimator.core.checks import (
-    MOST_SPEED,
-    all_within,
-    is_sound,
-    symmetric_definite,
-)
+from surefoot.estimator.core.checks import MOST_SPEED, all_within, is_sound, symmetric_definite
 from surefoot.estimator.updates.velocity_output import (
     inverse_3,
     lift_with,

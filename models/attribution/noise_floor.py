@@ -26,11 +26,7 @@ from surefoot.models.attribution.reference_sampling import (
     resample_reference,
 )
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.sensor_noise import (
-    apparent_sizes,
-    data_sheet_noise,
-    reading_noise,
-)
+from surefoot.models.attribution.sensor_noise import apparent_sizes, data_sheet_noise, reading_noise
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_for

@@ -11,13 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import (
-    Evidence,
-    Key,
-    LogUnderModel,
-    linearise,
-    table_of,
-)
+from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise, table_of
 from surefoot.models.attribution.fit import NormalEquations, design, fit, loss, normal_equations
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.priors import prior_penalty

@@ -11,14 +11,7 @@ from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect
 
 PER_RUN_EFFECTS = frozenset(
-    {
-        "encoder_offset",
-        "torque_bias",
-        "gyro_bias",
-        "accel_bias",
-        "reference_delay",
-        "clock_scale",
-    }
+    {"encoder_offset", "torque_bias", "gyro_bias", "accel_bias", "reference_delay", "clock_scale"}
 )
 """Effects whose size differs between runs."""
 

@@ -8,13 +8,7 @@ from scipy.special import stdtrit
 
 from surefoot.models.attribution.drift import adds_drift
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, all_keys, linearise
-from surefoot.models.attribution.fit import (
-    NormalEquations,
-    design,
-    fit,
-    normal_equations,
-    overlap,
-)
+from surefoot.models.attribution.fit import NormalEquations, design, fit, normal_equations, overlap
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.harm import find_harmful_effect
 from surefoot.models.attribution.levels import channel_gains

@@ -5,17 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.models.attribution.evidence import (
-    Key,
-    LogUnderModel,
-    all_keys,
-    linearise,
-    table_of,
-)
-from surefoot.models.attribution.reference_sampling import (
-    reference_sampling,
-    resample_reference,
-)
+from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, linearise, table_of
+from surefoot.models.attribution.reference_sampling import reference_sampling, resample_reference
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import motion_under_model

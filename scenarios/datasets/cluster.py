@@ -19,11 +19,7 @@ PATIENCE = 20.0  # s to wait for the scheduler and a first worker
 
 
 def walk_on_cluster(
-    address: str,
-    jobs: Sequence[Job],
-    folder: Path,
-    force: bool,
-    progress: Callable[[float], None],
+    address: str, jobs: Sequence[Job], folder: Path, force: bool, progress: Callable[[float], None]
 ) -> Iterator[IndexRow]:
     """Run walks on the scheduler at `address`; yields rows as their files are written here.
 

@@ -92,11 +92,7 @@ class Rule:
 
 
 def rule_named(
-    name: str,
-    needs: str = "",
-    beside: str = "",
-    when: _When = None,
-    minor: bool = False,
+    name: str, needs: str = "", beside: str = "", when: _When = None, minor: bool = False
 ) -> Callable[[Callable[[LogView], Iterator[Finding]]], Rule]:
     """Make a function that finds violations in a log a rule.
 
