@@ -16,7 +16,15 @@ from surefoot.sim.common.toml import Count, FileName, Name, NonNegative, read_ty
 from surefoot.sim.gait.course import Segment
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.ground_from_file import GroundFile, ground_from_file
-from surefoot.sim.ground.terrain import Friction, Ground, Layer, Length, Patch, Strip, overlap
+from surefoot.sim.ground.terrain import (
+    Friction,
+    Ground,
+    Layer,
+    Length,
+    Patch,
+    Strip,
+    rectangles_overlap,
+)
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
 
@@ -138,7 +146,7 @@ def _on(patch: Patch, layer: Layer) -> bool:
     """Whether a patch overlaps a layer of heights; always for rough strips, which share a
     lattice.
     """
-    return isinstance(layer, Strip) or overlap(patch.rectangle, layer.rectangle)
+    return isinstance(layer, Strip) or rectangles_overlap(patch.rectangle, layer.rectangle)
 
 
 def _drawn_strip(strip: Strip, mu: float, rough: float, rng: np.random.Generator) -> Strip:

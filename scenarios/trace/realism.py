@@ -217,7 +217,15 @@ def _compared(
     seed: int,
     progress: Callable[[float], None],
 ) -> list[WalkComparison]:
-    """`compare_walks` with each of the robots to simulate."""
+    """`compare_walks` with each of the robots to simulate.
+
+    Args:
+        log: measured.
+        robot: its model.
+        robots: to simulate.
+        seed: of the simulated walks.
+        progress: called with the share that is done.
+    """
     return [
         compare_walks(log, robot, one, seed, lambda done, k=k: progress((k + done) / len(robots)))
         for k, one in enumerate(robots)

@@ -32,7 +32,7 @@ Extent = tuple[float, float, float, float]  # x0, x1, y0, y1 [m]
 Facet = tuple[Extent, float, float]  # and the heights [m] of its lower and upper end along the axis
 
 
-def overlap(a: Extent, b: Extent) -> bool:
+def rectangles_overlap(a: Extent, b: Extent) -> bool:
     """Whether two rectangles have more than edges in common."""
     return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Extent, Facet, Ground, Layer, overlap
+from surefoot.sim.ground.terrain import Extent, Facet, Ground, Layer, rectangles_overlap
 
 THICKNESS = 0.5  # m, of a tile below the walking surface
 # MuJoCo takes contact parameters from the geom of higher priority: here, from the ground.
@@ -31,7 +31,7 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
     layers = ground.layers
     for k, layer in enumerate(layers):
         hidden = [later.rectangle for later in layers[k + 1 :]]
-        if layer.on_grid and any(overlap(layer.rectangle, other) for other in hidden):
+        if layer.on_grid and any(rectangles_overlap(layer.rectangle, other) for other in hidden):
             raise SurefootError(
                 "a strip must not overlap a rough one listed before it, "
                 "nor a height field another or a rough strip"
@@ -136,8 +136,8 @@ def _cut(
         patches: rectangles with their own friction; the last one counts.
         snap: function to the lattice line nearest to an edge, for a layer of heights.
     """
-    hidden = [r for r in hidden if overlap(rectangle, r)]
-    patches = [(r, m) for r, m in patches if overlap(rectangle, r)]
+    hidden = [r for r in hidden if rectangles_overlap(rectangle, r)]
+    patches = [(r, m) for r, m in patches if rectangles_overlap(rectangle, r)]
     edges_x, edges_y = (
         _edges([*hidden, *(r for r, _ in patches)], rectangle, axis, snap) for axis in (0, 1)
     )
