@@ -51,13 +51,17 @@ def test_axes_that_oppose_each_other_are_seen_to():
 
 @pytest.mark.parametrize("confidence", [None, 0.9, 0.999, 0.0, 1.0])
 def test_a_confidence_is_a_probability_that_is_neither_nothing_nor_certain(tmp_path, confidence):
-    said = Bounds(STD, 0.8, 0.8, "scenario", 20, 300, "a1b2", np.eye(3), "walk", None, confidence)
-    said.save(tmp_path / "bounds.json")
+    path = tmp_path / "bounds.json"
+    said = Bounds(STD, 0.8, 0.8, "scenario", 20, 300, "a1b2", np.eye(3), "walk", None, 0.5)
+    said.save(path)
+    write_bounds(path, json.loads(path.read_text()) | {"confidence": confidence})
     if confidence in (0.0, 1.0):
+        with pytest.raises(ValueError, match="confidence must lie between 0 and 1"):
+            replace(said, confidence=confidence)
         with pytest.raises(BoundsError, match="confidence must lie between 0 and 1"):
-            Bounds.load(tmp_path / "bounds.json")
+            Bounds.load(path)
     else:
-        assert Bounds.load(tmp_path / "bounds.json").confidence == confidence
+        assert Bounds.load(path).confidence == confidence
 
 
 def test_sequences_that_each_keep_their_own():
