@@ -95,7 +95,7 @@ CASES = [(log, command) for log in LOGS for command in COMMANDS]
 @pytest.mark.parametrize(
     ("log", "command"),
     [
-        pytest.param(*case, marks=() if number % SAMPLE == 0 else (pytest.mark.long,))
+        pytest.param(*case, marks=() if number % SAMPLE == 0 else (pytest.mark.slow,))
         for number, case in enumerate(CASES)
     ],
 )
