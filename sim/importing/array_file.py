@@ -171,11 +171,12 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
 def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
     """Arrays of up to three axes of a file's contents; fields of structs under their own names."""
     cells: dict[str, np.ndarray] = {}
-    for name, value in found.items():
-        if not isinstance(value, np.ndarray | np.void):
+    for name, content in found.items():
+        if not isinstance(content, np.ndarray | np.void):
             continue
+        value: np.ndarray = np.asarray(content)
         if value.dtype.names:
-            inner: Any = value if isinstance(value, np.void) or value.ndim else value[()]
+            inner: Any = value if value.ndim else value[()]
             cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})
