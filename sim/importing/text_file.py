@@ -37,7 +37,10 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         )
     if len(frame.columns) != len(header):
         # Quotation marks keep spaces together in one of the two readings, but not in the other.
-        raise SurefootError(f"{path}: line {source.skip + 1}: quotation marks in the header")
+        raise SurefootError(
+            f"{path}: line {source.skip + 1}: {len(header)} names, {len(frame.columns)} cells: "
+            "rows of another length, or quotation marks in the header"
+        )
     frame.columns = header
     filled = np.flatnonzero(frame.notna().any(axis=1))
     if not len(filled):
