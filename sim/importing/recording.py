@@ -103,7 +103,7 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    with parsed_as("a readable table", path):
+    with parsed_as("a readable table" if reader else "a readable table of text", path):
         return with_stamps(reader(path) if reader else read_text(path, source))
 
 

@@ -1,6 +1,7 @@
 """Tables as text: CSV and similar formats."""
 
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     if source.long is None and (why := no_table(path, source.skip)):
         raise SurefootError(f"{path}: {why}")
     header, separator, units = first_lines(path, source, encoding)
-    with warnings.catch_warnings():
+    frame = pd.DataFrame()
+    with warnings.catch_warnings(), suppress(pd.errors.EmptyDataError):
         # pandas only warns of a first line that is too long, and shifts the columns.
         warnings.simplefilter("error", pd.errors.ParserWarning)
         frame = pd.read_csv(
@@ -35,6 +37,9 @@ def read_text(path: Path, source: Source) -> RecordedTable:
             skip_blank_lines=False,
             low_memory=False,
         )
+    filled = np.flatnonzero(frame.notna().any(axis=1))
+    if not len(filled):
+        raise SurefootError(f"{path}: no rows under the header")
     if len(frame.columns) != len(header):
         # Quotation marks keep spaces together in one of the two readings, but not in the other.
         raise SurefootError(
@@ -42,9 +47,6 @@ def read_text(path: Path, source: Source) -> RecordedTable:
             "rows of another length, or quotation marks in the header"
         )
     frame.columns = header
-    filled = np.flatnonzero(frame.notna().any(axis=1))
-    if not len(filled):
-        raise SurefootError(f"{path}: no rows under the header")
     twice = dict.fromkeys(frame.columns[frame.columns.duplicated()], "is there more than once")
     cells = {name: frame[name].to_numpy()[: filled[-1] + 1] for name in header if name not in twice}
     return RecordedTable(path, cells, "line", source.skip + 1 + source.header + units, twice)

@@ -210,7 +210,7 @@ MAP = [
 ]
 
 CSV = [
-    ("no rows", "", "wx,wy,wz,ax,ay,az,q,f\n", "readable"),
+    ("no rows", "", "wx,wy,wz,ax,ay,az,q,f\n", "rows"),
     ("nothing", "", "", "header"),
     ("a header of commas", "", ",,,,,,,\n1,2,3,4,5,6,7,8\n", "header"),
     ("a doubled column", "wx,wy", "wx,wx", "wx"),
@@ -227,7 +227,7 @@ CSV = [
     ("a quote without an end", "9.8,0.3,50\n0.01", '"9.8,0.3,50\n0.01', "csv"),
     ("zeros between", "9.8,0.3,50\n0.01", "9.8\0,0.3,50\n0.01", "csv"),
     ("commas for points", "", "wx;wy;wz;ax;ay;az;q;f\n" + "0,01;0,02;0;0,1;0,2;9,8;0,3;50\n" * 9, "number"),
-    ("half a code", "", "wx,wy,wz,ax,ay,az,q,f\n".encode("utf-16") + b"\n", "readable"),
+    ("half a code", "", "wx,wy,wz,ax,ay,az,q,f\n".encode("utf-16") + b"\n", "text"),
     ("codes of four bytes", "", "wx,wy,wz,ax,ay,az,q,f\n".encode("utf-32"), "csv"),
     ("bytes", "", bytes(range(256)) * 10, "csv"),
     ("ten thousand columns", "", ",".join(f"c{k}" for k in range(10_000)) + "\n", "header"),
