@@ -1,0 +1,374 @@
+"""Error of a machine's model, as runs of the unchanged machine show it.
+
+No model is exact. Its errors appear a little different in every run, and a fit to a single run
+attributes them to effects that the machine does not have. In the residual of run r, linear in the C
+sizes of the catalogue,
+
+    y_r = X_r (c + u_r) + Z_r z_r + e_r,   c ~ N(0, a^2 D),   u_r ~ N(0, b^2 D)
+
+c is common to all runs, u_r belongs to one, z_r are its zeros and biases, and D scales all terms to
+the same residual. a, b and the noise of each group of columns maximise the likelihood of all runs
+by expectation maximisation (a mixed model: Laird and Ware, Biometrics 38, 1982).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    all_keys,
+    linearise,
+    wrt_columns,
+)
+from surefoot.models.attribution.fit import design, total_normal_equations
+from surefoot.models.attribution.priors import plausible_size
+from surefoot.models.attribution.robust_weights import robust_weights
+from surefoot.models.attribution.sensor_noise import data_sheet_noise
+from surefoot.models.residuals.channel import Column
+from surefoot.models.residuals.jacobians import Regressor
+from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.log import Log
+from surefoot.sim.robot.limbs import Limbs
+
+WINDOW = 0.45
+"""Length of the windows in which the torques of a machine on a fixed base are averaged [s]: long
+compared with rows whose torques jump, short compared with a swing.
+"""
+WHOLE = 0.8
+"""Share of its bins that a window has at least."""
+ZERO = "encoder_offset"
+"""The effect that every run has at a size of its own."""
+NO_TERMS = frozenset({ZERO, "torque_scale", "gyro_scale", "accel_scale", "gyro_bias", "accel_bias"})
+"""Effects that are no error of a model: zeros and biases belong to a run, and a scale together with
+all masses explains any torque.
+"""
+ANGLE_ERROR = "angle_error"
+"""Name of what a sensor may add to its joint's angle (`angle_errors`)."""
+FEWEST_RUNS = 3
+"""Runs needed to estimate how they differ."""
+NOTHING = 1e-9
+"""Mean square of the relative residual per unit up to which a size shows in nothing but rounding:
+the mass of a link that turns about a vertical axis.
+"""
+FREE = 1e-9
+"""Precision of a nuisance parameter without a bound."""
+_START = (0.5, 0.1, 0.3)
+"""Initial a, b, and noise relative to the residual."""
+_ROUNDS = 60
+"""Rounds of the expectation maximisation."""
+
+
+@dataclass(frozen=True)
+class RunSums:
+    """Residual of one run and its derivatives, as sums over the G groups of columns.
+
+    Attributes:
+        keys: the P candidates and `angle_errors`.
+        groups: names of the groups: columns of one noise.
+        sums: Gram matrices (G, 1 + P + B, 1 + P + B) of residual, candidates and nuisance.
+        count: number of entries of each group (G,).
+        nuisance: precision of the nuisance parameters (B,).
+        rates: joint -> largest difference between the slope of its angle and its rate, averaged
+            over a window [rad/s]; of a machine on a fixed base.
+    """
+
+    keys: tuple[Key, ...]
+    groups: tuple[str, ...]
+    sums: np.ndarray
+    count: np.ndarray
+    nuisance: np.ndarray
+    rates: dict[str, float]
+
+    def whitened(self, noise: np.ndarray) -> np.ndarray:
+        """Gram matrix of all rows in units of each group's noise (G,)."""
+        return np.tensordot(noise**-2.0, self.sums, 1)
+
+    def places(self, keys: Sequence[Key]) -> list[int]:
+        """Rows of these keys in the sums."""
+        return [1 + self.keys.index(key) for key in keys]
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """Error of a model in a new run of the unchanged machine, with the effects found compensated.
+
+    Attributes:
+        runs: number of runs that it is estimated from.
+        keys: the C terms.
+        mean: of their sizes (C,) [units of the effects].
+        covariance: of their sizes in a new run (C, C).
+        noise: group of columns -> its noise, in the residual's unit.
+        spread: candidate -> standard deviation of its apparent size between runs, beyond all these.
+        rates: joint -> as of `RunSums`, the largest of the runs.
+    """
+
+    runs: int
+    keys: tuple[Key, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    noise: dict[str, float]
+    spread: dict[Key, float]
+    rates: dict[str, float]
+
+
+@dataclass(frozen=True)
+class RunEvidence:
+    """Evidence of one run, with the weights of its entries; on a fixed base averaged over windows.
+
+    Attributes:
+        case: the run under the declared model.
+        known: its evidence.
+        weight: (M, W).
+        rates: as of `RunSums`.
+    """
+
+    case: LogUnderModel
+    known: Evidence
+    weight: np.ndarray
+    rates: dict[str, float]
+
+    def only(self, keys: Sequence[Key]) -> "RunEvidence":
+        """The evidence restricted to these candidates."""
+        return replace(self, known=self.known.only(keys))
+
+
+def run_evidence(case: LogUnderModel, effects: Sequence[Effect] = ()) -> RunEvidence:
+    """Evidence of one run with `effects` compensated, and all candidates."""
+    limbs = case.robot.limbs
+    known = linearise([case], effects, all_keys(case), evaluation_channels=False)
+    if not case.fixed:
+        least = data_sheet_noise(case.log.rate, known.layout)
+        return RunEvidence(case, known, robust_weights(design(known), least).weight, {})
+    if case.log.has("dq") and case.log.has("tau"):
+        more = wrt_columns(case, effects, lambda log: [*angle_errors(log, limbs).values()])
+        names = [*angle_errors(case.log, limbs)]
+        known = replace(known, keys=(*known.keys, *names), X=(*known.X, *more))
+    known = averaged(known)
+    of_rates = known.layout.of("joint_rate")
+    apart = np.nanmax(np.abs(known.table[:, of_rates]), axis=0, initial=0.0)
+    rates = {known.layout.columns[c].group: float(x) for c, x in zip(of_rates, apart, strict=True)}
+    return RunEvidence(case, known, np.isfinite(known.table).astype(float), rates)
+
+
+def run_sums(run: RunEvidence) -> RunSums:
+    """Sums of one run over each group of columns.
+
+    Of a machine on a fixed base these are its torques; of a walk all but the command's.
+    """
+    known, layout = run.known, run.known.layout
+    table = design(known)
+    used = layout.of("joint_torque") if run.case.fixed else layout.fitted
+    used = used[~np.isin(used, layout.of("command"))]
+    groups, sums, count = [], [], []
+    for columns in layout.alike:
+        own = np.zeros_like(run.weight)
+        here = [c for c in columns if c in used]
+        own[:, here] = run.weight[:, here]
+        if own.any():
+            groups.append(_group_name(layout.columns[here[0]], here, layout.names))
+            sums.append(total_normal_equations(table, np.ones(layout.width), own).G[0])
+            count.append(np.count_nonzero(own))
+    limits = known.limits / known.settings.turn_on_limit
+    return RunSums(
+        keys=known.keys,
+        groups=tuple(groups),
+        sums=np.array(sums),
+        count=np.array(count, float),
+        nuisance=np.where(np.isfinite(limits), np.maximum(limits, 1e-12) ** -2.0, FREE),
+        rates=run.rates,
+    )
+
+
+def _group_name(first: Column, columns: Sequence[int], names: Sequence[str]) -> str:
+    return names[columns[0]] if len(columns) == 1 else f"{first.name.split('_')[0]} {first.kind}"
+
+
+def averaged(known: Evidence) -> Evidence:
+    """An evidence whose rows are means over windows."""
+    weights = window_weights(known.t)
+    return replace(
+        known,
+        t=weights @ known.t,
+        log=np.zeros(len(weights), int),
+        table=_means(weights, known.table),
+        X=tuple(Regressor(one.columns, weights @ one.values) for one in known.X),
+        Z=tuple(Regressor(one.columns, weights @ one.values) for one in known.Z),
+    )
+
+
+def _means(weights: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Means (N, W) of a table (M, W) over windows; NaN in those that are not known throughout."""
+    partly = (weights > 0.0).astype(float) @ np.isnan(table)
+    return np.where(partly > 0.0, np.nan, weights @ np.nan_to_num(table))
+
+
+def window_weights(t: np.ndarray) -> np.ndarray:
+    """Hann windows (N, M) on bins at t (M,) [s], each starting at the middle of the one before;
+    none over a gap.
+    """
+    # The first and the last bin have no neighbour for the slope of a rate.
+    middles = np.arange(t[1] + 0.5 * WINDOW, t[-2] - 0.5 * WINDOW, 0.5 * WINDOW)
+    x = (t - middles[:, None]) / WINDOW
+    w = np.where(np.abs(x) < 0.5, 1.0 + np.cos(2.0 * np.pi * x), 0.0)
+    total = w.sum(axis=1)
+    whole = total > WHOLE * WINDOW / np.median(np.diff(t))
+    return w[whole] / total[whole, None]
+
+
+def angle_errors(log: Log, limbs: Limbs) -> dict[Key, dict[str, np.ndarray]]:
+    """What may be added to the angle and the rate of a joint without a drive, apart from a zero: a
+    drift, and shares of all angles.
+
+    Such a joint has no drive's encoder. Its angle often is the difference of an attitude and of the
+    angles of other joints.
+    """
+    drift = log.t - np.mean(log.t)
+    out: dict[Key, dict[str, np.ndarray]] = {}
+    passive = [joint for joint, tau in zip(limbs.joints, log.tau.T, strict=True) if not tau.any()]
+    for joint in passive:
+        out[ANGLE_ERROR, f"{joint} drift"] = {f"q_{joint}": drift}
+        for of, angle, rate in zip(limbs.joints, log.q.T, log.dq.T, strict=True):
+            out[ANGLE_ERROR, f"{joint} {of}"] = {f"q_{joint}": angle, f"dq_{joint}": rate}
+    return out
+
+
+def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
+    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, or
+    runs with different readings.
+    """
+    if len(runs) < FEWEST_RUNS or len({(one.keys, one.groups) for one in runs}) > 1:
+        return None
+    keys, sums, count = runs[0].keys, sum(r.sums for r in runs), sum(r.count for r in runs)
+    scale = np.sqrt(sums[:, 0, 0] / count)
+    # Mean square of the residual, relative to its own, that one unit of each size makes.
+    strength = np.diag(np.tensordot(scale**-2.0, sums, 1))[1 : 1 + len(keys)] / count.sum()
+    terms = [
+        key
+        for key, one in zip(keys, strength, strict=True)
+        if _is_term(key, limbs) and one > NOTHING
+    ]
+    D = 1.0 / strength[[keys.index(key) for key in terms]]
+    a, b, noise = _START[0], _START[1], _START[2] * scale
+    for _ in range(_ROUNDS):
+        posterior = _posterior(runs, terms, limbs, (a, b, noise), D)
+        a, b, noise = posterior.a, posterior.b, posterior.noise
+    found = ModelError(
+        runs=len(runs),
+        keys=tuple(terms),
+        mean=posterior.mean,
+        covariance=posterior.covariance + np.diag(b**2 * D),
+        noise=dict(zip(runs[0].groups, noise.tolist(), strict=True)),
+        spread={},
+        rates={joint: max(run.rates[joint] for run in runs) for joint in runs[0].rates},
+    )
+    return replace(found, spread=_spread(runs, found, limbs))
+
+
+@dataclass(frozen=True)
+class _Posterior:
+    """Common sizes given a, b and the noise, and the next a, b and noise."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    a: float
+    b: float
+    noise: np.ndarray
+
+
+def _posterior(
+    runs: Sequence[RunSums],
+    terms: Sequence[Key],
+    limbs: Limbs,
+    known: tuple[float, float, np.ndarray],
+    D: np.ndarray,
+) -> _Posterior:
+    """One round of expectation maximisation from a, b and the noise (G,) in `known`."""
+    a, b, noise = known
+    C, common = len(terms), slice(len(terms))
+    own = [np.append((b**2 * D) ** -1.0, own_precision(run, limbs)) for run in runs]
+    precision, score, parts = np.diag((a**2 * D) ** -1.0), np.zeros(C), []
+    for run, weak in zip(runs, own, strict=True):
+        use = [*run.places(terms), *own_places(run)]
+        G = run.whitened(noise)
+        inverse = np.linalg.inv(G[np.ix_(use, use)] + np.diag(weak))
+        left = G[np.ix_(use, [0, *use[:C]])]
+        S = G[np.ix_(use[:C], [0, *use[:C]])] - left[:, 1:].T @ inverse @ left
+        score, precision = score + S[:, 0], precision + S[:, 1:]
+        parts.append((use, inverse, G[use, 0]))
+    covariance = np.linalg.inv(precision)
+    mean = covariance @ score
+    between, square = 0.0, np.zeros(len(noise))
+    for run, weak, (use, inverse, right) in zip(runs, own, parts, strict=True):
+        # Sizes of the run given the common ones, and their derivative with respect to these.
+        pull = inverse[:, common] * weak[common]
+        sizes = inverse @ right + pull @ mean
+        spread = inverse + pull @ covariance @ pull.T
+        apart, more = sizes[common] - mean, pull[common] - np.eye(C)
+        vary = np.diag(inverse)[common] + np.einsum("ij,jk,ik->i", more, covariance, more)
+        between += float(np.sum((apart**2 + vary) / D))
+        vector = np.zeros(run.sums.shape[1])
+        vector[0], vector[use] = 1.0, -sizes
+        square += run.sums @ vector @ vector
+        square += np.einsum("gij,ji->g", run.sums[:, use][:, :, use], spread)
+    return _Posterior(
+        mean=mean,
+        covariance=covariance,
+        a=float(np.sqrt(np.mean((mean**2 + np.diag(covariance)) / D))),
+        b=float(np.sqrt(between / (C * len(runs)))),
+        noise=np.sqrt(square / sum(run.count for run in runs)),
+    )
+
+
+def own_places(run: RunSums) -> list[int]:
+    """Rows in the sums of what belongs to the run: zeros, biases and other nuisance parameters."""
+    zeros = [key for key in run.keys if key[0] == ZERO]
+    first = 1 + len(run.keys)
+    return [*run.places(zeros), *range(first, first + len(run.nuisance))]
+
+
+def own_precision(run: RunSums, limbs: Limbs) -> np.ndarray:
+    """Prior precision of each of `own_places`."""
+    zeros = [key for key in run.keys if key[0] == ZERO]
+    return np.append([(plausible_size(*key, limbs) / 1.96) ** -2.0 for key in zeros], run.nuisance)
+
+
+def against_unchanged(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarray:
+    """a' V^-1 b (1 + P, 1 + P) of the residual less its mean and of all candidates, V the
+    covariance of a run of the unchanged machine.
+    """
+    noise = np.array([known.noise[group] for group in run.groups])
+    terms, first = run.places(known.keys), 1 + len(run.keys)
+    G = run.whitened(noise)
+    turned = np.eye(len(G))
+    turned[terms, 0] = -known.mean
+    G = turned.T @ G @ turned
+    use = [*terms, *own_places(run)]
+    inner = G[np.ix_(use, use)]
+    C = len(terms)
+    inner[:C, :C] += np.linalg.inv(known.covariance)
+    inner[C:, C:] += np.diag(own_precision(run, limbs))
+    cross = G[use, :first]
+    return G[:first, :first] - cross.T @ np.linalg.solve(inner, cross)
+
+
+def _spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> dict[Key, float]:
+    """Standard deviation of each candidate's apparent size between runs, beyond its error."""
+    square = np.zeros(len(runs[0].keys))
+    for run in runs:
+        S = against_unchanged(run, known, limbs)
+        information = np.maximum(np.diag(S)[1:], 1e-300)
+        square += (S[0, 1:] / information) ** 2 - 1.0 / information
+    # Seen by the fit, a run is nearer to the common sizes than a new one.
+    variance = np.maximum(square, 0.0) / (len(runs) - 1)
+    return {key: float(x) for key, x in zip(runs[0].keys, np.sqrt(variance), strict=True) if x > 0}
+
+
+def _is_term(key: Key, limbs: Limbs) -> bool:
+    name, target = key
+    if name in NO_TERMS or name == ANGLE_ERROR:
+        return False
+    return target in known_effects()[name].single_targets(limbs)
