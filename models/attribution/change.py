@@ -8,29 +8,32 @@ where an error of a sensor explains the runs about as well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
     NOTHING,
     ZERO,
     ModelError,
     RunEvidence,
+    RunResidual,
     RunSums,
     against_unchanged,
     averaged,
     run_evidence,
+    run_residual,
     run_sums,
 )
 from surefoot.models.attribution.priors import plausible_size
 from surefoot.models.attribution.refinement import with_clipped_size
 from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
 from surefoot.sim.effects import AXES, effect, known_effects
-from surefoot.sim.log import MemoisedLog
+from surefoot.sim.log import LogError, MemoisedLog
 from surefoot.sim.robot.limbs import Limbs
 
 NAMED = 2.0 * np.log(1e3)
@@ -83,6 +86,7 @@ class Explanation:
         sizes: (k,).
         deviations: standard deviations of the sizes (k,), as the runs tell them.
         evidence: twice the logarithm of its odds against the unchanged machine.
+        overlap: cosine between its first regressor and that of the explanation it is a rival of.
     """
 
     keys: tuple[Key, ...]
@@ -90,6 +94,7 @@ class Explanation:
     sizes: np.ndarray
     deviations: np.ndarray
     evidence: float
+    overlap: float = 1.0
 
     @property
     def of_sensor(self) -> bool:
@@ -107,6 +112,9 @@ class Change:
         found: effects of the change that is named.
         rivals: other explanations that are as good.
         least: for each effect, the least size that would have been named in 95 of 100 such runs.
+        channels: residual of each channel, before and after the model's error, the runs' own zeros
+            and the change are compensated, beside the noise that unchanged runs have.
+        zeros: of each run.
     """
 
     verdict: str
@@ -114,13 +122,74 @@ class Change:
     found: tuple[Found, ...]
     rivals: tuple[Explanation, ...]
     least: dict[Key, float]
+    channels: dict[str, ChannelLevel] = field(default_factory=dict)
+    zeros: tuple[tuple[Found, ...], ...] = ()
 
 
 def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
-    """Compare the explanations of new runs, with the declared effects compensated in `cases`."""
+    """Compare the explanations of new runs, with the declared effects compensated in `cases`.
+
+    Raises LogError where the runs have other readings than those that the model's error is of.
+    """
     limbs = cases[0].robot.limbs
     runs = [run_evidence(case) for case in cases]
     sums = [run_sums(run) for run in runs]
+    for case, run in zip(cases, sums, strict=True):
+        lacking = {*known.noise} - {*run.groups}
+        if lacking or {*known.keys} - {*run.keys}:
+            names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"
+            raise LogError(
+                f"{case.log.name}: its readings differ from those of the runs that the declared "
+                f"effects were found in ({names})"
+            )
+    found = _best(runs, sums, known, limbs)
+    sizes = {(one.effect.name, one.effect.target): one.effect.value for one in found.found}
+    residuals = [run_residual(run, known, limbs, sizes) for run in sums]
+    return replace(
+        found,
+        channels=_levels(runs[0], sums, residuals, known),
+        zeros=tuple(
+            tuple(
+                Found(with_clipped_size(effect(*key, 0.0), x, limbs), (x - 1.96 * e, x + 1.96 * e))
+                for key, (x, e) in one.zeros.items()
+            )
+            for one in residuals
+        ),
+    )
+
+
+def _levels(
+    first: RunEvidence,
+    runs: Sequence[RunSums],
+    residuals: Sequence[RunResidual],
+    known: ModelError,
+) -> dict[str, ChannelLevel]:
+    """Residual of each channel over all runs."""
+    layout, out = first.known.layout, {}
+    for channel in dict.fromkeys(channel for channel, _ in known.noise):
+        sides = []
+        for of_run in (
+            lambda one: one.before,
+            lambda one: one.after,
+            lambda one: known.noise,
+        ):
+            square = [
+                (number, of_run(one)[group])
+                for run, one in zip(runs, residuals, strict=True)
+                for group, number in zip(run.groups, run.count, strict=True)
+                if group[0] == channel
+            ]
+            weights, levels = np.array(square).T
+            sides.append(float(np.sqrt(np.average(levels**2, weights=weights))))
+        units = dict.fromkeys(c.unit for c in layout.columns[layout.channels[channel]])
+        out[channel] = ChannelLevel(*sides, unit=" and ".join(units))
+    return out
+
+
+def _best(
+    runs: Sequence[RunEvidence], sums: Sequence[RunSums], known: ModelError, limbs: Limbs
+) -> Change:
+    """The change that the runs tell, without residuals."""
     S = sum(against_unchanged(run, known, limbs) for run in sums)
     new = _NewRuns(runs, known, sums[0].keys, S, limbs)
     every = [_explained(keys, part, new) for keys, part in _explanations(new)]
@@ -144,7 +213,10 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
     if best.evidence < NAMED:
         return Change("unchanged", (), (), (), least)
-    rivals = _distinct([one for one in as_good if one is not best], best)
+    rivals = tuple(
+        replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
+        for one in _distinct([one for one in as_good if one is not best], best)
+    )
     if _is_lost_zero(best.keys) and not _within_bounds(best, limbs):
         return Change("not_identifiable", (_words(best),), (), rivals, least)
     sensors = [one for one in (best, *rivals) if one.of_sensor]
@@ -166,6 +238,11 @@ class _NewRuns:
     keys: tuple[Key, ...]
     S: np.ndarray
     limbs: Limbs
+
+    def overlap(self, one: Key, other: Key) -> float:
+        """Cosine (0 to 1) between the regressors of two candidates."""
+        i, j = (1 + self.keys.index(key) for key in (one, other))
+        return float(abs(self.S[i, j]) / np.sqrt(self.S[i, i] * self.S[j, j]))
 
     def at(self, key: Key, size: float) -> np.ndarray:
         """The same (2, 2) for one candidate, of the true residual with this size compensated."""

@@ -1,14 +1,15 @@
 """Trace logs to the effects that a robot's model lacks: from logs to a verdict."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from surefoot.models.attribution.angle_error import angle_errors
+from surefoot.models.attribution.change import find_change
 from surefoot.models.attribution.data import data_notes, dead_contacts, readings, untraceable_reason
-from surefoot.models.attribution.evidence import LogUnderModel, linearise, log_under_model
+from surefoot.models.attribution.evidence import Key, LogUnderModel, linearise, log_under_model
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.friction import (
     FootFriction,
@@ -23,12 +24,18 @@ from surefoot.models.attribution.levels import (
     channel_levels,
     without_nuisance,
 )
-from surefoot.models.attribution.noise_floor import RunVariation, noise_floor
+from surefoot.models.attribution.model_error import (
+    ModelError,
+    model_error,
+    model_error_as_dict,
+    run_evidence,
+    run_sums,
+)
+from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
 from surefoot.models.attribution.refinement import RefinementData
 from surefoot.models.attribution.run_fit import FittedRun, fit_runs
 from surefoot.models.attribution.run_offsets import is_per_run, is_sampling_lag
-from surefoot.models.attribution.run_variation import run_variation
 from surefoot.models.attribution.search import Attribution, attribute
 from surefoot.models.attribution.selection import Candidate
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
@@ -53,7 +60,7 @@ class Diagnosis:
     """Result of a trace.
 
     Attributes:
-        verdict: attributed, confounded, none_of_these, not_identifiable or no_residual.
+        verdict: attributed, confounded, none_of_these, not_identifiable, no_residual or unchanged.
         reasons: why the verdict is not better.
         attribution: the search; None where there was none.
         found: effects common to all logs, strongest first.
@@ -66,8 +73,10 @@ class Diagnosis:
         rivals: other effects that explain the data as well.
         notes: for the reader.
         unexplained: form of the remaining residual.
-        run_variation: how much these runs differ once `found` is compensated, against which later
+        model_error: how the model errs in these runs with `found` compensated, against which later
             runs are judged.
+        least: for each effect, the least change that would have been named; where runs are compared
+            with those that their model was calibrated on.
     """
 
     verdict: str
@@ -83,7 +92,8 @@ class Diagnosis:
     rivals: tuple[dict[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
-    run_variation: RunVariation | None = None
+    model_error: ModelError | None = None
+    least: dict[Key, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -113,8 +123,13 @@ class Diagnosis:
             }
         if self.verdict == "none_of_these":
             out["remainder"] = [asdict(form) for form in self.unexplained]
-        if self.run_variation:
-            out["unchanged"] = _run_variation(self.run_variation)
+        if self.model_error:
+            out["unchanged"] = model_error_as_dict(self.model_error)
+        if self.least:
+            out["least"] = [
+                {"name": name, "target": target, "value": value}
+                for (name, target), value in self.least.items()
+            ]
         if self.rivals:
             out["rivals"] = list(self.rivals)
         return plain(out)
@@ -130,15 +145,15 @@ class DiagnosisOptions:
             even an empty one, the diagnosis looks for what has *changed*: encoder zeros, biases and
             clocks are fitted to each log separately and are not effects. The same holds for several
             logs.
-        since: variation between runs of the unchanged machine, from the trace that found
-            `declared`; an effect must stand out from it.
+        since: error of the model in runs of the unchanged machine, from the trace that found
+            `declared`. With it, the diagnosis says what changed since (`find_change`).
         holdout: logs of the same machine, on which the result is judged and nothing is fitted.
         constants: of the method.
     """
 
     seed: int = 0
     declared: Sequence[Effect] | None = None
-    since: RunVariation | None = None
+    since: ModelError | None = None
     holdout: Sequence[Log] = ()
     constants: TraceSettings = DEFAULT
 
@@ -177,13 +192,15 @@ def diagnose(
         reasons = (cannot,)
         return Diagnosis(verdict="not_identifiable", reasons=reasons, channels={}, notes=reasons)
     progress(0.02)
+    if since is not None:
+        return _changed(cases, since)
     # The noise floor, then the search for effects: once, or twice where the effects that were found
     # tell whether feet slide.
     friction = estimate_friction(cases, np.random.default_rng(seed))
     slip, times = slip_effect(friction, settings), 0
     while True:
         times += 1
-        floor = noise_floor(cases, [one.effect for one in slip], since)
+        floor = noise_floor(cases, [one.effect for one in slip])
         progress(0.4)
         rng = np.random.default_rng(seed)
         result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
@@ -278,10 +295,9 @@ def diagnose(
             *(f"excluded from the verdict: {words}" for words in excluded),
             *_result_notes(found, channels),
             *_lag_notes(lags),
-            *_run_variation_notes(since, channels),
         ),
         unexplained=unexplained,
-        run_variation=run_variation(runs, effects, result.floor, after, left, weights),
+        model_error=_error_of(now, effects) if several else None,
     )
 
 
@@ -387,16 +403,29 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
     return notes
 
 
-def _run_variation_notes(
-    since: RunVariation | None, channels: dict[str, ChannelLevel]
-) -> list[str]:
-    """Notes on channels above the noise floor, but no higher than in unchanged runs."""
-    return [
-        f"{name}: {c.after:.3g} {c.unit} is left; runs of the unchanged machine leave up to "
-        f"{since.highest_residual[name]:.3g}"
-        for name, c in channels.items()
-        if since and name in since.highest_residual and c.noise_floor and c.after > c.noise_floor
-    ]
+def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
+    """What changed since the runs that the model's error is of."""
+    change = find_change(cases, since)
+    return Diagnosis(
+        verdict=change.verdict,
+        reasons=change.reasons,
+        found=change.found,
+        runs=tuple(FittedRun(c, zeros, ()) for c, zeros in zip(cases, change.zeros, strict=True)),
+        channels=change.channels,
+        floor=f"what no effect explains of {since.runs} runs of the unchanged machine",
+        rivals=tuple(
+            {"name": name, "target": target, "overlap": one.overlap}
+            for one in change.rivals
+            for name, target in one.keys[:1]
+        ),
+        least=change.least,
+    )
+
+
+def _error_of(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> ModelError | None:
+    """Error of the model with these effects, as the runs show it."""
+    runs = [run_sums(run_evidence(case, effects)) for case in cases]
+    return model_error(runs, cases[0].robot.limbs)
 
 
 def _with_interval(one: Found) -> dict[str, Any]:
@@ -408,14 +437,6 @@ def _run_as_dict(run: FittedRun) -> list[dict[str, Any]]:
     return [
         {**_with_interval(one), "compensated": one.effect in run.compensated} for one in run.zeros
     ]
-
-
-def _run_variation(one: RunVariation) -> dict[str, Any]:
-    differ = [
-        {"name": name, "target": target, "deviation": deviation}
-        for (name, target), deviation in one.size_spread.items()
-    ]
-    return {"runs": one.runs, "differ": differ, "left": dict(one.highest_residual)}
 
 
 def _levels(channels: dict[str, ChannelLevel]) -> dict[str, dict[str, Any]]:

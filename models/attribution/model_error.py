@@ -11,10 +11,12 @@ the same residual. a, b and the noise of each group of columns maximise the like
 by expectation maximisation (a mixed model: Laird and Ware, Biometrics 38, 1982).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from surefoot.models.attribution.evidence import (
     Evidence,
@@ -28,7 +30,6 @@ from surefoot.models.attribution.fit import design, total_normal_equations
 from surefoot.models.attribution.priors import plausible_size
 from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.sensor_noise import data_sheet_noise
-from surefoot.models.residuals.channel import Column
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
@@ -68,7 +69,7 @@ class RunSums:
 
     Attributes:
         keys: the P candidates and `angle_errors`.
-        groups: names of the groups: columns of one noise.
+        groups: channel and kind of the columns of each group, which have one noise.
         sums: Gram matrices (G, 1 + P + B, 1 + P + B) of residual, candidates and nuisance.
         count: number of entries of each group (G,).
         nuisance: precision of the nuisance parameters (B,).
@@ -77,7 +78,7 @@ class RunSums:
     """
 
     keys: tuple[Key, ...]
-    groups: tuple[str, ...]
+    groups: tuple[tuple[str, str], ...]
     sums: np.ndarray
     count: np.ndarray
     nuisance: np.ndarray
@@ -110,7 +111,7 @@ class ModelError:
     keys: tuple[Key, ...]
     mean: np.ndarray
     covariance: np.ndarray
-    noise: dict[str, float]
+    noise: dict[tuple[str, str], float]
     spread: dict[Key, float]
     rates: dict[str, float]
 
@@ -144,9 +145,9 @@ def run_evidence(case: LogUnderModel, effects: Sequence[Effect] = ()) -> RunEvid
         least = data_sheet_noise(case.log.rate, known.layout)
         return RunEvidence(case, known, robust_weights(design(known), least).weight, {})
     if case.log.has("dq") and case.log.has("tau"):
-        more = wrt_columns(case, effects, lambda log: [*angle_errors(log, limbs).values()])
-        names = [*angle_errors(case.log, limbs)]
-        known = replace(known, keys=(*known.keys, *names), X=(*known.X, *more))
+        errors = angle_errors(case.log, limbs)
+        more = wrt_columns(case, effects, lambda log: [*errors.values()])
+        known = replace(known, keys=(*known.keys, *errors), X=(*known.X, *more))
     known = averaged(known)
     of_rates = known.layout.of("joint_rate")
     apart = np.nanmax(np.abs(known.table[:, of_rates]), axis=0, initial=0.0)
@@ -164,12 +165,13 @@ def run_sums(run: RunEvidence) -> RunSums:
     used = layout.of("joint_torque") if run.case.fixed else layout.fitted
     used = used[~np.isin(used, layout.of("command"))]
     groups, sums, count = [], [], []
+    channel_of = {c: name for name, at in layout.channels.items() for c in range(at.start, at.stop)}
     for columns in layout.alike:
         own = np.zeros_like(run.weight)
         here = [c for c in columns if c in used]
         own[:, here] = run.weight[:, here]
         if own.any():
-            groups.append(_group_name(layout.columns[here[0]], here, layout.names))
+            groups.append((channel_of[here[0]], layout.columns[here[0]].kind))
             sums.append(total_normal_equations(table, np.ones(layout.width), own).G[0])
             count.append(np.count_nonzero(own))
     limits = known.limits / known.settings.turn_on_limit
@@ -181,10 +183,6 @@ def run_sums(run: RunEvidence) -> RunSums:
         nuisance=np.where(np.isfinite(limits), np.maximum(limits, 1e-12) ** -2.0, FREE),
         rates=run.rates,
     )
-
-
-def _group_name(first: Column, columns: Sequence[int], names: Sequence[str]) -> str:
-    return names[columns[0]] if len(columns) == 1 else f"{first.name.split('_')[0]} {first.kind}"
 
 
 def averaged(known: Evidence) -> Evidence:
@@ -340,19 +338,66 @@ def against_unchanged(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarr
     """a' V^-1 b (1 + P, 1 + P) of the residual less its mean and of all candidates, V the
     covariance of a run of the unchanged machine.
     """
-    noise = np.array([known.noise[group] for group in run.groups])
-    terms, first = run.places(known.keys), 1 + len(run.keys)
-    G = run.whitened(noise)
-    turned = np.eye(len(G))
-    turned[terms, 0] = -known.mean
-    G = turned.T @ G @ turned
-    use = [*terms, *own_places(run)]
-    inner = G[np.ix_(use, use)]
-    C = len(terms)
-    inner[:C, :C] += np.linalg.inv(known.covariance)
-    inner[C:, C:] += np.diag(own_precision(run, limbs))
+    G, first = _about_mean(run, known), 1 + len(run.keys)
+    use = [*run.places(known.keys), *own_places(run)]
+    inner = G[np.ix_(use, use)] + _unchanged_precision(run, known, limbs)
     cross = G[use, :first]
     return G[:first, :first] - cross.T @ np.linalg.solve(inner, cross)
+
+
+def _about_mean(run: RunSums, known: ModelError) -> np.ndarray:
+    """Whitened Gram matrix of a run whose residual is less the mean error of the model."""
+    G = run.whitened(np.array([known.noise[group] for group in run.groups]))
+    turned = np.eye(len(G))
+    turned[run.places(known.keys), 0] = -known.mean
+    return turned.T @ G @ turned
+
+
+def _unchanged_precision(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarray:
+    """Prior precision of the terms about their mean and of what belongs to the run."""
+    return block_diag(np.linalg.inv(known.covariance), np.diag(own_precision(run, limbs)))
+
+
+@dataclass(frozen=True)
+class RunResidual:
+    """Residual of a run before and after what is known is compensated.
+
+    Attributes:
+        before: group -> root mean square with only zeros and biases fitted.
+        after: the same with the model's error and the effects found as well.
+        zeros: key -> zero or bias of the run, and its standard deviation.
+    """
+
+    before: dict[tuple[str, str], float]
+    after: dict[tuple[str, str], float]
+    zeros: dict[Key, tuple[float, float]]
+
+
+def run_residual(
+    run: RunSums, known: ModelError, limbs: Limbs, sizes: Mapping[Key, float]
+) -> RunResidual:
+    """Residual of a run, and of it with effects of these sizes."""
+    own, terms = own_places(run), run.places(known.keys)
+    found = np.zeros(run.sums.shape[1])
+    found[0], found[run.places([*sizes])] = 1.0, -np.array([*sizes.values()])
+    plain = np.eye(len(found))[0]
+    whitened = run.whitened(np.array([known.noise[group] for group in run.groups]))
+    inner = whitened[np.ix_(own, own)] + np.diag(own_precision(run, limbs))
+    plain[own] = -np.linalg.solve(inner, whitened[own, 0])
+    use, about = [*terms, *own], _about_mean(run, known)
+    covariance = np.linalg.inv(about[np.ix_(use, use)] + _unchanged_precision(run, known, limbs))
+    fitted = covariance @ about[use] @ found
+    found[use] -= fitted
+    found[terms] -= known.mean
+    zeros = [key for key in run.keys if key[0] == ZERO]
+    at = slice(len(terms), len(terms) + len(zeros))
+    sized = zip(fitted[at], np.sqrt(np.diag(covariance)[at]), strict=True)
+
+    def levels(vector: np.ndarray) -> dict[tuple[str, str], float]:
+        square = np.maximum(run.sums @ vector @ vector, 0.0) / run.count
+        return dict(zip(run.groups, np.sqrt(square).tolist(), strict=True))
+
+    return RunResidual(levels(plain), levels(found), dict(zip(zeros, sized, strict=True)))
 
 
 def _spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> dict[Key, float]:
@@ -372,3 +417,53 @@ def _is_term(key: Key, limbs: Limbs) -> bool:
     if name in NO_TERMS or name == ANGLE_ERROR:
         return False
     return target in known_effects()[name].single_targets(limbs)
+
+
+def model_error_as_dict(known: ModelError) -> dict[str, Any]:
+    """A model's error as plain JSON types."""
+    lower = [row[: k + 1].tolist() for k, row in enumerate(known.covariance)]
+    return {
+        "runs": known.runs,
+        "terms": [
+            {"name": name, "target": target, "mean": mean}
+            for (name, target), mean in zip(known.keys, known.mean.tolist(), strict=True)
+        ],
+        "covariance": lower,
+        "noise": [{"channel": c, "kind": k, "level": x} for (c, k), x in known.noise.items()],
+        "spread": [{"name": n, "target": t, "deviation": x} for (n, t), x in known.spread.items()],
+        "rates": known.rates,
+    }
+
+
+def model_error_from_dict(said: Mapping[str, Any]) -> ModelError:
+    """The model's error from `model_error_as_dict`; KeyError, TypeError or ValueError where it is
+    damaged.
+    """
+    terms = said["terms"]
+    covariance = np.zeros((len(terms), len(terms)))
+    for k, row in enumerate(said["covariance"]):
+        covariance[k, : k + 1] = covariance[: k + 1, k] = row
+    np.linalg.cholesky(covariance)
+    return ModelError(
+        runs=int(said["runs"]),
+        keys=tuple((str(one["name"]), str(one["target"])) for one in terms),
+        mean=np.array([_finite(one["mean"]) for one in terms]),
+        covariance=covariance,
+        noise={(str(x["channel"]), str(x["kind"])): _above_zero(x["level"]) for x in said["noise"]},
+        spread={
+            (str(x["name"]), str(x["target"])): _finite(x["deviation"]) for x in said["spread"]
+        },
+        rates={str(joint): _finite(x) for joint, x in said["rates"].items()},
+    )
+
+
+def _finite(value: Any) -> float:
+    if not np.isfinite(size := float(value)):
+        raise ValueError(value)
+    return size
+
+
+def _above_zero(value: Any) -> float:
+    if not (level := _finite(value)) > 0.0:
+        raise ValueError(value)
+    return level

@@ -88,11 +88,10 @@ class FloorPlan:
 
 @dataclass(frozen=True)
 class RunVariation:
-    """Variation between runs of an unchanged machine, with all effects found compensated, or
-    between machines without an effect.
+    """Variation between machines without an effect.
 
     Attributes:
-        runs: number of runs.
+        runs: number of machines' walks.
         size_spread: candidate -> standard deviation of its size in a new run [its unit].
         highest_residual: channel -> upper limit of the residual's root mean square [its unit]: the
             largest of the runs plus their range.
@@ -252,11 +251,7 @@ def _part(key: Key, limbs: Limbs) -> str:
     return target
 
 
-def noise_floor(
-    cases: Sequence[LogUnderModel],
-    ground: Sequence[Effect] = (),
-    run_variation: RunVariation | None = None,
-) -> NoiseFloor:
+def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
     """Simulate the motion of the logs with the declared robot.
 
     Each of a few short walks follows a section of the reference's body velocities. Seeds are fixed,
@@ -268,18 +263,7 @@ def noise_floor(
     Args:
         cases: the logs under the declared model.
         ground: effects of the ground that every walk has and no model compensates.
-        run_variation: variation between runs of the same machine.
     """
-    floor = _plain_floor(cases, ground)
-    if run_variation is None:
-        return floor
-    floor = replace(floor, run_variation=run_variation)
-    between = f"the variation between {run_variation.runs} runs of the unchanged machine"
-    return replace(floor, source=f"{floor.source}, and {between}")
-
-
-def _plain_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect]) -> NoiseFloor:
-    """The floor from these logs alone."""
     first = cases[0]
     if first.fixed:
         source = "the differences between successive readings"

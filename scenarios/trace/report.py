@@ -76,6 +76,18 @@ def sections(found: Trace) -> list[Section]:
         )
         table = _levels(found.channels)
         parts.append(Section("Residual before and after", words, table, (picture,)))
+    if found.least:
+        words = "The least size of each change that would have been named in 95 of 100 such logs."
+        table = [
+            {
+                "effect": name,
+                "target": target,
+                "least": f"{least:.3g}",
+                "unit": found.unit_of(name, target),
+            }
+            for (name, target), least in found.least.items()
+        ]
+        parts.append(Section("Least change that is named", words, table))
     rounds = found.attribution.rounds if found.attribution else ()
     chosen = [f"{e.name} {e.target}" for e in found.effects]
     pictures = []

@@ -40,7 +40,11 @@ class Trace(Diagnosis):
         """The content of trace.json."""
         out = super().as_dict() | plain({"filters": self.filters, "worse": self.worse})
         runs = (*out["runs"], *out.get("holdout", {"runs": ()})["runs"])
-        for one in (*out["effects"], *(zero for run in runs for zero in run)):
+        for one in (
+            *out["effects"],
+            *out.get("least", ()),
+            *(zero for run in runs for zero in run),
+        ):
             one["unit"] = self.unit_of(one["name"], one["target"])
         if self.held_out:
             out["holdout"]["filters"] = plain(self.unseen_filters)

@@ -9,7 +9,7 @@ from typing import Any
 
 from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose, logs_under_model
 from surefoot.models.attribution.evidence import LogUnderModel
-from surefoot.models.attribution.noise_floor import RunVariation
+from surefoot.models.attribution.model_error import ModelError, model_error_from_dict
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
@@ -150,9 +150,9 @@ def _filtered(
     return tuple(done)
 
 
-def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> RunVariation | None:
-    """Variation read from the trace.json beside a file of effects, if that trace found these
-    effects and had enough runs; else None.
+def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> ModelError | None:
+    """The model's error in unchanged runs, from the trace.json beside a file of effects, if that
+    trace found these effects and had enough runs; else None.
 
     Raises SurefootError where the trace.json is damaged.
     """
@@ -165,11 +165,8 @@ def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> RunVaria
     if not known or not _found(said.get("effects"), declared):
         return None
     try:
-        one = said["unchanged"]
-        differ = {(str(x["name"]), str(x["target"])): _size(x["deviation"]) for x in one["differ"]}
-        left = {str(name): _size(level) for name, level in one["left"].items()}
-        return RunVariation(int(one["runs"]), differ, left)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        return model_error_from_dict(said["unchanged"])
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, IndexError):
         raise SurefootError(f"{file}: 'unchanged' is damaged; trace the runs again") from None
 
 
@@ -179,10 +176,3 @@ def _found(said: Any, declared: Sequence[Effect]) -> bool:
         return False
     found = [(one.get("name"), one.get("target"), one.get("value")) for one in said]
     return found == [(one.name, one.target, one.value) for one in declared]
-
-
-def _size(value: Any) -> float:
-    size = float(value)
-    if not 0.0 <= size < float("inf"):
-        raise ValueError(size)
-    return size

@@ -19,6 +19,7 @@ VERDICTS = {
     "none_of_these": "a residual remains that no effect of the catalogue explains",
     "not_identifiable": "the data cannot identify an effect",
     "no_residual": "the model explains the log down to its noise floor",
+    "unchanged": "nothing has changed since the runs that the declared effects were found in",
 }
 _MOTIONS = bundled("surefoot.scenarios.trace", "motions.toml")
 _PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
@@ -114,6 +115,7 @@ def summary(found: Trace) -> str:
         lines.append(f"  to distinguish them: {found.motion}")
     lines += beyond_bounds(found)
     lines += unexplained_in_words(found)
+    lines += least_changes(found)
     if found.channels:
         lines.append("residual on the part used by no fit (root mean square of means over 20 ms):")
         lines += _channel_lines(found.channels) + _filter_lines(found.filters)
@@ -129,6 +131,23 @@ def summary(found: Trace) -> str:
         lines.append(f"noise floor: {found.floor}")
     lines += [f"note: {note}" for note in found.notes if note not in found.reasons]
     return "\n".join(lines)
+
+
+def least_changes(found: Trace) -> list[str]:
+    """For each effect, the least change that would have been named, on the part where it is
+    smallest and where it is largest.
+    """
+    by_name: dict[str, list[tuple[float, str]]] = {}
+    for (name, target), least in found.least.items():
+        by_name.setdefault(name, []).append((least, target))
+    lines = ["would have been named, of 100 such changes 95, from:"] if by_name else []
+    for name, sizes in by_name.items():
+        ends = []
+        for least, target in dict.fromkeys((min(sizes), max(sizes))):
+            factor, unit = _SCALE.get(of := found.unit_of(name, target), (1.0, of))
+            ends.append(f"{factor * least:.3g} {unit} ({target})")
+        lines.append(f"  {name} {' to '.join(ends)}")
+    return lines
 
 
 def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
