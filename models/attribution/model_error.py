@@ -254,11 +254,12 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
     for _ in range(_ROUNDS):
         posterior = _posterior(runs, terms, limbs, (a, b, noise), D)
         a, b, noise = posterior.a, posterior.b, posterior.noise
+    covariance = 0.5 * (posterior.covariance + posterior.covariance.T)
     found = ModelError(
         runs=len(runs),
         keys=tuple(terms),
         mean=posterior.mean,
-        covariance=posterior.covariance + np.diag(b**2 * D),
+        covariance=covariance + np.diag(b**2 * D),
         noise=dict(zip(runs[0].groups, noise.tolist(), strict=True)),
         spread={},
         rates={joint: max(run.rates[joint] for run in runs) for joint in runs[0].rates},

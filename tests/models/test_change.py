@@ -1,0 +1,105 @@
+"""What changed since runs of the unchanged machine, and nothing where nothing did."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from pendulum import swung
+
+from surefoot.models.attribution.change import CONTRADICTION, NAMED, find_change
+from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.attribution.model_error import model_error, run_evidence, run_sums
+from surefoot.sim.effects.base import with_columns
+from surefoot.sim.log import LogError
+from surefoot.sim.robot.machine import load_machine
+
+PENDULUM = load_machine("ak80_pendulum")
+
+
+@lru_cache
+def case(seed, zero=0.0, **hidden):
+    log = swung(seed=seed, seconds=8.0, **hidden)
+    return log_under_model(with_columns(log, {"q_shoulder": log.q[:, 0] + zero}), PENDULUM)
+
+
+@pytest.fixture(scope="module")
+def known():
+    runs = [case(seed, armature=x) for seed, x in enumerate((0.010, 0.014, 0.012, 0.011))]
+    found = model_error([run_sums(run_evidence(one)) for one in runs], PENDULUM.limbs)
+    assert found is not None
+    return found
+
+
+def of(change):
+    return [(one.effect.name, one.effect.target) for one in change.found]
+
+
+@pytest.mark.parametrize("seed", [10, 11, 12])
+def test_an_unchanged_run_is_unchanged(known, seed):
+    change = find_change([case(seed, armature=0.012)], known)
+    assert (change.verdict, change.found, change.reasons) == ("unchanged", (), ())
+
+
+def test_friction_is_named_with_its_size(known):
+    change = find_change([case(20, armature=0.012, friction=0.5)], known)
+    assert (change.verdict, of(change)) == ("attributed", [("coulomb_friction", "shoulder")])
+    low, high = change.found[0].interval
+    assert low < 0.5 < high
+    torque = change.channels["joint_torque"]
+    assert torque.after < 0.7 * torque.before
+
+
+def test_the_least_change_is_named_in_most_runs_and_half_of_it_in_few(known):
+    """Asked: 95 of 100 at the least size."""
+    least = find_change([case(10, armature=0.012)], known).least["coulomb_friction", "shoulder"]
+    named = {
+        share: [
+            of(find_change([case(seed, armature=0.012, friction=share * least)], known)) != []
+            for seed in range(30, 36)
+        ]
+        for share in (0.4, 1.3)
+    }
+    assert sum(named[1.3]) >= 5
+    assert sum(named[0.4]) <= 3
+
+
+@pytest.mark.parametrize("zero", [0.17, -0.7])
+def test_a_lost_zero_is_named_and_no_mass(known, zero):
+    """One beyond the bounds of the effect is said in words."""
+    change = find_change([case(40, zero, armature=0.012)], known)
+    if abs(zero) < 0.2:
+        assert of(change)[0] == ("encoder_offset", "shoulder")
+        assert change.found[0].effect.value == pytest.approx(zero, abs=0.03)
+    else:
+        assert (change.verdict, of(change)) == ("not_identifiable", [])
+        assert change.reasons[0].startswith("q_shoulder is off by -0.7")
+
+
+def test_an_encoder_that_hangs_is_named_and_no_mass(known):
+    log = case(41, armature=0.012).log
+    q = log.q[:, 0].copy()
+    q[1000:2000] = q[1000]
+    hung = log_under_model(with_columns(log, {"q_shoulder": q}), PENDULUM)
+    change = find_change([hung], known)
+    assert (change.verdict, change.found) == ("not_identifiable", ())
+    assert "q_shoulder and dq_shoulder contradict each other" in change.reasons[0]
+
+
+def test_runs_add_up(known):
+    """Two runs tell a change half of whose square neither has."""
+    one, two = ([case(seed, armature=0.012) for seed in seeds] for seeds in ((50,), (50, 51)))
+    first, both = (find_change(cases, known).least for cases in (one, two))
+    assert both["coulomb_friction", "shoulder"] < first["coulomb_friction", "shoulder"]
+
+
+def test_readings_that_differ_are_refused_in_one_line(known):
+    log = case(10, armature=0.012).log
+    without = replace(log, frame=log.frame.drop(columns="tau_shoulder"))
+    with pytest.raises(LogError, match="its readings differ from those of the runs"):
+        find_change([log_under_model(without, PENDULUM)], known)
+
+
+def test_thresholds_are_odds():
+    assert np.exp(NAMED / 2.0) == pytest.approx(1000.0)
+    assert CONTRADICTION > 1.0
