@@ -70,7 +70,7 @@ REFINEMENTS = 4
 """Gauss-Newton steps of each."""
 FAR = 0.2
 """Size of a zero from which the residual is not linear in it [rad]."""
-FAR_STARTS = (-2.4, -1.2, -0.6, 0.6, 1.2, 2.4)
+FAR_STARTS = (-2.8, -2.0, -1.2, -0.4, 0.4, 1.2, 2.0, 2.8)
 """Zeros from which a far one is refined [rad]."""
 NEAR = 0.3
 """Share of the best evidence from which an explanation may turn out better in the refinement."""
@@ -239,6 +239,17 @@ class _NewRuns:
     S: np.ndarray
     limbs: Limbs
 
+    def clipped(self, key: Key, size: float) -> float:
+        """A size that the effect may have: nothing loses more mass than it has."""
+        name, target = key
+        low, high = known_effects()[name].interior_bounds(target, self.limbs)
+        machine = self.runs[0].case.robot
+        if name == "link_mass" and target in self.limbs.joints and machine.dynamics is not None:
+            model = machine.dynamics.model
+            joint = machine.joint_names[self.limbs.joints.index(target)]
+            low = max(low, -float(model.body_mass[model.joint(joint).bodyid[0]]))
+        return float(np.clip(size, low, high))
+
     def overlap(self, one: Key, other: Key) -> float:
         """Cosine (0 to 1) between the regressors of two candidates."""
         i, j = (1 + self.keys.index(key) for key in (one, other))
@@ -312,8 +323,6 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Ex
         return None
     covariance = np.linalg.pinv(A, hermitian=True)
     alone = covariance @ new.S[place, 0]
-    spread = [new.known.spread.get(key, 0.0) for key in keys]
-    covariance += np.diag(np.square(spread)) / len(new.runs)
     prior = np.array([_prior(key, new.limbs) for key in keys])
     if _is_lost_zero(keys):
         prior = np.maximum(prior, np.abs(alone))
@@ -337,7 +346,6 @@ def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
 def _refined(one: Explanation, new: _NewRuns) -> Explanation:
     """An explanation by a single size, refined on the true residual."""
     (key,), prior = one.keys, _prior(one.keys[0], new.limbs)
-    spread = new.known.spread.get(key, 0.0) ** 2 / len(new.runs)
     size, best = float(one.sizes[0]), replace(one, evidence=-np.inf)
     if _is_lost_zero(one.keys) and abs(size) > FAR:
         # The residual is a wave over a turn; start from the best of some zeros.
@@ -346,12 +354,10 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
         if _is_lost_zero(one.keys):
             prior = max(prior, abs(size))
         else:
-            size = with_clipped_size(effect(*key, 0.0), size, new.limbs).value
+            size = new.clipped(key, size)
         S = new.at(key, size)
-        variance = 1.0 / S[1, 1] + spread
-        # Only as much is gained as stands out from how this size differs between runs.
-        gained = (new.S[0, 0] - S[0, 0]) / (S[1, 1] * variance)
-        evidence = gained - (size / prior) ** 2 - np.log1p(prior**2 / variance)
+        variance = 1.0 / S[1, 1]
+        evidence = new.S[0, 0] - S[0, 0] - (size / prior) ** 2 - np.log1p(prior**2 / variance)
         if evidence > best.evidence:
             known = np.array([size]), np.sqrt([variance])
             best = replace(one, sizes=known[0], deviations=known[1], evidence=float(evidence))

@@ -99,11 +99,10 @@ class ModelError:
 
     Attributes:
         runs: number of runs that it is estimated from.
-        keys: the C terms.
+        keys: the C terms, and other effects whose apparent size differs between runs.
         mean: of their sizes (C,) [units of the effects].
         covariance: of their sizes in a new run (C, C).
         noise: group of columns -> its noise, in the residual's unit.
-        spread: candidate -> standard deviation of its apparent size between runs, beyond all these.
         rates: joint -> as of `RunSums`, the largest of the runs.
     """
 
@@ -112,7 +111,6 @@ class ModelError:
     mean: np.ndarray
     covariance: np.ndarray
     noise: dict[tuple[str, str], float]
-    spread: dict[Key, float]
     rates: dict[str, float]
 
 
@@ -261,10 +259,9 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         mean=posterior.mean,
         covariance=covariance + np.diag(b**2 * D),
         noise=dict(zip(runs[0].groups, noise.tolist(), strict=True)),
-        spread={},
         rates={joint: max(run.rates[joint] for run in runs) for joint in runs[0].rates},
     )
-    return replace(found, spread=_spread(runs, found, limbs))
+    return _with_spread(runs, found, limbs)
 
 
 @dataclass(frozen=True)
@@ -401,16 +398,27 @@ def run_residual(
     return RunResidual(levels(plain), levels(found), dict(zip(zeros, sized, strict=True)))
 
 
-def _spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> dict[Key, float]:
-    """Standard deviation of each candidate's apparent size between runs, beyond its error."""
-    square = np.zeros(len(runs[0].keys))
+def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> ModelError:
+    """The error with the variance by which each effect's apparent size differs between runs beyond
+    its error, such as that of a delay, which is no term.
+    """
+    keys = [key for key in runs[0].keys if key[0] not in (ZERO, ANGLE_ERROR)]
+    place, square = runs[0].places(keys), np.zeros(len(keys))
     for run in runs:
         S = against_unchanged(run, known, limbs)
-        information = np.maximum(np.diag(S)[1:], 1e-300)
-        square += (S[0, 1:] / information) ** 2 - 1.0 / information
+        information = np.maximum(np.diag(S)[place], 1e-300)
+        square += (S[0, place] / information) ** 2 - 1.0 / information
     # Seen by the fit, a run is nearer to the common sizes than a new one.
-    variance = np.maximum(square, 0.0) / (len(runs) - 1)
-    return {key: float(x) for key, x in zip(runs[0].keys, np.sqrt(variance), strict=True) if x > 0}
+    spread = dict(zip(keys, square / (len(runs) - 1), strict=True))
+    more = [key for key in keys if key not in known.keys and spread[key] > 0.0]
+    own = np.maximum([spread[key] for key in known.keys], 0.0)
+    added = [spread[key] for key in more]
+    return replace(
+        known,
+        keys=(*known.keys, *more),
+        mean=np.append(known.mean, np.zeros(len(more))),
+        covariance=block_diag(known.covariance + np.diag(own), np.diag(added)),
+    )
 
 
 def _is_term(key: Key, limbs: Limbs) -> bool:
@@ -431,7 +439,6 @@ def model_error_as_dict(known: ModelError) -> dict[str, Any]:
         ],
         "covariance": lower,
         "noise": [{"channel": c, "kind": k, "level": x} for (c, k), x in known.noise.items()],
-        "spread": [{"name": n, "target": t, "deviation": x} for (n, t), x in known.spread.items()],
         "rates": known.rates,
     }
 
@@ -451,9 +458,6 @@ def model_error_from_dict(said: Mapping[str, Any]) -> ModelError:
         mean=np.array([_finite(one["mean"]) for one in terms]),
         covariance=covariance,
         noise={(str(x["channel"]), str(x["kind"])): _above_zero(x["level"]) for x in said["noise"]},
-        spread={
-            (str(x["name"]), str(x["target"])): _finite(x["deviation"]) for x in said["spread"]
-        },
         rates={str(joint): _finite(x) for joint, x in said["rates"].items()},
     )
 

@@ -107,7 +107,7 @@ def test_it_is_the_same_after_json(known):
     assert isinstance(again, ModelError)
     assert again.keys == known.keys
     assert np.array_equal(again.covariance, known.covariance)
-    assert (again.noise, again.spread, again.rates) == (known.noise, known.spread, known.rates)
+    assert (again.noise, again.rates) == (known.noise, known.rates)
     for damage in ({"covariance": [[-1.0], [0.0, 1.0]]}, {"noise": [{}]}, {"terms": 3}):
         with pytest.raises((KeyError, TypeError, ValueError)):
             model_error_from_dict(said | damage)
