@@ -19,13 +19,16 @@ from surefoot.sim.importing.clock import (
     epoch_of,
     gap_lines,
     kept_rows,
+    legs_moving,
     on_clock,
     seconds,
+    set_forward,
+    span,
 )
 from surefoot.sim.importing.columns import EULER, MapColumn
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import poses_of, quaternions_of
+from surefoot.sim.importing.reference import poses_of, quaternions_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, with_stamps
 from surefoot.sim.importing.text_file import read_text
@@ -35,6 +38,8 @@ _Rows = tuple[np.ndarray, np.ndarray]
 """Indices of rows, and the values there, both (M,)."""
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""
+_FEW_OUTSIDE = 0.05
+"""Share of the rows outside the reference that are not worth a note."""
 Files = str | Path | Sequence[str | Path]
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
@@ -88,7 +93,23 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     shared = on_clock(clock, streams, str(main))
     rules = replace(rules, robot=_robot_file(rules, main))
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
-    return RawRecording(kept, poses, rules, main, (*notes, *gap_lines(clock, streams)))
+    notes += gap_lines(clock, streams)
+    if poses is not None:
+        notes += _outside(kept, poses.t + reference_offset(rules, main.stem))
+    return RawRecording(kept, poses, rules, main, tuple(notes))
+
+
+def _outside(table: Columns, reference_t: np.ndarray) -> list[str]:
+    """A note on rows that a log omits, since its reference (M,) [s] does not reach them."""
+    t = table["t"]
+    out = (t < reference_t[0]) | (t > reference_t[-1])
+    if out.mean() <= _FEW_OUTSIDE:
+        return []
+    said = f"reference: {out.sum()} of {len(t)} rows are outside of it ({span(reference_t)}), left out"
+    for row in set_forward(t, legs_moving(table))[:1]:
+        said += f"; from {seconds(t[row - 1])} s the stamps leap to {seconds(t[row])} s while the"
+        said += " joints go on: a clock that was set; import the rows from there on separately"
+    return [said]
 
 
 def _robot_file(rules: ImportMap, main: Path) -> str | None:

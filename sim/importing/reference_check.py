@@ -1,11 +1,13 @@
 """Checks of a reference by itself: miscounted frames, jumps, held samples and gaps."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from surefoot.sim.importing.clock import seconds, set_forward
 from surefoot.sim.importing.reference import MAX_GAP
 from surefoot.sim.log.reference import Poses
 
@@ -56,6 +58,7 @@ class ReferenceCheck:
         gaps: number of intervals over MAX_GAP.
         longest_gap: [s].
         largest: size and time of the largest jump, in words, "" without one.
+        leaps: of the stamps, in words.
     """
 
     samples: int
@@ -67,6 +70,7 @@ class ReferenceCheck:
     gaps: int
     longest_gap: float
     largest: str = ""
+    leaps: tuple[str, ...] = ()
 
     @property
     def doubtful(self) -> float:
@@ -88,7 +92,7 @@ class ReferenceCheck:
         return tuple(self._faults(_FEW_DOUBTFUL))
 
     def _faults(self, least: float) -> list[str]:
-        said = []
+        said = list(self.leaps)
         if self.judged and self.doubtful >= least:
             said.append(
                 f"reference: {100 * self.doubtful:.1f} % of stamps doubtful: so many of the "
@@ -124,7 +128,19 @@ def check_reference(poses: Poses) -> ReferenceCheck:
         gaps=int((step > MAX_GAP).sum()),
         longest_gap=float(step.max()),
         largest=max((_jump(poses, int(k)) for k in jumped), default=(0.0, ""))[1],
+        leaps=tuple(_leaps(poses.t, poses.p)),
     )
+
+
+def _leaps(t: np.ndarray, p: np.ndarray) -> Iterator[str]:
+    """Describe stamps t (K,) [s] that leap while positions p (K, 3) go on, or that count frames."""
+    for row in set_forward(t, p):
+        yield (
+            f"reference: stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while the body"
+            " goes on: a clock that was set; import what is before and the rest separately"
+        )
+    if np.all(np.diff(t) == 1.0):
+        yield "reference: stamps are whole numbers: of frames? Give [reference] rate, and no t"
 
 
 def _jump(poses: Poses, step: int) -> tuple[float, str]:

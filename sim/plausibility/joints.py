@@ -68,10 +68,12 @@ def rates(view: LogView) -> Iterator[Finding]:
     if not moves.size:
         return
     names = [log.joints[j] for j in moves]
-    logged, moved, error = logged[:, moves], moved[:, moves], error[moves]
+    logged, moved = logged[:, moves], moved[:, moves]
     slow = size[moves] < _MOVES
     alike = np.corrcoef(logged, moved, rowvar=False)[: len(names), len(names) :]
     own = np.diag(alike)
+    # What does not correlate says nothing of the size.
+    error = error[moves] + 1.0 - own
     slope = logged.std(axis=0) / moved.std(axis=0)
     when = [sign_change(view.at, a, b) for a, b in zip(logged.T, moved.T, strict=True)]
     steady = np.array([one is None for one in when])
@@ -110,7 +112,7 @@ def rates(view: LogView) -> Iterator[Finding]:
             changes = entries((f"dq_{its}",), of=f"dq_{names[i]}")
         yield Finding((f"dq_{names[i]}",), seen, cause, changes)
     good = own > np.where(slow, _SURELY, 0.8)
-    if not good.any():
+    if not (good.any() and view.resolves):
         return
     typical = float(np.median(slope[good]))
     together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)

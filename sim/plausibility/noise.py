@@ -33,7 +33,9 @@ def noisy(view: LogView) -> Iterator[Finding]:
     """
     log, streams = view.log, {}
     cause = "a broken sensor, a drive that chatters, or readings of several samples mixed up"
-    if log.has("imu") and view.resolves:
+    if not view.resolves:
+        return
+    if log.has("imu"):
         streams |= {"gyro": log.gyro, "accel": log.accel}
     if log.has("dq"):
         shown = np.isfinite(view.between_samples(log.dq, log.q if log.has("q") else None))

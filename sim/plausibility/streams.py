@@ -498,9 +498,14 @@ def derived(view: LogView) -> Iterator[Finding]:
 
 
 def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
-    """Columns (N,) of a log by kind, such as gyro, accel, q, foot, ref_p or ref_q, and name."""
+    """Columns (N,) of a log by kind, such as gyro, accel, q, foot, ref_p or ref_q, and name; of a
+    reference that is mostly interpolated over gaps, none.
+    """
     found: dict[str, dict[str, np.ndarray]] = {}
+    gaps = view.log.has("reference") and view.log.ref_ok.mean() < 0.5
     for name in map(str, view.log.frame):
+        if gaps and name.startswith("ref_"):
+            continue
         prefix = joint_prefix(name)
         kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
         kind = kind.split("_")[0] if kind.startswith(("foot", "force")) else kind
