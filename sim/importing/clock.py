@@ -270,7 +270,8 @@ def _contradiction(
     row = int(np.argmin(np.diff(t))) + 1
     return (
         f"{unit} {rows[row]}: jumps back, {seconds(t[row - 1])} s then {seconds(t[row])} s: a clock"
-        f" that was restarted or set back; import what is before {unit} {rows[row]} and the rest separately"
+        f" that was restarted or set back; import what is before {unit} {rows[row]}"
+        " and the rest separately"
     )
 
 

@@ -105,10 +105,10 @@ def _outside(table: Columns, reference_t: np.ndarray) -> list[str]:
     out = (t < reference_t[0]) | (t > reference_t[-1])
     if out.mean() <= _FEW_OUTSIDE:
         return []
-    said = f"reference: {out.sum()} of {len(t)} rows are outside of it ({span(reference_t)}), left out"
+    said = f"rows: left out, outside the reference ({span(reference_t)}): {out.sum()} of {len(t)}"
     for row in set_forward(t, legs_moving(table))[:1]:
-        said += f"; from {seconds(t[row - 1])} s the stamps leap to {seconds(t[row])} s while the"
-        said += " joints go on: a clock that was set; import the rows from there on separately"
+        said += f"; stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while joints go"
+        said += " on: a clock that was set; import the rows from there on separately"
     return [said]
 
 

@@ -136,7 +136,7 @@ def _leaps(t: np.ndarray, p: np.ndarray) -> Iterator[str]:
     """Describe stamps t (K,) [s] that leap while positions p (K, 3) go on, or that count frames."""
     for row in set_forward(t, p):
         yield (
-            f"reference: stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while the body"
+            f"reference: stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while it"
             " goes on: a clock that was set; import what is before and the rest separately"
         )
     if np.all(np.diff(t) == 1.0):
