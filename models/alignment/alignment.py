@@ -228,9 +228,7 @@ def _level(readings: Readings, at: Placement, felt: np.ndarray) -> np.ndarray | 
     upright = axis[2] > 0.0 or (axis[2] < 0.0 and felt[2] < 0.0)
     if upright or np.abs(axis).sum() != 1.0 or np.linalg.norm(up - axis) > _OFF_AXIS:
         return None
-    turn = np.diag([1.0, -1.0, -1.0])
-    if not axis[2]:
-        turn = np.round(Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0].as_matrix())
+    turn = np.round(Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0].as_matrix())
     poses = in_world(readings.poses, turn)
     felt, moved, _ = specific_forces(replace(readings, poses=poses), at)
     return turn if match_axes(felt, moved).alike else None

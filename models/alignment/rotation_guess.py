@@ -38,7 +38,10 @@ def guess_from_rotation(
     fastest = 1.5 * np.linalg.norm(gyro, axis=1).max()
     size = np.maximum(np.linalg.norm(rates, axis=1), 1e-12)
     rates = rates * np.minimum(1.0, fastest / size)[:, None]
-    t, middle = _without_long_gaps(t, middle, 2.0 * (most + LEAST_OVERLAP))
+    # An offset up to half of the longest gap that both keep moves nothing across it.
+    both = np.union1d(t, middle)
+    short = with_short_gaps(both, 2.0 * (most + LEAST_OVERLAP))
+    t, middle = (short[np.searchsorted(both, one)] for one in (t, middle))
     here, there = (np.arange(x[0], x[-1], _STEP) for x in (t, middle))
     a, b = smoothed(here, t, gyro), smoothed(there, middle, rates)
     shift = there[0] - here[0]
@@ -52,17 +55,6 @@ def guess_from_rotation(
         _guess_at_offset(here, a, there, b, lags[k] + n * _STEP) for k in best for n in range(-6, 7)
     ]
     return min((one for one in tried if one), key=lambda one: one[0], default=(0.0, None))[1]
-
-
-def _without_long_gaps(
-    t: np.ndarray, middle: np.ndarray, longest: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times t (N,) and `middle` (K,) [s] without what exceeds `longest` [s] of the gaps that both
-    have: an offset up to half of it moves nothing across such a gap.
-    """
-    both = np.union1d(t, middle)
-    short = with_short_gaps(both, longest)
-    return short[np.searchsorted(both, t)], short[np.searchsorted(both, middle)]
 
 
 def rates_of(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,8 @@ LONG_GAP = 0.1
 """Shortest gap that is reported [s]: two steps of a stream at 20 Hz."""
 _GAP = 3.0
 """Least length of such a gap in usual intervals."""
+_FEW_OUTSIDE = 0.05
+"""Share of the rows outside the reference that are not worth a note."""
 _GOES_ON, _SHOWS, _WITHIN = 0.5, 0.25, 0.01
 """Relative error up to which motion goes on over a leap of the stamps, least motion relative to the
 usual from which that shows, and time over which motion hardly changes [s]: found in nine of ten
@@ -130,6 +132,19 @@ def set_forward(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     moves, missed = (np.linalg.norm(one, axis=1) for one in (expected, over - expected))
     least = _SHOWS * np.median(np.linalg.norm(x[rows:] - x[:-rows], axis=1))
     return around[(missed < _GOES_ON * moves) & (moves > least), 1] + rows // 2 + 1
+
+
+def outside_lines(table: Columns, reference_t: np.ndarray) -> tuple[str, ...]:
+    """A note on rows that a log omits, since its reference (M,) [s] does not reach them."""
+    t = table["t"]
+    out = (t < reference_t[0]) | (t > reference_t[-1])
+    if out.mean() <= _FEW_OUTSIDE:
+        return ()
+    said = f"rows: left out, outside the reference ({span(reference_t)}): {out.sum()} of {len(t)}"
+    for row in set_forward(t, legs_moving(table))[:1]:
+        said += f"; stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while joints go"
+        said += " on: a clock that was set; import the rows from there on separately"
+    return (said,)
 
 
 def jitter_line(t: np.ndarray) -> str | None:

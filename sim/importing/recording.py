@@ -19,11 +19,9 @@ from surefoot.sim.importing.clock import (
     epoch_of,
     gap_lines,
     kept_rows,
-    legs_moving,
     on_clock,
+    outside_lines,
     seconds,
-    set_forward,
-    span,
 )
 from surefoot.sim.importing.columns import EULER, MapColumn
 from surefoot.sim.importing.json_file import read_json
@@ -38,8 +36,6 @@ _Rows = tuple[np.ndarray, np.ndarray]
 """Indices of rows, and the values there, both (M,)."""
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""
-_FEW_OUTSIDE = 0.05
-"""Share of the rows outside the reference that are not worth a note."""
 Files = str | Path | Sequence[str | Path]
 STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
@@ -95,21 +91,8 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
     notes += gap_lines(clock, streams)
     if poses is not None:
-        notes += _outside(kept, poses.t + reference_offset(rules, main.stem))
+        notes += outside_lines(kept, poses.t + reference_offset(rules, main.stem))
     return RawRecording(kept, poses, rules, main, tuple(notes))
-
-
-def _outside(table: Columns, reference_t: np.ndarray) -> list[str]:
-    """A note on rows that a log omits, since its reference (M,) [s] does not reach them."""
-    t = table["t"]
-    out = (t < reference_t[0]) | (t > reference_t[-1])
-    if out.mean() <= _FEW_OUTSIDE:
-        return []
-    said = f"rows: left out, outside the reference ({span(reference_t)}): {out.sum()} of {len(t)}"
-    for row in set_forward(t, legs_moving(table))[:1]:
-        said += f"; stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while joints go"
-        said += " on: a clock that was set; import the rows from there on separately"
-    return [said]
 
 
 def _robot_file(rules: ImportMap, main: Path) -> str | None:

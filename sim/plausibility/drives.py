@@ -121,31 +121,20 @@ def driving(view: LogView) -> Iterator[Finding]:
 def _against_model(view: LogView, column: str, one: _Torque) -> Iterator[Finding]:
     """Check sign and scale of a torque."""
     fitted, scale = one.fitted(np.ones(len(view.at), dtype=bool))
+    alike = _correlation(one.tau, one.rigid)
     # The model alone is inconclusive for a machine that pushes against something.
     explained = _correlation(one.tau, fitted) > EXPLAINED
-    other_sign = _of_other_sign(view, column, one.tau, one.rigid, "what the model asks for")
-    if other_sign and (explained or not other_sign.changes):
-        yield other_sign
+    when = sign_change(view.at, one.tau, one.rigid, EXPLAINED)
+    if when is not None:
+        yield turned_round(column, when, "what the model asks for")
+    elif explained and alike < OPPOSITE:
+        seen = f"correlation with what the model asks for {alike:.2f}"
+        yield Finding((column,), seen, "wrong sign", entries((column,), sign=-1.0))
     elif explained and abs(one.beside_friction) > EXPLAINED and not SCALED[0] < scale < SCALED[1]:
         seen = f"{scale:.3g} times what the model asks for"
         cause = "another unit, or of the motor's side"
         cause += ", or a load that the model lacks" if scale > 1.0 else ""
         yield Finding((column,), seen, cause, scaled(column, scale))
-
-
-def _of_other_sign(
-    view: LogView, column: str, x: np.ndarray, witness: np.ndarray, expected: str
-) -> Finding | None:
-    """The finding for a column whose x (M,) changes its sign on the way, or has the opposite one of
-    `witness` (M,), which is what is `expected`, in words.
-    """
-    when = sign_change(view.at, x, witness, EXPLAINED)
-    if when is not None:
-        return turned_round(column, when, expected)
-    if (alike := _correlation(x, witness)) < OPPOSITE:
-        seen = f"correlation with {expected} {alike:.2f}"
-        return Finding((column,), seen, "wrong sign", entries((column,), sign=-1.0))
-    return None
 
 
 def _holds(
@@ -196,11 +185,13 @@ def followed(view: LogView) -> Iterator[Finding]:
         a, b, column = q[:, j], asked[:, j], f"q_des_{name}"
         if not (a.std() > 0.0 and b.std() > 0.0):
             continue
-        expected = f"the moves of q_{name}"
-        other_sign = _of_other_sign(view, column, sent[:, j], moved[:, j], expected)
-        if other_sign:
-            yield other_sign
-        elif _correlation(a, b) > FOLLOWED and not SCALED[0] < b.std() / a.std() < SCALED[1]:
+        alike, when = _correlation(a, b), sign_change(view.at, sent[:, j], moved[:, j], EXPLAINED)
+        if when is not None:
+            yield turned_round(column, when, f"the moves of q_{name}")
+        elif (opposed := _correlation(sent[:, j], moved[:, j])) < OPPOSITE:
+            seen = f"correlation with the moves of q_{name} {opposed:.2f}"
+            yield Finding((column,), seen, "wrong sign", entries((column,), sign=-1.0))
+        elif alike > FOLLOWED and not SCALED[0] < b.std() / a.std() < SCALED[1]:
             scale = float(b.std() / a.std())
             seen = f"{scale:.3g} times as far as q_{name} goes"
             yield Finding((column,), seen, "another unit than its angle's", scaled(column, scale))

@@ -33,11 +33,9 @@ def noisy(view: LogView) -> Iterator[Finding]:
     """
     log, streams = view.log, {}
     cause = "a broken sensor, a drive that chatters, or readings of several samples mixed up"
-    if not view.resolves:
-        return
-    if log.has("imu"):
+    if log.has("imu") and view.resolves:
         streams |= {"gyro": log.gyro, "accel": log.accel}
-    if log.has("dq"):
+    if log.has("dq") and view.resolves:
         shown = np.isfinite(view.between_samples(log.dq, log.q if log.has("q") else None))
         streams["dq"] = np.where(shown, log.dq, 0.0)
     for kind, x in streams.items():

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from surefoot.sim.importing.advice import entries
+from surefoot.sim.importing.clock import column_kind
 from surefoot.sim.importing.streams import LATEST_REFERENCE, delay_between, held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
-from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import REF_V
 from surefoot.sim.plausibility.finding import Finding, rule_named
@@ -501,9 +501,7 @@ def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.nda
     for name in map(str, view.log.frame):
         if gaps and name.startswith("ref_"):
             continue
-        prefix = joint_prefix(name)
-        kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
-        kind = kind.split("_")[0] if kind.startswith(("foot", "force")) else kind
+        kind = name.rsplit("_", 1)[0] if name.startswith("ref_") else column_kind(name)
         if kind in wanted:
             found.setdefault(kind, {})[name] = view.log.frame[name].to_numpy()
     return found
