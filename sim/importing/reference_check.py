@@ -140,7 +140,9 @@ def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
     """
     speed, around = _speeds(poses)
     spread = _median_around(np.abs(speed - around))
-    frames = _frames(np.diff(poses.t))
+    step = np.diff(poses.t)
+    frame = np.median(step[step < 1.5 * np.percentile(step, 5.0)])  # the shortest usual step
+    frames = np.maximum(np.rint(step / frame), 1.0)
     judged = (around > _SLOWEST) & (spread < _STEADY * around) & (frames <= max(_MISCOUNTED))
     ratio = speed / np.maximum(around, _SLOWEST)
     off = np.zeros(len(ratio), dtype=bool)
@@ -184,14 +186,6 @@ def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
         if keep.all():
             return poses
         poses = poses.rows(keep)
-
-
-def _frames(step: np.ndarray) -> np.ndarray:
-    """Number of frames (M,) from one sample to the next, by their stamps; a frame is the shortest
-    usual step.
-    """
-    frame = np.median(step[step < 1.5 * np.percentile(step, 5.0)])
-    return np.maximum(np.rint(step / frame), 1.0)
 
 
 def _speeds(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

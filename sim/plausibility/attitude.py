@@ -30,12 +30,7 @@ TILT = 45.0
 _UPRIGHT = 30.0
 """The same for an interpretation that corrects it [deg]."""
 
-_LAST_IS_W = {
-    "ref_q_w": "ref_q_z",
-    "ref_q_x": "ref_q_w",
-    "ref_q_y": "ref_q_x",
-    "ref_q_z": "ref_q_y",
-}
+_LAST_IS_W = {f"ref_q_{a}": f"ref_q_{b}" for a, b in zip("wxyz", "zwxy", strict=True)}
 """Column -> that which was taken for it, where w is the last number and was read as the first."""
 _NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 _Y_UP = Rotation.from_euler("x", 90, degrees=True)

@@ -139,6 +139,27 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
 
 
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        (lambda t: t + 60.0 * (t > 4.0), "clock that was set"),
+        (lambda t: t + 0.5 * (t > 4.0), "leap from 4 to 4.51 s"),
+        (lambda t: 100.0 * t, "of frames"),
+    ],
+)
+def test_stamps_that_leap_while_the_body_goes_on_and_frames_are_named(stamps, said):
+    t = 0.01 * np.arange(1000)
+    true = poses(t)
+    (fault,) = check_reference(Poses(stamps(t).round(6), true.p, true.q)).others
+    assert said in fault
+
+
+def test_a_body_that_was_lost_for_a_while_is_no_clock():
+    t = 0.01 * np.arange(1000)
+    keep = (t < 4.0) | (t > 5.3)
+    assert check_reference(poses(t).rows(keep)).others == ()
+
+
 def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_removed():
     t = 0.01 * np.arange(1000)
     true = poses(t)
