@@ -17,7 +17,9 @@ from surefoot.sim.common.series import low_pass
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.advice import Changes
+from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.plausibility import RULES, check_log, rules_table
 from surefoot.sim.plausibility.axes import lag_of, match_axes
@@ -88,6 +90,14 @@ def test_an_imu_that_is_sampled_at_a_low_rate_is_noticed(log, rate):
     rows = np.searchsorted(log.t, slow.t)
     (found,) = found_in(edited(slow, **{c: log.frame[c].to_numpy()[rows] for c in GYRO + ACCEL}))
     assert "sampled at the rows, not averaged" in found
+
+
+@pytest.mark.parametrize(("every", "first"), [(5, 1), (8, 2), (10, 5)])
+def test_an_imu_that_is_sampled_contradicts_no_reference(log, every, first):
+    """Samples miss the impacts between them, and change the velocity by others."""
+    rows = log.rows(np.arange(first, len(log.t), every))
+    seen = Poses(log.t[3::5], log.ref_p[3::5], log.ref_q[3::5])
+    assert not contradicted(rows.t, rows.gyro, rows.accel, seen).any()
 
 
 @pytest.mark.parametrize("kinds", [(), ("ref_", "dq_"), ("ref_", "q_", "dq_", "tau_")])

@@ -34,17 +34,6 @@ def test_a_reference_that_moves_with_the_imu_is_kept():
     assert not found(poses(t, t + 0.5)).any()
 
 
-@pytest.mark.parametrize("rate", [50.0, 100.0])
-def test_an_imu_that_is_sampled_and_not_averaged_contradicts_nothing(rate):
-    """Feet that strike the ground shake it for a few milliseconds each."""
-    t = np.arange(-0.2, 12.2, 1 / 90)
-    fine = np.arange(0.0, 12.0, 1e-3)
-    struck = np.exp(-((fine % 0.31) / 4e-3)) * np.sin(500.0 * (fine % 0.31))
-    accel = WALK.accel + np.column_stack([np.interp(WALK.t, fine, 60.0 * struck)] * 3)
-    rows = np.arange(0, len(WALK.t), round(400.0 / rate))
-    assert not contradicted(WALK.t[rows], WALK.gyro[rows], accel[rows], poses(t)).any()
-
-
 def test_stamps_that_are_far_off_at_an_end_are_left_out_with_what_comes_before():
     t = np.arange(-0.2, 12.2, 1 / 90)
     # Frames were lost without being counted: what was before them comes too late by 0.3 s.
