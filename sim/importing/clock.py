@@ -123,7 +123,9 @@ def set_forward(t: np.ndarray, x: np.ndarray) -> np.ndarray:
         return np.zeros(0, dtype=int)
     usual = float(np.median(step))
     rows = max(1, round(_WITHIN / usual))
-    leaps = np.flatnonzero(step > max(LONG_GAP, _GAP * usual))
+    # Rows that were held up follow each other at once.
+    caught_up = np.append(step[1:], usual) < 0.5 * usual
+    leaps = np.flatnonzero((step > max(LONG_GAP, _GAP * usual)) & ~caught_up)
     around = leaps[:, None] - rows // 2 + rows * np.arange(-1, 3)
     around = around[(around[:, 0] >= 0) & (around[:, 3] < len(t))]
     x = x / np.maximum(x.std(axis=0), 1e-12)

@@ -94,22 +94,22 @@ def check_reference(poses: Poses) -> ReferenceCheck:
     samples += f"{gaps} over {1e3 * MAX_GAP:.0f} ms"
     if len(step) < 2 * _NEIGHBOURS + 1:
         return ReferenceCheck(samples)
+    pose = np.column_stack([poses.p, poses.q])
     said = [
         f"stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while it goes on: a clock"
         " that was set; import what is before and the rest separately"
-        for row in set_forward(t, poses.p)
+        for row in set_forward(t, pose)
     ]
     if np.all(step == 1.0):
         said.append("stamps are whole numbers: of frames? Give [reference] rate, and no t")
     if (jumped := np.flatnonzero(jumps(poses))).size:
         _, largest = max(_jump(poses, int(k)) for k in jumped)
         said.append(f"{len(jumped)} jumps of position or attitude, the largest by {largest}")
-    same = ~np.diff(np.column_stack([poses.p, poses.q]), axis=0).any(axis=1)
+    same = ~np.diff(pose, axis=0).any(axis=1)
     if held := np.sum(same & (_speeds(poses)[1] > _SLOWEST)):
         said.append(f"{held} samples repeat the one before while the body moves")
     miscounted, judged = (int(one.sum()) for one in miscounts(poses))
-    others = tuple(f"reference: {one}" for one in said)
-    return ReferenceCheck(samples, others, judged, miscounted)
+    return ReferenceCheck(samples, tuple(f"reference: {one}" for one in said), judged, miscounted)
 
 
 def _jump(poses: Poses, step: int) -> tuple[float, str]:

@@ -150,6 +150,9 @@ SET = {  # times of the rows, of the reference, words of the notes, words of the
     "without a reference": (leaping(201, 120.0), None, (), "clock was set"),
     "a pause of the recording": (
         np.delete(EVEN, np.s_[150:230]), None, (), "lost rows"),
+    "rows that were held up for a while": (
+        np.where((EVEN > 1.495) & (EVEN < 1.895), 1.885 + 1e-2 * (EVEN - 1.5), EVEN),
+        None, (), "lost rows"),
     "a reference that ends early": (EVEN, EVEN[:300], ("100 of 400",), ""),
     "a reference of all rows but a few": (EVEN, EVEN[:390], (), ""),
 }  # fmt: skip
