@@ -20,7 +20,7 @@ from surefoot.sim.importing.guess_units import unit_of_angles
 from surefoot.sim.importing.names import Named, lists_of, read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
 from surefoot.sim.log.schema import joint_prefix
-from surefoot.sim.robot.machine import Machine, load_machine
+from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.sensors.streams import SLOWEST
 
 _FEW = 8
@@ -58,13 +58,12 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     main = max(read, key=_richness)
     others = [one for one in read if one is not main]
     poses = [one for one in others if _reference(one) and _richness(one) == 0]
+    entries, asked, rate = guess_columns(main)
     notes: list[str] = []
-    found = guess_columns(main, machine)
-    entries = list(found.entries)
     sources: dict[str, tuple[Path, Entry]] = {}
     for one in (one for one in others if one not in poses):
         label, there = one.label, {"t", *(entry.name for entry in entries)}
-        added = guess_columns(one, machine, commands=read_name(label).commanded).entries
+        added, _, _ = guess_columns(one, commands=read_name(label).commanded)
         added = [replace(e, theirs=f"{label}:{e.theirs}") for e in added if e.name not in there]
         if added and one.t is not None:
             sources[label] = (one.path, one.t)
@@ -74,13 +73,13 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
             what = one.path.name if one.path != main.path else f"{label} in {one.path.name}"
             notes.append(f"nothing of {what} is used: what are its columns {columns}?")
     entries, dropped = _complete(entries)
-    notes += [*found.notes, *dropped]
+    notes += asked + dropped
     at = poses[0] if poses else main
     reference = _reference(at)
     if reference and main.seconds is not None and at.seconds is not None:
         apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
         notes += ["the reference's clock is another: which [reference] offset?"] * bool(apart)
-    notes += _missing(main, entries, found.rate, machine)
+    notes += _missing(main, entries, rate)
     # Columns of other files are named as in a map.
     labels = {"": main} | {f"{one.label}:": one for one in others}
     used = {entry.theirs for entry in entries}
@@ -94,7 +93,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         reference_file=at.path if reference else None,
         sources=sources,
         layouts={one.path: one.layout for one in read},
-        rate=found.rate if main.t is None else None,
+        rate=rate if main.t is None else None,
         robot=robot,
         contact=_threshold(columns, entries),
         notes=tuple(notes),
@@ -201,20 +200,17 @@ def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
     return kept, said
 
 
-def _missing(
-    main: RecordedFile, entries: Sequence[Entry], rate: float | None, machine: Machine | None
-) -> list[str]:
+def _missing(main: RecordedFile, entries: Sequence[Entry], rate: float | None) -> list[str]:
     """Questions for what is missing beside what was found.
 
     Args:
         main: the main file.
         entries: of the map.
         rate: of the rows by the joints' rates, or None.
-        machine: robot, or None.
     """
     there = {entry.name for entry in entries}
     groups = {name.partition("_")[0] for name in there}
-    legs = machine is not None and bool(machine.limbs.legs)
+    legs = main.machine is not None and bool(main.machine.limbs.legs)
     legs |= any(one.leg for name in there for one in [read_name(name)] if joint_prefix(name))
     found = []
     if groups <= {"t"}:

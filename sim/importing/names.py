@@ -8,6 +8,7 @@ what each word votes for; `read_name` weighs the votes.
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from surefoot.sim.log.schema import LEGS
 
@@ -63,8 +64,11 @@ _WORDS: dict[str, tuple[str, str]] = {
 """Word -> what it votes for, and which."""
 _SOURCES = ("bias", "error", "parameter", "command", "reference", "estimate", "filtered")
 """Kinds of source, the deciding one of several first: an estimated bias is a bias."""
-_SIDES = {"left": "L", "l": "L", "right": "R", "r": "R"}
-_ENDS = {"front": "F", "fore": "F", "rear": "R", "hind": "R", "back": "R"}
+_LEGS_OF_TWO_WORDS = {
+    frozenset((end, side)): ("f" if end in ("front", "fore") else "r") + side[0]
+    for end in ("front", "fore", "rear", "hind", "back")
+    for side in ("left", "l", "right", "r")
+}
 _HINGES: dict[str, str] = {
     word: hinge
     for hinge, words in {
@@ -128,6 +132,12 @@ class Named:
         """Whether it is a set point."""
         return self.source == "command"
 
+    @property
+    def joint_of_log(self) -> str:
+        """Name of its joint in the log."""
+        leg = self.leg if self.leg in LEGS else self.written
+        return self.joint or f"{leg}_{self.part}".strip("_")
+
 
 def words_of(name: str) -> list[str]:
     """The words of a name in lower case, separated at punctuation and capitals."""
@@ -144,13 +154,9 @@ def words_of(name: str) -> list[str]:
 
 def _legs_in_one(words: list[str]) -> list[str]:
     """Replace "front" and "left", in either order, by "fl"."""
-    ends = [k for k, word in enumerate(words) if word in _ENDS]
-    for k in ends:
-        for other in (k + 1, k - 1):
-            if 0 <= other < len(words) and words[other] in _SIDES:
-                leg = (_ENDS[words[k]] + _SIDES[words[other]]).lower()
-                first = min(k, other)
-                return [*words[:first], leg, *words[first + 2 :]]
+    for k, pair in enumerate(pairwise(words)):
+        if leg := _LEGS_OF_TWO_WORDS.get(frozenset(pair)):
+            return [*words[:k], leg, *words[k + 2 :]]
     return words
 
 
@@ -295,7 +301,7 @@ def _of_a_leg(part: list[str]) -> str:
 
 def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
     """Interpret the names of one recording together: "abduct, hip, knee" of a quadruped are our
-    hip, thigh, calf.
+    hip, thigh, calf; without rear legs, the front ones are left and right.
     """
     found = dict(names)
     hinges = {
@@ -308,6 +314,9 @@ def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
         for name, said in hinges.items():
             if names[name].part == "hip" and "hip" in said and "abduction" not in said:
                 found[name] = replace(names[name], part="thigh")
+    if not {one.leg for one in names.values()} & {"RL", "RR"}:
+        sides = {"FL": "left", "FR": "right"}
+        found = {n: replace(one, leg=sides.get(one.leg, one.leg)) for n, one in found.items()}
     return found
 
 

@@ -15,7 +15,7 @@ from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, is_bag, read_whole_
 from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
-from surefoot.sim.importing.layout import layout_of
+from surefoot.sim.importing.layout import is_number, layout_of
 from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name
 from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
@@ -29,6 +29,8 @@ _USUAL_RATES = (8.0, 2500.0)
 _OF_JOINTS = ("q", "dq", "tau")
 _MOST_JOINTS = 100
 """Largest number of words in a list of joints."""
+_SMALL = 4096
+"""Size [bytes] below which a text may be a list of joints."""
 _FEW = 10
 """Readings up to which a mostly empty column is ignored."""
 
@@ -43,10 +45,11 @@ class RecordedFile:
         columns: by name, each (N,) on one clock, those of a bag interpolated to it.
         recorded: the same as in the file.
         names: interpretation of each column's name.
-        lists: names of joints that the file lists, by the list's name.
+        lists: words in order, as of its joints, of each list in the file or text beside it.
         layout: keys of [source] for a text.
         t: the column of times, or None.
         seconds: its times (N,) [s].
+        machine: robot for which a map is drafted, or None.
         skipped: what else the file contains, and why it is no column.
     """
 
@@ -59,6 +62,7 @@ class RecordedFile:
     layout: dict[str, Any]
     t: Entry | None
     seconds: np.ndarray | None
+    machine: Machine | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -80,6 +84,7 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         for name, cells in table.cells.items()
         if len(cells) <= _MOST_JOINTS and all(isinstance(one, str) for one in cells)
     }
+    lists |= _lists_beside(path)
     found = []
     for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
         names = _names(part, machine)
@@ -87,7 +92,9 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         part, t = _at_rising_times(part, t)
         seconds = t.scale * part[t.theirs] if t else None
         label = _label(path, part, columns)
-        found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
+        found.append(
+            RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine)
+        )
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
         unread = dict.fromkeys((n for n in table.cells if n not in there), UNREADABLE)
@@ -151,8 +158,23 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     seconds, _ = readings[first]
     t = times_of_topic(first.partition(":")[0], recorded, names)
     columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
-    label = _plain(path.stem)
-    return [RecordedFile(path, label, columns, recorded, names, {}, layout, t, seconds, skipped)]
+    label, lists = _plain(path.stem), _lists_beside(path)
+    return [
+        RecordedFile(
+            path, label, columns, recorded, names, lists, layout, t, seconds, machine, skipped
+        )
+    ]
+
+
+def _lists_beside(path: Path) -> dict[str, tuple[str, ...]]:
+    """Words of small text files in the file's folder, which may list its joints in order."""
+    found = {}
+    for one in sorted(path.parent.glob("*.txt")):
+        if one != path and one.stat().st_size < _SMALL:
+            words = one.read_text(encoding="utf-8", errors="replace").split()
+            if not any(map(is_number, words)):
+                found[one.name] = tuple(words)
+    return found
 
 
 def times_of_topic(
