@@ -45,7 +45,8 @@ def guess_columns(
     joints, rate = _joint_entries(file, columns, yaw)
     notes += _beyond_limits(file, joints)
     asked = {one.doubt for of_kind in columns.values() for one in of_kind.values()}
-    legs = _OTHER_SIDE_FIRST if _legs_doubt(_OTHER_SIDE_FIRST) in asked else LEGS
+    other = any(one.startswith(_legs_doubt(_OTHER_SIDE_FIRST)) for one in asked)
+    legs = _OTHER_SIDE_FIRST if other else LEGS
     feet, feet_notes = _feet_entries(file, legs)
     times = [file.t] if file.t else []
     return [*times, *imu, *joints, *feet], notes + feet_notes, rate
@@ -161,12 +162,11 @@ def _bare_angles(file: RecordedFile) -> dict[str, Named]:
 def _named_joints(file: RecordedFile, own: Mapping[str, Named]) -> list[Entry]:
     """The joint of each column whose name has one, of columns of one kind."""
     found: list[Entry] = []
-    # A word common to all elements of a list names a group, not a joint.
-    places: dict[str, set[int | None]] = {}
-    for one in own.values():
-        places.setdefault(one.part, set()).add(one.place)
+    by_part = lists_of(own, "part")
     for name, one in own.items():
-        if one.joint or one.leg or (one.part and len(places[one.part]) == 1):
+        # A word common to all elements of a list names a group, not a joint.
+        alone = len({other.place for other in by_part[(one.part,)].values()}) == 1
+        if one.joint or one.leg or (one.part and alone):
             part = one.part or ("" if one.place is None else HINGES[one.place % 3])
             joint = replace(one, part=part).joint_of_log
             doubt = "" if file.names[name].kind else "angles, by their sizes?"
@@ -198,6 +198,8 @@ def _counted_joints(
     values = {number[n]: file.columns[n] for n in angles}
     order = _listed_order(file, len(places))
     joints, doubt = order or _fitting_order(file, [values.get(at) for at in places], yaw)
+    if order is None:
+        doubt = " ".join((doubt, *_other_lists(file, len(places))))
     joint_at = dict(zip(places, joints, strict=True))
     return [
         Entry(joint_at[number[n]], n, doubt=doubt)
@@ -219,6 +221,16 @@ def _listed_order(file: RecordedFile, count: int) -> tuple[Sequence[str], str] |
             names = names if len(set(names)) == count else listed
             return names, f"are its joints in the order of {source}?"
     return None
+
+
+def _other_lists(file: RecordedFile, count: int) -> list[str]:
+    """What lists of joints or legs there are that are not in the order of so many joints."""
+    found = []
+    for source, listed in file.lists.items():
+        read = [name_in_file(one, file.machine) for one in listed]
+        if sum(bool(one.leg or one.joint) for one in read) > len(read) / 2:
+            found.append(f"{source} has {len(read)} names, not {count}.")
+    return found
 
 
 def _fitting_order(

@@ -5,6 +5,7 @@ import csv
 import re
 from collections import Counter
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
@@ -19,6 +20,12 @@ COMMENTS = ("#", "%", "//")
 _WORDS = re.compile(r"[^\s,;|]+")
 _MOST_KINDS = 20
 """Largest number of kinds of lines in a text."""
+_TABLE = 10
+"""Rows of numbers that are a table; fewer are parameters above one."""
+_ROW = re.compile(r'[\s"]*[-+.]?\d')
+"""The beginning of a row of numbers."""
+_PAIR = re.compile(r"(?<![^\s,;])([a-zA-Z_][\w./\[\]-]*) ?[:=] *[^\s,;]+")
+"""A value after its name."""
 _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
@@ -105,6 +112,13 @@ def no_table(path: Path, skip: int) -> str:
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[skip:-1]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    keyed = [_PAIR.sub(r"\1", line) for line in lines]
+    alike = keyed.count(keyed[0]) if keyed and keyed[0] != lines[0] else 0
+    if alike > max(2, 0.9 * len(lines)):
+        values = (
+            f"echo {quote(keyed[0])}; sed -E 's/[[:alpha:]_][^ ,;:=]*[:=] *//g' {quote(path.name)}"
+        )
+        return f"has a name before each value; make a table: ({values}) > '{path.stem}_table.csv'"
     if "---" in lines and sum(map(bool, map(_YAML.match, lines))) > 0.9 * len(lines):
         return "is YAML, as of a topic's echo; record a bag, or use ros2 topic echo --csv"
     rows = [_WORDS.findall(line) for line in lines]
@@ -115,6 +129,29 @@ def no_table(path: Path, skip: int) -> str:
             # Quoted, as "$" is of the shell.
             return f"has {what}; make a file of each: grep '{start}' {path.name} > '{kinds[0]}.txt'"
     return ""
+
+
+def another_table(path: Path) -> str:
+    """Where a text has another table below a first one, and what helps; "" without."""
+    rows, begin = 0, 0
+    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
+        for number, line in enumerate(stream):
+            if _ROW.match(line):
+                rows += 1
+            elif _names_columns(line):
+                begin, rows = number if rows >= _TABLE else begin, 0
+            if begin and rows == _TABLE:
+                name, stem = quote(path.name), path.stem
+                return (
+                    f"has another table from line {begin + 1}; make a file of each: head -n {begin}"
+                    f" {name} > '{stem}_1.csv'; tail -n +{begin + 1} {name} > '{stem}_2.csv'"
+                )
+    return ""
+
+
+def _names_columns(line: str) -> bool:
+    words = [] if line.lstrip().startswith(COMMENTS) else _WORDS.findall(line)
+    return bool(words) and not any(map(is_number, words))
 
 
 def _kinds(rows: list[list[str]], place: int) -> list[str]:

@@ -15,11 +15,17 @@ from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, is_bag, read_whole_
 from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
-from surefoot.sim.importing.layout import is_number, layout_of
-from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name
+from surefoot.sim.importing.layout import another_table, is_number, layout_of
+from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name, words_of
 from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of, elements
+from surefoot.sim.importing.table import (
+    PARAMETERS,
+    RecordedTable,
+    column_readings,
+    columns_of,
+    elements,
+)
 from surefoot.sim.robot.machine import Machine
 
 _RATES = (0.5, 5000.0)
@@ -29,6 +35,11 @@ _USUAL_RATES = (8.0, 2500.0)
 _OF_JOINTS = ("q", "dq", "tau")
 _MOST_JOINTS = 100
 """Largest number of words in a list of joints."""
+_LARGEST_COUNT = 1e9
+"""First count of a row below which it is no time since an epoch [ms]."""
+_STEPS = ("dt", "ts", "step", "timestep", "period")
+_RATE_WORDS = ("rate", "fs", "hz", "freq", "frequency", "fps")
+"""Last words of names of a step of time [s], and of a rate [Hz]."""
 _SMALL = 4096
 """Size [bytes] below which a text may be a list of joints."""
 _FEW = 10
@@ -48,9 +59,10 @@ class RecordedFile:
         lists: words in order, as of its joints, of each list in the file or text beside it.
         layout: keys of [source] for a text.
         t: the column of times, or None.
-        seconds: its times (N,) [s].
+        seconds: its times (N,) [s], or those by the rate that the file states.
         machine: robot for which a map is drafted, or None.
         skipped: what else the file contains, and why it is no column.
+        stated: rate of the rows [Hz] that the file states, and its name there, if it has no times.
     """
 
     path: Path
@@ -64,6 +76,14 @@ class RecordedFile:
     seconds: np.ndarray | None
     machine: Machine | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)
+    stated: tuple[float, str] | None = None
+
+    @property
+    def counter(self) -> Entry | None:
+        """A column that counts its rows, as its times; None without."""
+        counts = (name for name, values in self.columns.items() if name and counts_rows(values))
+        doubt = "counts rows: gain = 1 / rate [Hz]?"
+        return next((Entry("t", name, gain=0.01, doubt=doubt) for name in counts), None)
 
 
 def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
@@ -74,6 +94,8 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     if is_bag(path):
         return _of_bag(path, machine)
     admitted(path, "recording")
+    if is_text(path) and (why := another_table(path)):
+        raise SurefootError(f"{path}: {why}")
     layout = layout_of(path) if is_text(path) else {}
     table = read_table(path, Source(**layout))
     columns = columns_of(table)
@@ -85,21 +107,36 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         if len(cells) <= _MOST_JOINTS and all(isinstance(one, str) for one in cells)
     }
     lists |= _lists_beside(path)
+    stated = _stated_rate(columns)
     found = []
     for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
         names = _names(part, machine)
         t = column_of_times(part, names)
         part, t = _at_rising_times(part, t)
         seconds = t.scale * part[t.theirs] if t else None
+        if t is None and stated:
+            seconds = np.arange(max(map(len, part.values()))) / stated[0]
         label = _label(path, part, columns)
-        found.append(
-            RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine)
-        )
+        one = RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine)
+        found.append(replace(one, stated=None if t else stated))
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
         unread = dict.fromkeys((n for n in table.cells if n not in there), UNREADABLE)
-        found[0] = replace(found[0], skipped={**unread, **table.skipped})
+        single = dict.fromkeys((n for n, v in columns.items() if len(v) == 1), PARAMETERS)
+        found[0] = replace(found[0], skipped={**unread, **single, **table.skipped})
     return found
+
+
+def _stated_rate(columns: Mapping[str, np.ndarray]) -> tuple[float, str] | None:
+    """The rate of the rows by a constant that is named as one, or as a step of time, and its name;
+    of several the slowest, as of a simulation whose steps are not all recorded.
+    """
+    found = []
+    for name, values in columns.items():
+        last, value = (words_of(name) or [""])[-1], float(values[0])
+        if np.ptp(values) == 0.0 and value > 0.0 and last in (*_STEPS, *_RATE_WORDS):
+            found.append((value if last in _RATE_WORDS else 1.0 / value, name))
+    return min((one for one in found if _USUAL_RATES[0] < one[0] < _USUAL_RATES[1]), default=None)
 
 
 def _with_empty_cells(
@@ -195,6 +232,8 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
     for name in (*named, *even):
         if (unit := names[name].unit) in UNITS["t"]:
             return Entry("t", name, unit)
+        if counts_rows(columns[name]):
+            continue
         steps = np.diff(columns[name])
         step = float(np.median(steps[steps > 0.0]))
         for low, high in (_USUAL_RATES, _RATES):
@@ -202,10 +241,15 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
             if fits:
                 sure = name in named and len(fits) == 1 and low == _USUAL_RATES[0]
                 doubt = "" if sure else f"is this the time, in {fits[0]}?"
-                if np.all(steps == 1.0):
-                    doubt = f"in {fits[0]}, or a count of rows: which [source] rate?"
                 return Entry("t", name, fits[0], doubt=doubt)
     return None
+
+
+def counts_rows(values: np.ndarray) -> bool:
+    """Whether values (N,) are numbers of rows, each 1 after the one before where none is lost."""
+    steps = np.diff(values)
+    whole = abs(values[0]) < _LARGEST_COUNT and not np.any(values % 1.0)
+    return bool(whole and steps.min(initial=1.0) >= 1.0 and np.median(steps) == 1.0)
 
 
 def _at_rising_times(
