@@ -15,15 +15,16 @@ import numpy as np
 import pyarrow.parquet as pq
 import scipy.io
 
-from surefoot.sim.common.errors import SurefootError, parsed_as
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit, check_unpacked
-from surefoot.sim.importing.table import PARAMETERS, RecordedTable
+from surefoot.sim.importing.table import RecordedTable
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element
 (MAT-File Format, MathWorks).
 """
-_REMEDY = "; save it anew without Python objects: np.savez('arrays.npz', t=..., q=...)"
+PARAMETERS = "parameters: not one for each row"
+"""Why an array or number of a file is no column."""
 _CHUNK = 1 << 20
 _DEEPEST = 20
 """Maximum depth of nested groups."""
@@ -31,16 +32,15 @@ _DEEPEST = 20
 
 def read_npz(path: Path) -> RecordedTable:
     """Read the arrays of a .npz, or that of a .npy as `array`. Raises SurefootError."""
-    with parsed_as("arrays of numbers", path, _REMEDY):
+    if path.suffix == ".npy":
         found = np.load(path, mmap_mode="r", allow_pickle=False)
-        if isinstance(found, np.ndarray):
-            _bounded(path, found.size * max(found.dtype.itemsize, 1))
-            return _table(path, {"array": np.array(found)})
-        with found as file:
-            members = file.zip.infolist()
-            check_limit("columns", len(members), f"{path}: arrays")
-            _bounded(path, sum(one.file_size for one in members))
-            return _table(path, {name: file[name] for name in file.files})
+        _bounded(path, found.size * max(found.dtype.itemsize, 1))
+        return _table(path, {"array": np.array(found)})
+    with np.load(path, allow_pickle=False) as file:
+        members = file.zip.infolist()
+        check_limit("columns", len(members), f"{path}: arrays")
+        _bounded(path, sum(one.file_size for one in members))
+        return _table(path, {name: file[name] for name in file.files})
 
 
 def read_mat(path: Path) -> RecordedTable:

@@ -83,12 +83,13 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     if reference and main.seconds is not None and at.seconds is not None:
         apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
         notes += ["the reference's clock is another: which [reference] offset?"] * bool(apart)
-    notes += _missing(main, entries, rate)
+    stated = None if main.t else main.stated or (rate and (rate, "rates of joints"))
+    notes += _missing(main, entries, stated)
     # Columns of other files are named as in a map.
     labels = {"": main} | {f"{one.label}:": one for one in others}
     used = {entry.theirs for entry in entries}
     used |= {f"{label}:{clock.theirs}" for label, (_, clock) in sources.items()}
-    used |= {main.stated[1]} if main.stated else set()
+    used |= {stated[1]} if stated else set()
     used |= {f"{'' if at is main else at.label + ':'}{entry.theirs}" for entry in reference}
     columns = {f"{label}{n}": v for label, one in labels.items() for n, v in one.columns.items()}
     return Draft(
@@ -98,7 +99,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         reference_file=at.path if reference else None,
         sources=sources,
         layouts={one.path: one.layout for one in read},
-        rate=None if main.t else main.stated or (rate and (rate, "rates of joints")),
+        rate=stated,
         robot=robot,
         contact=_threshold(columns, entries),
         notes=tuple(notes),
@@ -206,13 +207,9 @@ def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
     return kept, said
 
 
-def _missing(main: RecordedFile, entries: Sequence[Entry], rate: float | None) -> list[str]:
-    """Questions for what is missing beside what was found.
-
-    Args:
-        main: the main file.
-        entries: of the map.
-        rate: of the rows by the joints' rates, or None.
+def _missing(main: RecordedFile, entries: Sequence[Entry], rate: object) -> list[str]:
+    """Questions for what is missing beside what was found; `rate` is that of the main file's rows,
+    None if they have times or none is known.
     """
     there = {entry.name for entry in entries}
     groups = {name.partition("_")[0] for name in there}
@@ -224,7 +221,7 @@ def _missing(main: RecordedFile, entries: Sequence[Entry], rate: float | None) -
     if main.t is None and (counter := main.counter):
         instead = f"t = {{ column = {counter.theirs!r}, gain = <1 / rate> }} if rows are lost"
         found.append(f"{counter.theirs} counts rows: what is the [source] rate, or {instead}?")
-    elif main.seconds is None and rate is None:
+    elif main.t is None and rate is None:
         found.append("no times found: which column are they, or what is the [source] rate?")
     times = np.zeros(0) if main.seconds is None else main.seconds
     step = np.median(np.diff(times)) if len(times) > 1 else 0.0

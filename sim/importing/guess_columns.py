@@ -44,9 +44,10 @@ def guess_columns(
     columns = _joint_columns(file, commands, yaw)
     joints, rate = _joint_entries(file, columns, yaw)
     notes += _beyond_limits(file, joints)
-    asked = {one.doubt for of_kind in columns.values() for one in of_kind.values()}
-    other = any(one.startswith(_legs_doubt(_OTHER_SIDE_FIRST)) for one in asked)
-    legs = _OTHER_SIDE_FIRST if other else LEGS
+    # Feet without names are in the order of the joints' legs.
+    known = file.machine.limbs.legs if file.machine is not None else ()
+    order = [*dict.fromkeys(joint.partition("_")[0] for joint in columns.get("q", {}))]
+    legs = order if {*order} == {*(known or LEGS)} else known or LEGS
     feet, feet_notes = _feet_entries(file, legs)
     times = [file.t] if file.t else []
     return [*times, *imu, *joints, *feet], notes + feet_notes, rate
@@ -67,9 +68,8 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
         own = {n: one for n, one in _of(file, kind).items() if not one.leg}
         found = vectors(own, _SOURCES[:2])
         if not found:
-            unclear = [n for n, one in own.items() if not one.source]
-            asked = f"which of {', '.join(unclear)} are the {kind}'s x, y and z?"
-            notes = [asked] * bool(unclear) + notes
+            unclear = ", ".join(n for n, one in own.items() if not one.source)
+            notes += [f"which of {unclear} are the {kind}'s x, y and z?"] * bool(unclear)
             continue
         source = own[found[0][0]].source
         others = [other[0] for other in found[1:] if own[other[0]].source == source]
@@ -196,10 +196,10 @@ def _counted_joints(
     number = {n: (one.limb or 0, one.place) for n, one in file.names.items()}
     places = sorted({number[n] for n, one in own.items() if one.place is not None})
     values = {number[n]: file.columns[n] for n in angles}
-    order = _listed_order(file, len(places))
-    joints, doubt = order or _fitting_order(file, [values.get(at) for at in places], yaw)
-    if order is None:
-        doubt = " ".join((doubt, *_other_lists(file, len(places))))
+    joints, doubt = _listed_order(file, len(places))
+    if joints is None:
+        joints, asked = _fitting_order(file, [values.get(at) for at in places], yaw)
+        doubt = f"{asked}{doubt}"
     joint_at = dict(zip(places, joints, strict=True))
     return [
         Entry(joint_at[number[n]], n, doubt=doubt)
@@ -209,28 +209,23 @@ def _counted_joints(
     ]
 
 
-def _listed_order(file: RecordedFile, count: int) -> tuple[Sequence[str], str] | None:
-    """Names of so many joints in the order of a list of the recording, and a question."""
+def _listed_order(file: RecordedFile, count: int) -> tuple[Sequence[str] | None, str]:
+    """Names of so many joints in the order of a list of the recording, and a question; None, and
+    which lists have another number of names, if none has theirs.
+    """
+    others = ""
     for source, listed in file.lists.items():
-        if len(set(listed)) == len(listed) == count:
-            read = by_their_legs({one: name_in_file(one, file.machine) for one in listed})
+        read = by_their_legs({one: name_in_file(one, file.machine) for one in listed})
+        if len(read) == len(listed) == count:
             names = [
                 one.joint_of_log if one.joint or (one.leg in LEGS and one.part) else text
                 for text, one in read.items()
             ]
             names = names if len(set(names)) == count else listed
             return names, f"are its joints in the order of {source}?"
-    return None
-
-
-def _other_lists(file: RecordedFile, count: int) -> list[str]:
-    """What lists of joints or legs there are that are not in the order of so many joints."""
-    found = []
-    for source, listed in file.lists.items():
-        read = [name_in_file(one, file.machine) for one in listed]
-        if sum(bool(one.leg or one.joint) for one in read) > len(read) / 2:
-            found.append(f"{source} has {len(read)} names, not {count}.")
-    return found
+        if sum(bool(one.leg or one.joint) for one in read.values()) > len(read) / 2:
+            others += f" {source} has {len(listed)} names, not {count}."
+    return None, others
 
 
 def _fitting_order(
@@ -349,8 +344,6 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
     """
     found = {n: x for n, x in _of(file, "contact", "force", "foot").items() if x.source in _SOURCES}
     found = _with_legs_of(file, found)
-    if file.machine is not None and file.machine.limbs.legs:
-        legs = file.machine.limbs.legs
     counted = _counted_legs(found, legs)
     found |= {name: replace(found[name], leg=leg) for name, leg in counted.items()}
     entries: dict[str, Entry] = {}

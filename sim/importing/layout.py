@@ -26,6 +26,7 @@ _ROW = re.compile(r'[\s"]*[-+.]?\d')
 """The beginning of a row of numbers."""
 _PAIR = re.compile(r"(?<![^\s,;])([a-zA-Z_][\w./\[\]-]*) ?[:=] *[^\s,;]+")
 """A value after its name."""
+_WITHOUT_NAMES = "sed -E 's/[[:alpha:]_][^ ,;:=]*[:=] *//g'"
 _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
@@ -49,7 +50,11 @@ def encoding_of(path: Path) -> str:
 
 
 def layout_of(path: Path) -> dict[str, Any]:
-    """Keys of a map's [source] for this text where the defaults do not fit."""
+    """Keys of a map's [source] for this text where the defaults do not fit.
+
+    Raises SurefootError, with the next step, for two tables in one text.
+    """
+    _check_alone(path)
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[:-1]
     if len(lines) < 2:
@@ -115,10 +120,8 @@ def no_table(path: Path, skip: int) -> str:
     keyed = [_PAIR.sub(r"\1", line) for line in lines]
     alike = keyed.count(keyed[0]) if keyed and keyed[0] != lines[0] else 0
     if alike > max(2, 0.9 * len(lines)):
-        values = (
-            f"echo {quote(keyed[0])}; sed -E 's/[[:alpha:]_][^ ,;:=]*[:=] *//g' {quote(path.name)}"
-        )
-        return f"has a name before each value; make a table: ({values}) > '{path.stem}_table.csv'"
+        table = f"echo {quote(keyed[0])}; {_WITHOUT_NAMES} {quote(path.name)}"
+        return f"has a name before each value; make a table: ({table}) > table.csv"
     if "---" in lines and sum(map(bool, map(_YAML.match, lines))) > 0.9 * len(lines):
         return "is YAML, as of a topic's echo; record a bag, or use ros2 topic echo --csv"
     rows = [_WORDS.findall(line) for line in lines]
@@ -131,22 +134,23 @@ def no_table(path: Path, skip: int) -> str:
     return ""
 
 
-def another_table(path: Path) -> str:
-    """Where a text has another table below a first one, and what helps; "" without."""
-    rows, begin = 0, 0
+def _check_alone(path: Path) -> None:
+    """Raise SurefootError, with the next step, where another table follows a text's first one."""
+    rows = last = begin = 0
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
-        for number, line in enumerate(stream):
+        for number, line in enumerate(stream, 1):
             if _ROW.match(line):
-                rows += 1
+                rows, last = rows + 1, number
             elif _names_columns(line):
-                begin, rows = number if rows >= _TABLE else begin, 0
+                begin, rows = last if rows >= _TABLE else begin, 0
             if begin and rows == _TABLE:
-                name, stem = quote(path.name), path.stem
-                return (
-                    f"has another table from line {begin + 1}; make a file of each: head -n {begin}"
-                    f" {name} > '{stem}_1.csv'; tail -n +{begin + 1} {name} > '{stem}_2.csv'"
+                name = quote(path.name)
+                cut = (
+                    f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
                 )
-    return ""
+                raise SurefootError(
+                    f"{path}: has another table from line {begin + 1}; make a file of each: {cut}"
+                )
 
 
 def _names_columns(line: str) -> bool:

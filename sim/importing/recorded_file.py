@@ -11,21 +11,16 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
+from surefoot.sim.importing.array_file import PARAMETERS
 from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, is_bag, read_whole_bag
 from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
-from surefoot.sim.importing.layout import another_table, is_number, layout_of
+from surefoot.sim.importing.layout import is_number, layout_of
 from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name, words_of
 from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import (
-    PARAMETERS,
-    RecordedTable,
-    column_readings,
-    columns_of,
-    elements,
-)
+from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of, elements
 from surefoot.sim.robot.machine import Machine
 
 _RATES = (0.5, 5000.0)
@@ -59,10 +54,10 @@ class RecordedFile:
         lists: words in order, as of its joints, of each list in the file or text beside it.
         layout: keys of [source] for a text.
         t: the column of times, or None.
-        seconds: its times (N,) [s], or those by the rate that the file states.
+        seconds: its times (N,) [s].
         machine: robot for which a map is drafted, or None.
+        stated: rate of the rows [Hz] that the file states, and its name there, or None.
         skipped: what else the file contains, and why it is no column.
-        stated: rate of the rows [Hz] that the file states, and its name there, if it has no times.
     """
 
     path: Path
@@ -74,9 +69,9 @@ class RecordedFile:
     layout: dict[str, Any]
     t: Entry | None
     seconds: np.ndarray | None
-    machine: Machine | None = None
-    skipped: Mapping[str, str] = field(default_factory=dict)
+    machine: Machine | None
     stated: tuple[float, str] | None = None
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def counter(self) -> Entry | None:
@@ -94,36 +89,27 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     if is_bag(path):
         return _of_bag(path, machine)
     admitted(path, "recording")
-    if is_text(path) and (why := another_table(path)):
-        raise SurefootError(f"{path}: {why}")
     layout = layout_of(path) if is_text(path) else {}
     table = read_table(path, Source(**layout))
     columns = columns_of(table)
     if between := _with_empty_cells(table, columns, machine):
         columns, layout = between, {**layout, "sparse": True}
-    lists = {
-        name: tuple(map(str, cells))
-        for name, cells in table.cells.items()
-        if len(cells) <= _MOST_JOINTS and all(isinstance(one, str) for one in cells)
-    }
-    lists |= _lists_beside(path)
-    stated = _stated_rate(columns)
+    lists, stated = _lists(path, table.cells), _stated_rate(columns)
     found = []
     for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
         names = _names(part, machine)
         t = column_of_times(part, names)
         part, t = _at_rising_times(part, t)
         seconds = t.scale * part[t.theirs] if t else None
-        if t is None and stated:
-            seconds = np.arange(max(map(len, part.values()))) / stated[0]
         label = _label(path, part, columns)
-        one = RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine)
-        found.append(replace(one, stated=None if t else stated))
+        found.append(
+            RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine, stated)
+        )
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
-        unread = dict.fromkeys((n for n in table.cells if n not in there), UNREADABLE)
-        single = dict.fromkeys((n for n, v in columns.items() if len(v) == 1), PARAMETERS)
-        found[0] = replace(found[0], skipped={**unread, **single, **table.skipped})
+        unread = {name: UNREADABLE for name in table.cells if name not in there}
+        single = {name: PARAMETERS for name, cells in table.cells.items() if len(cells) == 1}
+        found[0] = replace(found[0], skipped=unread | single | dict(table.skipped))
     return found
 
 
@@ -153,9 +139,7 @@ def _with_empty_cells(
         machine: whose joint names columns may use, or None.
     """
     readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for name in elements(table):
-        if name in full:
-            continue
+    for name in (name for name in elements(table) if name not in full):
         with suppress(SurefootError):
             rows, values = column_readings(table, name, Source(sparse=True))
             if _FEW < len(rows) < max(map(len, table.cells.values())):
@@ -195,17 +179,20 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     seconds, _ = readings[first]
     t = times_of_topic(first.partition(":")[0], recorded, names)
     columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
-    label, lists = _plain(path.stem), _lists_beside(path)
-    return [
-        RecordedFile(
-            path, label, columns, recorded, names, lists, layout, t, seconds, machine, skipped
-        )
-    ]
+    label, lists = _plain(path.stem), _lists(path, {})
+    one = RecordedFile(path, label, columns, recorded, names, lists, layout, t, seconds, machine)
+    return [replace(one, skipped=skipped)]
 
 
-def _lists_beside(path: Path) -> dict[str, tuple[str, ...]]:
-    """Words of small text files in the file's folder, which may list its joints in order."""
-    found = {}
+def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, ...]]:
+    """Texts in a file's cells, and words of small text files in its folder, which may list its
+    joints in order.
+    """
+    found = {
+        name: tuple(map(str, texts))
+        for name, texts in cells.items()
+        if len(texts) <= _MOST_JOINTS and all(isinstance(one, str) for one in texts)
+    }
     for one in sorted(path.parent.glob("*.txt")):
         if one != path and one.stat().st_size < _SMALL:
             words = one.read_text(encoding="utf-8", errors="replace").split()
@@ -226,9 +213,8 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
     """The column of times: one with such a name, or else one that increases in even steps."""
     long = {n: v for n, v in columns.items() if len(v) > 2}
     named = [n for n, v in long.items() if names[n].kind == "t" and mostly_rises(v)]
-    even = [
-        n for n, v in long.items() if rises(v) and np.std(np.diff(v)) < 0.5 * np.mean(np.diff(v))
-    ]
+    rising = {n: np.diff(v) for n, v in long.items() if not names[n].kind and rises(v)}
+    even = [n for n, steps in rising.items() if np.std(steps) < 0.5 * np.mean(steps)]
     for name in (*named, *even):
         if (unit := names[name].unit) in UNITS["t"]:
             return Entry("t", name, unit)

@@ -274,7 +274,7 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, lis
 
 _READERS = {
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
-    **dict.fromkeys((".npz", ".npy", ".pkl", ".pickle", ".pt"), read_npz),
+    **dict.fromkeys((".npz", ".npy"), read_npz),
     **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
     ".mat": read_mat,
     ".parquet": read_parquet,

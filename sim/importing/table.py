@@ -20,8 +20,6 @@ class NoReadings(SurefootError):
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
 _NANOSECONDS = re.compile(r"(.*?)(nsecs?|nanosecs?)")
 _PLACE = re.compile(r"(.+)\[([^\[\]]+)\]$")
-PARAMETERS = "parameters: not one for each row"
-"""Why an array or number of a file is no column."""
 _SHOWN = 12
 _MOST_PLACES = 1024
 """Largest list in a row whose elements may be columns; longer ones are images or scans."""
