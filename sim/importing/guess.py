@@ -219,8 +219,7 @@ def _missing(main: RecordedFile, entries: Sequence[Entry], rate: object) -> list
     if groups <= {"t"}:
         found.append("no name says what a column is: which of those not used below is what?")
     if main.t is None and (counter := main.counter):
-        instead = f"t = {{ column = {counter.theirs!r}, gain = <1 / rate> }} if rows are lost"
-        found.append(f"{counter.theirs} counts rows: what is the [source] rate, or {instead}?")
+        found.append(f"{counter.theirs} counts rows: which [source] rate, or t with which gain?")
     elif main.t is None and rate is None:
         found.append("no times found: which column are they, or what is the [source] rate?")
     times = np.zeros(0) if main.seconds is None else main.seconds
