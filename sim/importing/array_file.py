@@ -23,6 +23,8 @@ _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element
 (MAT-File Format, MathWorks).
 """
+PARAMETERS = "parameters: not one for each row"
+"""Why an array or number of a file is no column."""
 _CHUNK = 1 << 20
 _DEEPEST = 20
 """Maximum depth of nested groups."""
@@ -64,7 +66,7 @@ def read_hdf5(path: Path) -> RecordedTable:
                 raise SurefootError(f"{path}: {name} lies in another file, which is not read")
             every[name] = node
             check_limit("columns", len(every), f"{path}: datasets")
-        found = {n: d for n, d in every.items() if d.shape and not n.startswith("#")}
+        found = {n: d for n, d in every.items() if d.size and not n.startswith("#")}
         objects = {n: d for n, d in found.items() if "MATLAB_object_decode" in d.attrs}
         found = {n: d for n, d in found.items() if n not in objects}
         if objects and not found:
@@ -142,7 +144,7 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
             )
     check_limit("columns", len(cells), f"{path}: arrays")
     cells, parameters = rows_first(cells)
-    skipped = dict.fromkeys(parameters, "parameters: not one for each row")
+    skipped = dict.fromkeys(parameters, PARAMETERS)
     return RecordedTable(path, cells, skipped=skipped)
 
 
@@ -152,7 +154,7 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
     Rows are the axis whose length most values share; an array as long as the rows of another are
     wide, such as the gains of joints, has none.
     """
-    shared = Counter(n for one in arrays.values() for n in {*one.shape})
+    shared = Counter(n for one in arrays.values() for n in {*one.shape} - {1})
     found: dict[str, np.ndarray] = {}
     for name, one in arrays.items():
         rows = max(range(one.ndim), key=lambda k, shape=one.shape: shape[k] * shared[shape[k]])
@@ -163,6 +165,7 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
         name
         for name, one in found.items()
         if one.dtype.kind != "U"
+        and len(one) > 1
         and (longest.get(len(one), 0) > len(one) or len(one) in {*longest} - recorded)
     )
     return {n: one for n, one in found.items() if n not in parameters}, parameters
@@ -172,7 +175,7 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
     """Arrays of up to three axes of a file's contents; fields of structs under their own names."""
     cells: dict[str, np.ndarray] = {}
     for name, content in found.items():
-        if not isinstance(content, np.ndarray | np.void):
+        if not isinstance(content, np.ndarray | np.generic | float | int):
             continue
         value: np.ndarray = np.asarray(content)
         if value.dtype.names:
@@ -184,10 +187,11 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({name: value.astype("datetime64[ns]").astype(float) * 1e-9})
         elif value.dtype.kind == "S":
             cells |= _arrays({name: np.char.decode(value, errors="replace")})
-        elif value.dtype.kind in "fiubcU" and value.ndim in (1, 2, 3) and value.size:
+        elif value.dtype.kind in "fiubcU" and value.ndim < 4 and value.size:
             # Of the only episode, as gym-quadruped writes it, or the only robot.
             single = [k for k in (0, 1) if value.ndim == 3 and value.shape[k] == 1]
-            cells[name] = value.take(0, single[0]) if single else value
+            values = value.take(0, single[0]) if single else value
+            cells[name] = values.reshape(1) if values.size == 1 else values
     return cells
 
 

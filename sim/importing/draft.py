@@ -48,7 +48,7 @@ class Draft:
         reference_file: file of the reference.
         sources: further files by name, with the entry of their times.
         layouts: keys of [source] for text files.
-        rate: of the rows [Hz], where no times were found.
+        rate: of the rows [Hz], where no times were found, and what states it.
         robot: name.
         contact: on and off force of [contact].
         notes: questions that concern no single column.
@@ -61,7 +61,7 @@ class Draft:
     reference_file: Path | None = None
     sources: Mapping[str, tuple[Path, Entry]] = field(default_factory=dict)
     layouts: Mapping[Path, Mapping[str, object]] = field(default_factory=dict)
-    rate: float | None = None
+    rate: tuple[float, str] | None = None
     robot: str | None = None
     contact: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
@@ -78,7 +78,9 @@ class Draft:
             "[source]",
             *self._file(self.files[0]),
         ]
-        lines += [f"rate = {self.rate:.6g} # ? no times found"] if self.rate else []
+        if self.rate:
+            rate, stated = self.rate
+            lines.append(f"rate = {rate:.6g} # ? no times found; by {' '.join(stated.split())}")
         for name, (path, clock) in self.sources.items():
             lines += ["", f"[sources.{name}]", *self._file(path), _line(replace(clock, name="t"))]
         lines += ["", "[columns]", *_lines(self.main)]

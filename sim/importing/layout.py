@@ -5,6 +5,7 @@ import csv
 import re
 from collections import Counter
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
@@ -19,6 +20,13 @@ COMMENTS = ("#", "%", "//")
 _WORDS = re.compile(r"[^\s,;|]+")
 _MOST_KINDS = 20
 """Largest number of kinds of lines in a text."""
+_TABLE = 10
+"""Rows of numbers that are a table; fewer are parameters above one."""
+_ROW = re.compile(r'[\s"]*[-+.]?\d')
+"""The beginning of a row of numbers."""
+_PAIR = re.compile(r"(?<![^\s,;])([a-zA-Z_][\w./\[\]-]*) ?[:=] *[^\s,;]+")
+"""A value after its name."""
+_WITHOUT_NAMES = "sed -E 's/[[:alpha:]_][^ ,;:=]*[:=] *//g'"
 _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
@@ -42,7 +50,11 @@ def encoding_of(path: Path) -> str:
 
 
 def layout_of(path: Path) -> dict[str, Any]:
-    """Keys of a map's [source] for this text where the defaults do not fit."""
+    """Keys of a map's [source] for this text where the defaults do not fit.
+
+    Raises SurefootError, with the next step, for two tables in one text.
+    """
+    _check_alone(path)
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[:-1]
     if len(lines) < 2:
@@ -105,6 +117,11 @@ def no_table(path: Path, skip: int) -> str:
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[skip:-1]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    keyed = [_PAIR.sub(r"\1", line) for line in lines]
+    alike = keyed.count(keyed[0]) if keyed and keyed[0] != lines[0] else 0
+    if alike > max(2, 0.9 * len(lines)):
+        table = f"echo {quote(keyed[0])}; {_WITHOUT_NAMES} {quote(path.name)}"
+        return f"has a name before each value; make a table: ({table}) > table.csv"
     if "---" in lines and sum(map(bool, map(_YAML.match, lines))) > 0.9 * len(lines):
         return "is YAML, as of a topic's echo; record a bag, or use ros2 topic echo --csv"
     rows = [_WORDS.findall(line) for line in lines]
@@ -115,6 +132,30 @@ def no_table(path: Path, skip: int) -> str:
             # Quoted, as "$" is of the shell.
             return f"has {what}; make a file of each: grep '{start}' {path.name} > '{kinds[0]}.txt'"
     return ""
+
+
+def _check_alone(path: Path) -> None:
+    """Raise SurefootError, with the next step, where another table follows a text's first one."""
+    rows = last = begin = 0
+    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
+        for number, line in enumerate(stream, 1):
+            if _ROW.match(line):
+                rows, last = rows + 1, number
+            elif _names_columns(line):
+                begin, rows = last if rows >= _TABLE else begin, 0
+            if begin and rows == _TABLE:
+                name = quote(path.name)
+                cut = (
+                    f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
+                )
+                raise SurefootError(
+                    f"{path}: has another table from line {begin + 1}; make a file of each: {cut}"
+                )
+
+
+def _names_columns(line: str) -> bool:
+    words = [] if line.lstrip().startswith(COMMENTS) else _WORDS.findall(line)
+    return bool(words) and not any(map(is_number, words))
 
 
 def _kinds(rows: list[list[str]], place: int) -> list[str]:

@@ -2,6 +2,8 @@
 the cause and the next step. One table for each kind."""
 
 import json
+import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -112,9 +114,92 @@ def test_arrays_of_a_rollout_are_read_whatever_their_form(tmp_path, case):
     assert not any("what are its columns" in note for note in draft.notes)
 
 
+STATED = {
+    # rate in the draft, where it is stated
+    "step of a simulator": (100.0, {"step_dt": 0.01}),
+    "step in an array": (100.0, {"dt": np.array([0.01])}),
+    "rate": (250.0, {"sampleRate": 250.0}),
+    "step of the simulation and of the policy": (50.0, {"sim_dt": 0.005, "step_dt": 0.02}),
+    "step in each row": (100.0, {"dt": np.full(N, 0.01)}),
+}
+
+
+@pytest.mark.parametrize("case", STATED)
+def test_a_rate_that_the_file_states_is_drafted_and_asked(tmp_path, case):
+    rate, given = STATED[case]
+    draft = drafted(npz(tmp_path, q=ANGLES, gyro=GYRO, **given))
+    assert draft.rate == (pytest.approx(rate), list(given)[-1])
+    (line,) = (line for line in draft.text.splitlines() if line.startswith("rate = "))
+    assert list(given)[-1] in line.partition("# ?")[2]
+
+
+def test_numbers_of_a_file_that_are_no_columns_are_listed(tmp_path):
+    draft = drafted(npz(tmp_path, t=T, gyro=GYRO, dt=0.002, decimation=5))
+    assert {"dt", "decimation"} == {n for names in draft.unused.values() for n in names}
+    assert draft.rate is None
+
+
+LOST = np.arange(N) + 7 * (np.arange(N) > 100)
+COUNTED = {
+    # column that counts rows
+    "ticks": {"tick": np.arange(N)},
+    "frames from 1": {"Frame": np.arange(1, N + 1)},
+    "frames of a camera": {"frame_number": 15_234 + np.arange(N)},
+    "sequence with lost rows": {"seq": LOST},
+}
+
+
+@pytest.mark.parametrize("case", COUNTED)
+def test_a_count_of_rows_is_no_time_but_asks_for_the_rate(tmp_path, case):
+    (name,) = COUNTED[case]
+    draft = drafted(csv(tmp_path, COUNTED[case] | IMU))
+    assert "t" not in {one.name for one in draft.main}
+    assert any(name in note and "rate" in note for note in draft.notes)
+
+
+@pytest.mark.parametrize("stamps", [{"time_ms": np.arange(N)}, {"t": UNIX * 1e3 + np.arange(N)}])
+def test_stamps_of_a_kilohertz_are_times_by_their_unit_or_epoch(tmp_path, stamps):
+    assert entry(drafted(csv(tmp_path, stamps | IMU)), "t").unit == "ms"
+
+
+def test_frames_of_a_reference_are_its_times_after_a_gain_that_is_asked(tmp_path):
+    frame = poses(T).rename(columns={"t": "Frame"})
+    frame.assign(Frame=np.arange(N)).to_csv(tmp_path / "mocap.csv", index=False)
+    draft = guess_map([csv(tmp_path, {"t": T} | IMU), tmp_path / "mocap.csv"])
+    t = next(one for one in draft.reference if one.name == "t")
+    assert (t.theirs, t.unit) == ("Frame", None)
+    assert "gain = 1 / rate" in t.doubt
+
+
+LISTED = {
+    "more names than joints": {"dof_names": [*NAMES, "arm_joint"]},
+    "a root first": {"body_names": ["base", *NAMES]},
+}
+
+
+@pytest.mark.parametrize("case", LISTED)
+@pytest.mark.parametrize("robot", [None, "spot_class"])
+def test_names_of_another_number_than_the_joints_are_mentioned(tmp_path, case, robot):
+    ((name, names),) = LISTED[case].items()
+    draft = drafted(npz(tmp_path, q=ANGLES, t=T, **LISTED[case]), robot)
+    assert f"{name} has {len(names)} names, not 12" in entry(draft, "q_FL_hip").doubt
+
+
+def test_text_beside_a_file_that_names_no_joints_is_not_mentioned(tmp_path):
+    (tmp_path / "notes.txt").write_text("a walk to the left and to the right\n")
+    assert "notes" not in entry(drafted(npz(tmp_path, q=ANGLES, t=T)), "q_FL_hip").doubt
+
+
+def test_feet_without_names_are_in_the_order_of_the_legs_of_the_joints(tmp_path):
+    legs = ("FR", "FL", "RR", "RL")
+    joints = {f"q_{leg}_{part}": T for leg in legs for part in ("hip", "thigh", "calf")}
+    forces = {f"footForce[{k}]": 100.0 + T for k in range(4)}
+    draft = drafted(csv(tmp_path, {"t": T} | joints | forces))
+    assert [entry(draft, f"force_{leg}").theirs for leg in legs] == [*forces]
+
+
 DOUBTED = {
     # column of the log, what is asked, columns
-    "a count of rows": ("t", "count", {"tick": np.arange(N)} | IMU),
     "a gyro in counts": (
         "gyro_x", "counts",
         {"t": T} | {n: 900.0 * x for n, x in IMU.items()}
@@ -159,6 +244,44 @@ def two_kinds() -> list[str]:
     return [
         line for t in T for line in (f"$IMU,{t:.3f},1,2,3", f"$LEG,{t:.3f},1,2,3,4")
     ]  # fmt: skip
+
+
+def lines_of(**columns: np.ndarray) -> list[str]:
+    return pd.DataFrame(columns).to_csv(index=False).splitlines()
+
+
+GYROS = {f"gyro_{a}": GYRO[:, k] for k, a in enumerate("xyz")}
+HINGES = {f"q_{joint}": ANGLES[:, k] for k, joint in enumerate(JOINTS)}
+CUT = {
+    "tables of two kinds": [*lines_of(t=T, **GYROS), "", *lines_of(t=T, **HINGES)],
+    "tables of one width": [*lines_of(t=T, **GYROS), "# second", *lines_of(t=T, **GYROS)],
+    "titles above each": ["IMU", "100", *lines_of(t=T, **GYROS), "", "Joints", "100",
+                          *lines_of(t=T, **HINGES)],
+    "a header in the middle": [*lines_of(t=T, **GYROS), *lines_of(t=T + T[-1], **GYROS)],
+    "values after their names": [f"t={t:.3f} gyro_x={x:.4f} gyro_y=0.1 gyro_z=0 mode=walk"
+                                 for t, x in zip(T, GYRO[:, 0], strict=True)],
+    "names with colons": [f"t: {t:.3f}, gyro_x: {x:.4f}, gyro_y: 0.1, gyro_z: -1e-3"
+                          for t, x in zip(T, GYRO[:, 0], strict=True)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CUT)
+def test_the_command_that_a_refusal_advises_makes_tables_that_are_drafted(tmp_path, case):
+    with pytest.raises(SurefootError) as refused:
+        drafted(text(tmp_path, CUT[case]).rename(tmp_path / "a run.txt"))
+    command = re.split("make a (?:table|file of each): ", str(refused.value))[1]
+    subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
+    made = sorted(tmp_path.glob("*.csv"))
+    assert len(made) == (1 if "names" in case else 2)
+    drafts = [drafted(one) for one in made]
+    assert entry(drafts[0], "gyro_x").theirs == "gyro_x"
+    assert all(entry(one, "t").unit == "s" for one in drafts)
+
+
+def test_parameters_above_a_table_are_no_table(tmp_path):
+    above = ["name,value", *(f"{n},{k}" for k, n in enumerate(("mass", "kp", "kd"))), ""]
+    draft = drafted(text(tmp_path, [*above, *lines_of(t=T, **IMU)]))
+    assert entry(draft, "accel_z").theirs == "acc_z"
 
 
 REFUSED = {
