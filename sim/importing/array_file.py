@@ -23,6 +23,8 @@ _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element
 (MAT-File Format, MathWorks).
 """
+MOST_NAMES, _LONGEST_NAME = 100, 200
+"""Largest number of words in a list of joints, and of letters in one of HDF5."""
 PARAMETERS = "parameters: not one for each row"
 """Why an array or number of a file is no column."""
 _CHUNK = 1 << 20
@@ -82,6 +84,9 @@ def read_hdf5(path: Path) -> RecordedTable:
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
+            elif h5py.check_string_dtype(node.dtype) and node.ndim == 1 and node.size <= MOST_NAMES:
+                texts = (node.asstr(errors="replace")[k] for k in range(node.size))
+                arrays[name] = np.array([text[:_LONGEST_NAME] for text in texts])
         return _table(path, arrays | _matlab_strings(every))
 
 

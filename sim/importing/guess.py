@@ -37,7 +37,7 @@ _UNUSED = {
         "motion of a body, no reading of a sensor",
     ),
     "command": "set points",
-    "t": "other times, or too coarse for the rows",
+    "t": "other times, or too coarse or set back between rows",
     "other": "of no use in a log",
     "": "names not understood",
 }

@@ -196,17 +196,19 @@ def _counted_joints(
     number = {n: (one.limb or 0, one.place) for n, one in file.names.items()}
     places = sorted({number[n] for n, one in own.items() if one.place is not None})
     values = {number[n]: file.columns[n] for n in angles}
+    # The last of a list may be places without a motor, as of the twenty of a Go2.
+    motors = len(file.machine.limbs.joints if file.machine is not None else JOINTS)
+    silent = not any(values[at].any() for at in places[motors:] if at in values)
+    if silent and len(places) not in map(len, file.lists.values()):
+        places = places[:motors]
     joints, doubt = _listed_order(file, len(places))
     if joints is None:
         joints, asked = _fitting_order(file, [values.get(at) for at in places], yaw)
         doubt = f"{asked}{doubt}"
     joint_at = dict(zip(places, joints, strict=True))
-    return [
-        Entry(joint_at[number[n]], n, doubt=doubt)
-        if number[n] in joint_at
-        else Entry("joint", n, doubt=f"which joint is {n}?")
-        for n in own
-    ]
+    found = [Entry(joint_at[number[n]], n, doubt=doubt) for n in own if number[n] in joint_at]
+    others = [n for n, one in own.items() if one.place is None]
+    return [*found, *(Entry("joint", n, doubt=f"which joint is {n}?") for n in others)]
 
 
 def _listed_order(file: RecordedFile, count: int) -> tuple[Sequence[str] | None, str]:

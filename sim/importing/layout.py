@@ -33,6 +33,7 @@ _ROW = re.compile(r'[\s"]*[-+.]?\d')
 """The beginning of a row of numbers."""
 _PAIR = re.compile(r"(?<![^\s,;])([a-zA-Z_][\w./\[\]-]*) ?[:=] *[^\s,;]+")
 """A value after its name."""
+_JSON = re.compile(r'\s*(\{".*\}|\[-?\d\S*, *-?\d.*\])\s*')
 _WITHOUT_NAMES = "sed -E 's/[[:alpha:]_][^ ,;:=]*[:=] *//g'"
 _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
@@ -132,9 +133,11 @@ def no_table(path: Path, skip: int) -> str:
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[skip:-1]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    if lines and all(map(_JSON.fullmatch, lines)):
+        return "has JSON on each line: name it .jsonl"
     keyed = [_PAIR.sub(r"\1", line) for line in lines]
     alike = keyed.count(keyed[0]) if keyed and keyed[0] != lines[0] else 0
-    if alike > max(2, 0.9 * len(lines)):
+    if alike > max(2, 0.9 * len(lines)) and "<" not in keyed[0]:
         table = f"echo {quote(keyed[0])}; {_WITHOUT_NAMES} {quote(path.name)}"
         return f"has a name before each value; make a table: ({table}) > table.csv"
     if "---" in lines and sum(map(bool, map(_YAML.match, lines))) > 0.9 * len(lines):

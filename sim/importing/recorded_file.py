@@ -11,9 +11,9 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.array_file import PARAMETERS
+from surefoot.sim.importing.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, is_bag, read_whole_bag
-from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
+from surefoot.sim.importing.clock import Columns, kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.layout import is_number, layout_of
@@ -28,8 +28,6 @@ _RATES = (0.5, 5000.0)
 _USUAL_RATES = (8.0, 2500.0)
 """Range of usual rates of a log [Hz]."""
 _OF_JOINTS = ("q", "dq", "tau")
-_MOST_JOINTS = 100
-"""Largest number of words in a list of joints."""
 _LARGEST_COUNT = 1e9
 """First count of a row below which it is no time since an epoch [ms]."""
 _STEPS = ("dt", "ts", "step", "timestep", "period")
@@ -39,6 +37,10 @@ _SMALL = 4096
 """Size [bytes] below which a text may be a list of joints."""
 _FEW = 10
 """Readings up to which a mostly empty column is ignored."""
+
+
+_Readings = tuple[np.ndarray, np.ndarray]
+"""Rows or times of readings, and their values, both (M,)."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +98,12 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
         columns, layout = between, {**layout, "sparse": True}
     lists, stated = _lists(path, table.cells), _stated_rate(columns)
     found = []
-    for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
+    long = {n: v for n, v in columns.items() if len(v) > 1}
+    for part in _by_clock(long):
         names = _names(part, machine)
-        t = column_of_times(part, names)
-        part, t = _at_rising_times(part, t)
+        part, t = _at_rising_times(part, column_of_times(part, names))
         seconds = t.scale * part[t.theirs] if t else None
-        label = _label(path, part, columns)
+        label = _label(path, part, long)
         found.append(
             RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine, stated)
         )
@@ -113,7 +115,7 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     return found
 
 
-def _stated_rate(columns: Mapping[str, np.ndarray]) -> tuple[float, str] | None:
+def _stated_rate(columns: Columns) -> tuple[float, str] | None:
     """The rate of the rows by a constant that is named as one, or as a step of time, and its name;
     of several the slowest, as of a simulation whose steps are not all recorded.
     """
@@ -125,9 +127,7 @@ def _stated_rate(columns: Mapping[str, np.ndarray]) -> tuple[float, str] | None:
     return min((one for one in found if _USUAL_RATES[0] < one[0] < _USUAL_RATES[1]), default=None)
 
 
-def _with_empty_cells(
-    table: RecordedTable, full: Mapping[str, np.ndarray], machine: Machine | None
-) -> dict[str, np.ndarray]:
+def _with_empty_cells(table: RecordedTable, full: Columns, machine: Machine | None) -> Columns:
     """Read a table in which cells are empty between readings.
 
     Returns its columns, interpolated to the rows of the gyro, or else of the most frequent column;
@@ -138,7 +138,7 @@ def _with_empty_cells(
         full: the columns of numbers without an empty cell.
         machine: whose joint names columns may use, or None.
     """
-    readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    readings: dict[str, _Readings] = {}
     for name in (name for name in elements(table) if name not in full):
         with suppress(SurefootError):
             rows, values = column_readings(table, name, Source(sparse=True))
@@ -157,9 +157,7 @@ def _with_empty_cells(
     return {n: between[n] for n in dict.fromkeys((*elements(table), *full)) if n in between}
 
 
-def _leading(
-    readings: Mapping[str, tuple[np.ndarray, np.ndarray]], names: Mapping[str, Named]
-) -> str:
+def _leading(readings: Mapping[str, _Readings], names: Mapping[str, Named]) -> str:
     """The column whose readings are the rows: one of the IMU, or else the most frequent."""
     gyro = (n for n in readings if names[n].kind == "gyro" and not names[n].source)
     return next(gyro, None) or max(readings, key=lambda name: len(readings[name][0]))
@@ -191,7 +189,7 @@ def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, 
     found = {
         name: tuple(map(str, texts))
         for name, texts in cells.items()
-        if len(texts) <= _MOST_JOINTS and all(isinstance(one, str) for one in texts)
+        if len(texts) <= MOST_NAMES and all(isinstance(one, str) for one in texts)
     }
     for one in sorted(path.parent.glob("*.txt")):
         if one != path and one.stat().st_size < _SMALL:
@@ -201,15 +199,13 @@ def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, 
     return found
 
 
-def times_of_topic(
-    topic: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Named]
-) -> Entry:
+def times_of_topic(topic: str, columns: Columns, names: Mapping[str, Named]) -> Entry:
     """The stamps in a topic's messages or, without these, the times of reception."""
     own = {n: v for n, v in columns.items() if n.startswith(f"{topic}:") and names[n].kind == "t"}
     return column_of_times(own, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
 
 
-def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> Entry | None:
+def column_of_times(columns: Columns, names: Mapping[str, Named]) -> Entry | None:
     """The column of times: one with such a name, or else one that increases in even steps."""
     long = {n: v for n, v in columns.items() if len(v) > 2}
     named = [n for n, v in long.items() if names[n].kind == "t" and mostly_rises(v)]
@@ -238,9 +234,7 @@ def counts_rows(values: np.ndarray) -> bool:
     return bool(whole and steps.min(initial=1.0) >= 1.0 and np.median(steps) == 1.0)
 
 
-def _at_rising_times(
-    part: dict[str, np.ndarray], t: Entry | None
-) -> tuple[dict[str, np.ndarray], Entry | None]:
+def _at_rising_times(part: Columns, t: Entry | None) -> tuple[Columns, Entry | None]:
     """The rows that an import keeps; all, and no times, where stamps contradict each other."""
     if t is None or rises(part[t.theirs]):
         return part, t
@@ -256,7 +250,7 @@ def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
     return by_their_lists(by_their_legs({name: name_in_file(name, machine) for name in columns}))
 
 
-def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+def _by_clock(columns: Columns) -> list[Columns]:
     """Group the columns by number of rows and, within these, by equal times."""
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
@@ -270,7 +264,7 @@ def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
     return list(parts.values())
 
 
-def _label(path: Path, part: Mapping[str, np.ndarray], whole: Mapping[str, np.ndarray]) -> str:
+def _label(path: Path, part: Columns, whole: Columns) -> str:
     """Name for a part of a file: the file's, or that of the part's groups."""
     if len(part) == len(whole):
         return _plain(path.stem)

@@ -6,6 +6,7 @@ import re
 import subprocess
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -185,6 +186,31 @@ def test_names_of_another_number_than_the_joints_are_mentioned(tmp_path, case, r
     assert f"{name} has {len(names)} names, not 12" in entry(draft, "q_FL_hip").doubt
 
 
+@pytest.mark.parametrize("names", [None, [*NAMES, *(f"{k}_wheel" for k in range(8))]])
+def test_places_of_a_list_without_a_motor_are_no_joints(tmp_path, names):
+    """As the last eight of a Go2's twenty; but if the file names them, they are its joints."""
+    q = np.column_stack([ANGLES, np.zeros((N, 8))])
+    arrays = {"motor_q": q, "motor_dq": 0.0 * q, "t": T} | ({"dof_names": names} if names else {})
+    draft = drafted(npz(tmp_path, **arrays), "spot_class")
+    found = [one for one in draft.main if one.name.startswith("q_")]
+    assert len(found) == (20 if names else 12)
+    assert all(("dof_names" in one.doubt) == bool(names) for one in found)
+
+
+def test_names_in_a_file_of_hdf5_are_the_order_of_its_joints(tmp_path):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["t"], file["q"] = T, ANGLES[:, ::-1]
+        file["joint_names"] = NAMES
+    found = entry(drafted(tmp_path / "run.h5", "spot_class"), "q_FL_hip")
+    assert (found.theirs, "joint_names" in found.doubt) == ("q[11]", True)
+
+
+def test_numbers_beside_the_arrays_of_a_further_file_do_not_rename_it(tmp_path):
+    np.savez(tmp_path / "legs.npz", t=T, q=ANGLES, dt=0.01)
+    draft = guess_map([csv(tmp_path, {"t": T} | IMU), tmp_path / "legs.npz"])
+    assert list(draft.sources) == ["legs"]
+
+
 def test_text_beside_a_file_that_names_no_joints_is_not_mentioned(tmp_path):
     (tmp_path / "notes.txt").write_text("a walk to the left and to the right\n")
     assert "notes" not in entry(drafted(npz(tmp_path, q=ANGLES, t=T)), "q_FL_hip").doubt
@@ -286,6 +312,11 @@ def test_parameters_above_a_table_are_no_table(tmp_path):
 
 REFUSED = {
     "tags of the shell": (lambda d: text(d, two_kinds()), ("lines of several kinds", "'$IMU.txt'")),
+    "JSON": (
+        lambda d: text(d, [json.dumps({"t": t, "gyro": [0.1, 0.2]}) for t in T]),
+        (".jsonl",),
+    ),
+    "lists": (lambda d: text(d, [json.dumps([t, 0.1, -0.2]) for t in T]), (".jsonl",)),
     "many robots": (
         lambda d: npz(d, q=np.repeat(ANGLES[:, None], 8, 1), gyro=np.repeat(GYRO[:, None], 8, 1)),
         ("8 episodes or robots of 200 rows",),
