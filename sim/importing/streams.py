@@ -1,9 +1,7 @@
-"""Columns of a log that are held, and delays between streams.
+"""Columns of a log that are held.
 
 A column is held if it repeats its value exactly although it moves by far more than its resolution:
-a slower sensor was read more often than it measures. A stream is late relative to another one that
-measures the same: rates and the derivative of their angles, a reference's velocity and its
-positions.
+a slower sensor was read more often than it measures.
 """
 
 from collections import defaultdict
@@ -27,14 +25,6 @@ single missed rows.
 """
 _MOVING_ROWS = 50
 """Least number of rows in motion."""
-_FEWEST_ROWS = 10
-"""Least number of rows for a delay."""
-_LATEST = 0.05
-"""Largest delay that is searched for [s], as for the effects of timing."""
-LATEST_REFERENCE = 0.3
-"""Largest delay of a reference's velocity, which a tracker may filter [s]."""
-_ALIKE = 0.5
-"""Correlation below which two columns do not measure the same, at any delay."""
 
 
 def held_streams(log: Log) -> dict[str, dict[str, float]]:
@@ -49,33 +39,6 @@ def held_streams(log: Log) -> dict[str, dict[str, float]]:
         if share > _HELD_SHARE:
             found[column_kind(name)][name] = log.rate * (1.0 - share)
     return found
-
-
-def delay_between(
-    t: np.ndarray, late: np.ndarray, witness: np.ndarray, latest: float = _LATEST
-) -> float:
-    """Delay [s], at most `latest`, of `late` (N, D) relative to `witness` (N, D), at t (N,) [s].
-
-    Maximum of their correlation, refined by a parabola. 0 where they do not correlate.
-    """
-    if len(t) < _FEWEST_ROWS:
-        return 0.0
-    t = with_short_gaps(t, 2.0 * latest)
-    dt = float(np.median(np.diff(t)))
-    even = np.arange(t[0], t[-1], dt)
-    a, b = (_even(even, t, x) for x in (late, witness))
-    most = min(int(np.ceil(latest / dt)) + 1, len(even) // 4)
-    inner = slice(most, len(even) - most)
-    if most < 1:
-        return 0.0
-    shifts = np.arange(-most, most + 1)
-    alike = np.array([_correlation(np.roll(a, -k, axis=0)[inner], b[inner]) for k in shifts])
-    best = int(np.argmax(alike))
-    if alike[best] < _ALIKE or best in (0, len(shifts) - 1):
-        return 0.0
-    before, top, after = alike[best - 1 : best + 2]
-    bend = before - 2.0 * top + after
-    return dt * float(shifts[best] + (0.5 * (before - after) / bend if bend else 0.0))
 
 
 def with_short_gaps(t: np.ndarray, longest: float) -> np.ndarray:
@@ -103,17 +66,3 @@ def _moving_sum(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     total = np.concatenate([[0.0], np.cumsum(x)])
     ends = [np.interp(t[1:] + side * _MOVING, t, total) for side in (-0.5, 0.5)]
     return ends[1] - ends[0]
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Correlation of a and b (N, D), 0 if one of them is constant zero.
-
-    Normalised separately for each shift, so that rows gained and lost at the ends do not matter.
-    """
-    size = np.sqrt(np.sum(a**2) * np.sum(b**2))
-    return float(np.sum(a * b) / size) if size > 0.0 else 0.0
-
-
-def _even(even: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    values = np.column_stack([np.interp(even, t, column) for column in x.T])
-    return values - values.mean(axis=0)

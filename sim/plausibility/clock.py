@@ -65,11 +65,9 @@ def stamps(view: LogView) -> Iterator[Finding]:
     actual = 1.0 / view.step
     if not SLOWEST_ROWS < actual < FASTEST_ROWS:
         unit = next((u for u, s in UNITS["t"].items() if _USUAL[0] <= actual / s <= _USUAL[1]), "")
-        if actual < SLOWEST_ROWS and _leaps_from_row_to_row(view):
-            cause = "too slow for any filter: a stride has two rows; log at 100 Hz or more"
-            yield Finding(("t",), f"rows at {actual:.3g} Hz, between which all moves", cause)
-            return
         cause = f"in {unit}, not s" if unit else "wrong unit of time"
+        if actual < SLOWEST_ROWS and _leaps_from_row_to_row(view):
+            unit, cause = "", "too slow for any filter: all moves from row to row; log at 100 Hz"
         changes = entries(("t",), unit=unit) if unit else {}
         yield Finding(("t",), f"rows at {actual:.3g} Hz", cause, changes)
         return

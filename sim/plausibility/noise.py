@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.axes import AXIS_NAMES
 from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import LogView
 
@@ -43,7 +42,7 @@ def noisy(view: LogView) -> Iterator[Finding]:
         rough = np.median(np.abs(np.diff(x, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
         over = np.flatnonzero(rough > NOISY[kind])
         if over.size:
-            names = log.joints if kind == "dq" else AXIS_NAMES
+            names = log.joints if kind == "dq" else "xyz"
             columns = tuple(f"{kind}_{names[i]}" for i in over)
             seen = f"{rough[over].max():.2f} {next(iter(UNITS[kind]))} from row to row"
             yield Finding(columns, seen, cause)

@@ -11,15 +11,19 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import column_kind
-from surefoot.sim.importing.streams import LATEST_REFERENCE, delay_between, held_streams
+from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.plausibility.attitude import LATE
-from surefoot.sim.plausibility.axes import REF_V
+from surefoot.sim.plausibility.axes import REF_V, delay_between
 from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import MEAN, RESTS, LogView
 
 LATE_RATE = 4e-3
 """Delay of joint rates relative to the derivative of their angles [s]: two samples at 500 Hz."""
+LATEST_RATE, LATEST_REFERENCE = 0.05, 0.3
+"""Largest delays that are searched for [s]: of rates, as for the effects of timing, and of a
+reference's velocity, which a tracker may filter.
+"""
 FROZEN = 0.2
 """Time without a change while related streams move [s]: half a swing."""
 _STRAY = 0.02
@@ -300,10 +304,10 @@ def _delays(view: LogView) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.nda
     if log.has("q") and log.has("dq"):
         names, dq = [f"dq_{j}" for j in log.joints], log.dq
         moved = derivative(t, log.q, JOINT_WINDOW, causal=False)
-        usual = delay_between(t, dq, moved)
+        usual = delay_between(t, dq, moved, LATEST_RATE)
         yield tuple(names), dq, moved, usual
         for j in range(len(names)) if len(names) > 1 and view.resolves else ():
-            delay = delay_between(t, dq[:, [j]], moved[:, [j]])
+            delay = delay_between(t, dq[:, [j]], moved[:, [j]], LATEST_RATE)
             if abs(delay - usual) > LATE_RATE:
                 yield (names[j],), dq[:, [j]], moved[:, [j]], delay
     if log.has("ref_v"):

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import surefoot.sim.importing.streams as streams_module
-from surefoot.sim.importing.streams import delay_between, held_streams
+import surefoot.sim.plausibility.axes as axes_module
+from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.plausibility import check_log
+from surefoot.sim.plausibility.axes import delay_between
 
 T = np.arange(0.0, 8.0, 1 / 400)
 
@@ -82,7 +83,7 @@ def test_an_hour_without_rows_is_not_filled_with_them():
     early, now = angle(T), angle(T - 8e-3)
     stamps = T + 3600.0 * (T > 4.0)
     tracemalloc.start()
-    delay = delay_between(stamps, now[:, None], early[:, None])
+    delay = delay_between(stamps, now[:, None], early[:, None], 0.05)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert delay == pytest.approx(8e-3, abs=2e-4)
@@ -94,7 +95,7 @@ def test_pauses_of_half_a_minute_are_not_filled_either():
     early, now = angle(T), angle(T - 8e-3)
     stamps = T + 30.0 * np.floor(2.0 * T)
     tracemalloc.start()
-    delay = delay_between(stamps, now[:, None], early[:, None])
+    delay = delay_between(stamps, now[:, None], early[:, None], 0.05)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert delay == pytest.approx(8e-3, abs=1e-3)
@@ -103,9 +104,9 @@ def test_pauses_of_half_a_minute_are_not_filled_either():
 
 def test_a_peak_without_a_bend_lies_at_a_whole_row(monkeypatch):
     """What rounding has flattened says nothing of parts of a row."""
-    alike = iter([0.8, 0.9, np.nextafter(1.0, 0.0), 1.0, 1.0, *np.linspace(0.9, 0.0, 99)])
-    monkeypatch.setattr(streams_module, "_correlation", lambda a, b: next(alike))
-    rows = 400.0 * delay_between(T, angle(T)[:, None], angle(T)[:, None])
+    alike = iter([1.0, 0.8, 0.9, np.nextafter(1.0, 0.0), 1.0, 1.0, *np.linspace(0.9, 0.0, 99)])
+    monkeypatch.setattr(axes_module, "_standardised", lambda x: next(alike))
+    rows = 400.0 * delay_between(T, angle(T)[:, None], angle(T)[:, None], 0.05)
     assert rows == pytest.approx(np.rint(rows), abs=1e-6)
     assert rows < -10.0
 
@@ -121,7 +122,8 @@ def test_rates_that_come_late_are_found(late):
 
 def test_what_is_not_alike_has_no_delay():
     rng = np.random.default_rng(2)
-    assert delay_between(T, rng.normal(size=(len(T), 1)), rng.normal(size=(len(T), 1))) == 0.0
+    a, b = rng.normal(size=(2, len(T), 1))
+    assert delay_between(T, a, b, 0.05) == 0.0
 
 
 @pytest.mark.parametrize(("late", "said"), [(5.1e-3, False), (5.4e-3, True), (-5.4e-3, True)])
