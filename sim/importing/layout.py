@@ -14,6 +14,13 @@ from surefoot.sim.importing.sections import Source
 
 _LOOKED_AT = 65536
 """Number of characters at the beginning of a text that are examined."""
+_NO_TEXT = {
+    "compressed: unpack it first": (b"\x1f\x8b", b"\xfd7zXZ", b"BZh9", b"\x28\xb5\x2f\xfd"),
+    "a spreadsheet or archive: save a sheet as CSV, or unpack it": (b"PK\3\4", b"\xd0\xcf\x11\xe0"),
+    "a bag; if its recorder was killed, try rosbag reindex, and name it .bag": b"#ROSBAG",
+    "binary: name it .mcap, .h5, .db3, .parquet": (b"\x89MCAP", b"\x89HDF", b"SQLite", b"PAR1\x15"),
+}
+"""What files are that are no text, and what to do; and how they begin."""
 SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
@@ -33,20 +40,28 @@ _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
 def encoding_of(path: Path) -> str:
-    """Encoding of a text: UTF-8, UTF-16 with a byte order mark or, without zero bytes and not valid
-    UTF-8, Windows-1252 (the latter two are written by spreadsheets).
+    """Encoding of a text: UTF-8, UTF-16 or, without zero bytes and not valid UTF-8, Windows-1252
+    (the latter two are written by spreadsheets).
+
+    Raises SurefootError, with the next step, for a file of another kind that begins as such.
     """
-    decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as stream:
-        begin = piece = stream.read(_LOOKED_AT)
-        if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            return "utf-16"
-        try:
-            while piece:
-                decoder.decode(piece)
-                piece = stream.read(_LOOKED_AT)
-        except UnicodeDecodeError:
-            return "utf-8-sig" if b"\0" in begin else "cp1252"
+        begin = stream.read(_LOOKED_AT)
+    for what, start in _NO_TEXT.items():
+        if begin.startswith(start):
+            raise SurefootError(f"{path}: is {what}")
+    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # Without a byte order mark, by the zero half of its first eight letters.
+    for half, encoding in enumerate(("utf-16-be", "utf-16-le")):
+        if begin and not any(begin[half:16:2]):
+            return encoding
+    try:
+        with path.open(encoding="utf-8") as stream:
+            while stream.read(_LOOKED_AT):
+                pass
+    except UnicodeDecodeError:
+        return "utf-8-sig" if b"\0" in begin else "cp1252"
     return "utf-8-sig"
 
 
@@ -157,7 +172,7 @@ def _check_alone(path: Path) -> None:
 
 
 def _names_columns(line: str) -> bool:
-    words = [] if line.lstrip().startswith(COMMENTS) else _WORDS.findall(line)
+    words = [] if line.lstrip().startswith(COMMENTS) else _WORDS.findall(line[:_LOOKED_AT])
     return bool(words) and not any(map(is_number, words))
 
 

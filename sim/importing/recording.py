@@ -107,7 +107,7 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    with parsed_as("a readable table" if reader else "a readable table of text", path):
+    with parsed_as(f"a readable {path.suffix} file" if reader else "a readable table", path):
         return with_stamps(reader(path) if reader else read_text(path, source))
 
 
@@ -117,13 +117,12 @@ def is_text(path: Path) -> bool:
 
 
 def _main_file(path: Path, rules: ImportMap) -> Path:
-    if rules.sections.source.file and is_file(path / rules.sections.source.file):
-        return path / rules.sections.source.file
-    if is_bag(path) or not path.is_dir():
-        return path
-    if rules.sections.source.file is None:
+    inside = path / (rules.sections.source.file or "")
+    if is_file(inside) or is_bag(path) or not path.is_dir():
+        return inside if is_file(inside) else path
+    if inside == path:
         raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
-    return path / rules.sections.source.file
+    return inside
 
 
 def _streams(
@@ -228,7 +227,7 @@ def _blank_lines(path: Path, blank: Mapping[str, SurefootError], found: Iterable
 
 def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.ndarray:
     if clock is None:
-        rows = max(map(len, table.cells.values()))
+        rows = max(map(len, table.cells.values()), default=0)
         return np.arange(rows) / (source.rate or 1.0)
     return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 
