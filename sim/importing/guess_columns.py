@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.guess_units import (
@@ -273,9 +274,7 @@ def _share_inside(file: RecordedFile, joint: str, angles: np.ndarray) -> float:
     return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
-def _longer_inside(
-    file: RecordedFile, angles: Mapping[str, np.ndarray], yaw: np.ndarray | None
-) -> bool:
+def _longer_inside(file: RecordedFile, angles: Columns, yaw: np.ndarray | None) -> bool:
     """Whether the strides of a quadruped's inner legs, by the angles' joints, are the longer ones
     in turns: left and right are exchanged.
     """

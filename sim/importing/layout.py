@@ -166,9 +166,7 @@ def _check_alone(path: Path) -> None:
                 cut = (
                     f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
                 )
-                raise SurefootError(
-                    f"{path}: has another table from line {begin + 1}; make a file of each: {cut}"
-                )
+                raise SurefootError(f"{path}: has two tables; make a file of each: {cut}")
 
 
 def _names_columns(line: str) -> bool:
