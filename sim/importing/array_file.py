@@ -149,8 +149,7 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
             )
     check_limit("columns", len(cells), f"{path}: arrays")
     cells, parameters = rows_first(cells)
-    skipped = dict.fromkeys(parameters, PARAMETERS)
-    return RecordedTable(path, cells, skipped=skipped)
+    return RecordedTable(path, cells, skipped=dict.fromkeys(parameters, PARAMETERS))
 
 
 def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:

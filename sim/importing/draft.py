@@ -42,7 +42,7 @@ class Draft:
     """A draft of a map.
 
     Attributes:
-        files: the main file first.
+        file: the main file.
         main: entries of [columns].
         reference: entries of [reference.columns], from `reference_file`.
         reference_file: file of the reference.
@@ -55,7 +55,7 @@ class Draft:
         unused: columns and arrays without a use, by the reason.
     """
 
-    files: tuple[Path, ...]
+    file: Path
     main: tuple[Entry, ...]
     reference: tuple[Entry, ...] = ()
     reference_file: Path | None = None
@@ -76,7 +76,7 @@ class Draft:
             *(f"# ? {' '.join(note.split())}" for note in self.notes),
             "",
             "[source]",
-            *self._file(self.files[0]),
+            *self._file(self.file),
         ]
         if self.rate:
             rate, stated = self.rate
@@ -86,7 +86,7 @@ class Draft:
         lines += ["", "[columns]", *_lines(self.main)]
         if self.reference:
             lines += ["", "[reference]"]
-            if self.reference_file is not None and self.reference_file != self.files[0]:
+            if self.reference_file is not None and self.reference_file != self.file:
                 lines += self._file(self.reference_file)
             lines += [
                 'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align',

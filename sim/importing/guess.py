@@ -94,7 +94,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     used |= {f"{'' if at is main else at.label + ':'}{entry.theirs}" for entry in reference}
     columns = {f"{label}{n}": v for label, one in labels.items() for n, v in one.columns.items()}
     return Draft(
-        files=tuple(dict.fromkeys((main.path, *(one.path for one in others)))),
+        file=main.path,
         main=tuple(entries),
         reference=reference,
         reference_file=at.path if reference else None,

@@ -287,8 +287,7 @@ def name_in_file(name: str, machine: Machine | None) -> Named:
         alone = re.compile(rf"(?<![A-Za-z0-9]){re.escape(text)}(?![A-Za-z0-9])", re.IGNORECASE)
         if alone.search(name):
             rest, whole = read_name(alone.sub(" ", name)), read_name(alone.sub(ours[text], name))
-            load = whole.kind in _OF_JOINTS and rest.kind not in _OF_JOINTS
-            found = whole if load else rest
+            found = whole if whole.kind in _OF_JOINTS and rest.kind not in _OF_JOINTS else rest
             if not found.kind or found.kind in _OF_JOINTS:
                 return replace(found, joint=ours[text], leg=whole.leg)
     return read_name(name)

@@ -67,7 +67,7 @@ def test_the_tables_of_a_folder_are_drafted_together(tmp_path):
     POSE.add_prefix("vicon_").to_csv(tmp_path / "truth.csv", index=False)
     (tmp_path / "notes.txt").write_text("a walk in the hall\n")
     draft = guess_map([tmp_path])
-    assert draft.files == (tmp_path / "imu.csv", tmp_path / "truth.csv")
+    assert (draft.file, draft.reference_file) == (tmp_path / "imu.csv", tmp_path / "truth.csv")
     assert draft.reference_file == tmp_path / "truth.csv"
 
 
