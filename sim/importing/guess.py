@@ -13,6 +13,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.bag import is_bag, topic_of
+from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import EULER, UNITS
 from surefoot.sim.importing.draft import Draft, Entry
 from surefoot.sim.importing.guess_columns import guess_columns, vectors
@@ -79,8 +80,8 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     if reference and main.seconds is not None and at.seconds is not None:
         apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
         notes += ["the reference's clock is another: which [reference] offset?"] * bool(apart)
-    stated = None if main.t else main.stated or (rate and (rate, "rates of joints"))
-    notes += _missing(main, entries, stated)
+    stated = None if main.t else main.stated or ((rate, "rates of joints") if rate else None)
+    notes += _missing(main, entries, rated=stated is not None)
     # Columns of other files are named as in a map.
     labels = {"": main} | {f"{one.label}:": one for one in others}
     used = {entry.theirs for entry in entries}
@@ -123,7 +124,7 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
     """
     if not is_bag(one.path):
         return _pose(one)
-    topics: dict[str, dict[str, np.ndarray]] = {}
+    topics: dict[str, Columns] = {}
     for name, values in one.recorded.items():
         topics.setdefault(topic_of(name), {})[name] = values
 
@@ -203,9 +204,9 @@ def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
     return kept, said
 
 
-def _missing(main: RecordedFile, entries: Sequence[Entry], rate: object) -> list[str]:
-    """Questions for what is missing beside what was found; `rate` is that of the main file's rows,
-    None if they have times or none is known.
+def _missing(main: RecordedFile, entries: Sequence[Entry], rated: bool) -> list[str]:
+    """Questions for what is missing beside what was found; `rated` says that the rate of the main
+    file's rows is known, which have no times.
     """
     there = {entry.name for entry in entries}
     groups = {name.partition("_")[0] for name in there}
@@ -216,7 +217,7 @@ def _missing(main: RecordedFile, entries: Sequence[Entry], rate: object) -> list
         found.append("no name says what a column is: which of those not used below is what?")
     if main.t is None and (counter := main.counter):
         found.append(f"{counter.theirs} counts rows: which [source] rate, or t with which gain?")
-    elif main.t is None and rate is None:
+    elif main.t is None and not rated:
         found.append("no times found: which column are they, or what is the [source] rate?")
     times = np.zeros(0) if main.seconds is None else main.seconds
     step = np.median(np.diff(times)) if len(times) > 1 else 0.0
@@ -261,9 +262,7 @@ def _unused(files: Mapping[str, RecordedFile], used: Set[str]) -> dict[str, list
     return found
 
 
-def _threshold(
-    columns: Mapping[str, np.ndarray], entries: Sequence[Entry]
-) -> tuple[float, float] | None:
+def _threshold(columns: Columns, entries: Sequence[Entry]) -> tuple[float, float] | None:
     forces = [columns[e.theirs] for e in entries if e.name.startswith("force_")]
     if not forces or any(e.name.startswith("contact_") for e in entries):
         return None

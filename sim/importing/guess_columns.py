@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.guess_units import (
@@ -78,8 +79,7 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
             accel = values
             unit, gain, doubt = unit_of_accel(values)
         else:
-            named = {own[n].unit for n in found[0]}
-            unit, doubt = unit_of_gyro(file.seconds, values, accel, named)
+            unit, doubt = unit_of_gyro(file.seconds, values, accel, {own[n].unit for n in found[0]})
             gain = 1.0
         asked = f"this, or {others[0]}?" if others else _source_doubt(source) or doubt
         axes = zip("xyz", found[0], strict=True)
@@ -223,8 +223,8 @@ def _listed_order(file: RecordedFile, count: int) -> tuple[Sequence[str] | None,
                 one.joint_of_log if one.joint or (one.leg in LEGS and one.part) else text
                 for text, one in read.items()
             ]
-            names = names if len(set(names)) == count else listed
-            return names, f"are its joints in the order of {source}?"
+            order = names if len(set(names)) == count else listed
+            return order, f"are its joints in the order of {source}?"
         if sum(bool(one.leg or one.joint) for one in read.values()) > len(read) / 2:
             others += f" {source} has {len(listed)} names, not {count}."
     return None, others
@@ -273,9 +273,7 @@ def _share_inside(file: RecordedFile, joint: str, angles: np.ndarray) -> float:
     return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
-def _longer_inside(
-    file: RecordedFile, angles: Mapping[str, np.ndarray], yaw: np.ndarray | None
-) -> bool:
+def _longer_inside(file: RecordedFile, angles: Columns, yaw: np.ndarray | None) -> bool:
     """Whether the strides of a quadruped's inner legs, by the angles' joints, are the longer ones
     in turns: left and right are exchanged.
     """
@@ -404,10 +402,8 @@ def _with_legs_of(file: RecordedFile, found: Mapping[str, Named]) -> dict[str, N
     if file.machine is None or len(file.machine.limbs.legs) in (0, 2, 4):
         return read
     limbs = file.machine.limbs
-    shared = [
-        set.intersection(*(set(words_of(limbs.joints[joint])) for joint in chain))
-        for chain in limbs.chains
-    ]
+    words_of_joints = [set(words_of(joint)) for joint in limbs.joints]
+    shared = [set.intersection(*(words_of_joints[k] for k in chain)) for chain in limbs.chains]
     of_all = set.intersection(*shared)
     for name, one in found.items():
         words = {*words_of(name)}

@@ -17,6 +17,7 @@ _LOOKED_AT = 65536
 _NO_TEXT = {
     "compressed: unpack it first": (b"\x1f\x8b", b"\xfd7zXZ", b"BZh9", b"\x28\xb5\x2f\xfd"),
     "a spreadsheet or archive: save a sheet as CSV, or unpack it": (b"PK\3\4", b"\xd0\xcf\x11\xe0"),
+    "a pickle: save its arrays by np.savez": (b"\x80\2", b"\x80\3", b"\x80\4", b"\x80\5"),
     "a bag; if its recorder was killed, try rosbag reindex, and name it .bag": b"#ROSBAG",
     "binary: name it .mcap, .h5, .db3, .parquet": (b"\x89MCAP", b"\x89HDF", b"SQLite", b"PAR1\x15"),
 }
@@ -166,9 +167,7 @@ def _check_alone(path: Path) -> None:
                 cut = (
                     f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
                 )
-                raise SurefootError(
-                    f"{path}: has another table from line {begin + 1}; make a file of each: {cut}"
-                )
+                raise SurefootError(f"{path}: has two tables; make a file of each: {cut}")
 
 
 def _names_columns(line: str) -> bool:

@@ -2,6 +2,7 @@
 the cause and the next step. One table for each kind."""
 
 import json
+import pickle
 import re
 import subprocess
 from pathlib import Path
@@ -42,6 +43,11 @@ def text(folder: Path, lines) -> Path:
 def npz(folder: Path, **arrays) -> Path:
     np.savez(folder / "run.npz", **arrays)
     return folder / "run.npz"
+
+
+def pickled(folder: Path, content: object) -> Path:
+    (folder / "run.pkl").write_bytes(pickle.dumps(content))
+    return folder / "run.pkl"
 
 
 def json_lines(folder: Path) -> Path:
@@ -316,6 +322,7 @@ REFUSED = {
         lambda d: text(d, [json.dumps({"t": t, "gyro": [0.1, 0.2]}) for t in T]),
         (".jsonl",),
     ),
+    "a pickle": (lambda d: pickled(d, {"q": ANGLES}), ("pickle", "np.savez")),
     "lists": (lambda d: text(d, [json.dumps([t, 0.1, -0.2]) for t in T]), (".jsonl",)),
     "many robots": (
         lambda d: npz(d, q=np.repeat(ANGLES[:, None], 8, 1), gyro=np.repeat(GYRO[:, None], 8, 1)),
