@@ -168,6 +168,7 @@ def align(
     if len(felt) < _FEWEST_SAMPLES:
         raise too_little
     turn = _level(readings, start, felt.mean(axis=0))
+    turned = ("the reference's world has another axis up than z: see q_GW",) * (turn is not None)
     if turn is not None:
         readings, R_GW = replace(readings, poses=in_world(poses, turn)), turn @ R_GW
         felt, moved, lever = specific_forces(readings, start)
@@ -194,7 +195,7 @@ def align(
         other_epoch=other_epoch,
         samples=len(fitted.t),
         fitted=fitted,
-        faults=_faults(float(missed), halves, sign, shift, turn is not None),
+        faults=(*turned, *_faults(float(missed), halves, sign, shift)),
     )
 
 
@@ -254,9 +255,9 @@ def _accelerometer(
 
 
 def _faults(
-    missed: float, halves: np.ndarray, sign: np.ndarray, shift: np.ndarray, turned: bool
+    missed: float, halves: np.ndarray, sign: np.ndarray, shift: np.ndarray
 ) -> tuple[str, ...]:
-    found = ["the reference's world has another axis up than z: see q_GW"] if turned else []
+    found = []
     if missed > MOST_ROTATION_MISSED:
         found.append(
             f"the tracked body does not turn as the IMU does: {100 * missed:.0f} % of the gyro's "

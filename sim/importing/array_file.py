@@ -27,7 +27,8 @@ MOST_NAMES, _LONGEST_NAME = 100, 200
 """Largest number of words in a list of joints, and of letters in one of HDF5."""
 PARAMETERS = "parameters: not one for each row"
 """Why an array or number of a file is no column."""
-_CHUNK = 1 << 20
+_NESTED = 24
+"""Further bytes in memory of a value in a list or record of Parquet."""
 _DEEPEST = 20
 """Maximum depth of nested groups."""
 
@@ -79,7 +80,9 @@ def read_hdf5(path: Path) -> RecordedTable:
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
                 f"arrays{remedy if kind == 'timeseries' else ''}"
             )
-        _bounded(path, sum(one.size * one.dtype.itemsize for one in every.values() if one.shape))
+        # A chunk is unpacked as a whole, however little of it the array has.
+        whole = [(max(d.size, np.prod(d.chunks or 0)), d) for d in every.values() if d.shape]
+        _bounded(path, sum(size * one.dtype.itemsize for size, one in whole))
         for name, node in found.items():
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
@@ -91,11 +94,27 @@ def read_hdf5(path: Path) -> RecordedTable:
 
 
 def read_parquet(path: Path) -> RecordedTable:
-    """Read the columns of a Parquet file."""
+    """Read the columns of a Parquet file, but no lists of texts, of which no column can be made.
+
+    A text is unpacked once for all cells that have it. Raises SurefootError.
+    """
     about = pq.read_metadata(path)
-    _bounded(path, 8.0 * about.num_rows * about.num_columns)
-    frame = pq.read_table(path).to_pandas(ignore_metadata=True)
-    return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
+    check_limit("items", about.num_columns * about.num_row_groups, f"{path}: parts of columns")
+    columns = [about.schema.column(k) for k in range(about.num_columns)]
+    size = 0.0
+    for k, one in enumerate(columns):
+        chunks = (about.row_group(group).column(k) for group in range(about.num_row_groups))
+        each = 8 + one.length + _NESTED * ("." in one.path)
+        size += sum(max(each * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
+    _bounded(path, size)
+    texts = [one.path for one in columns if one.physical_type == "BYTE_ARRAY"]
+    read = [one.path for one in columns if one.path not in texts or not one.max_repetition_level]
+    table = pq.ParquetFile(path, read_dictionary=texts).read(read)
+    found = {name: table[name].to_pandas() for name in table.column_names}
+    # As objects, since cells of categories would each have a text of their own.
+    cells = {n: x.astype(object) if x.dtype == "category" else x for n, x in found.items()}
+    lists = dict.fromkeys((one for one in texts if one not in read), "a list of texts")
+    return RecordedTable(path, {n: x.to_numpy() for n, x in cells.items()}, skipped=lists)
 
 
 def _datasets(
@@ -210,7 +229,7 @@ def _bound_inflated(path: Path) -> None:
         if kind == _MAT_COMPRESSED:
             unpacking, rest = zlib.decompressobj(), content[at + 8 : at + 8 + size]
             while rest:
-                total += len(unpacking.decompress(rest, _CHUNK))
+                total += len(unpacking.decompress(rest, 1 << 20))
                 rest = unpacking.unconsumed_tail
                 _bounded(path, total)
         at += 8 + size

@@ -76,10 +76,9 @@ def read_whole_bag(path: Path) -> tuple[dict[str, Stamped], dict[str, str]]:
             skipped[topic] = "does not move in its frame"
         elif all(column.endswith(":header.stamp") for column in columns):
             skipped[topic] = "empty, or only lists: write what you need to a topic of its own"
-    for topic in skipped:
-        found[topic] = {}
+    used = {topic: columns for topic, columns in found.items() if topic not in skipped}
     framed = {topic.partition("[")[0] for topic in found if _FRAME.search(topic)}
-    return _flat(found), {topic: why for topic, why in skipped.items() if topic not in framed}
+    return _flat(used), {topic: why for topic, why in skipped.items() if topic not in framed}
 
 
 @contextmanager

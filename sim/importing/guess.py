@@ -19,11 +19,7 @@ from surefoot.sim.importing.draft import Draft, Entry
 from surefoot.sim.importing.guess_columns import guess_columns, vectors
 from surefoot.sim.importing.guess_units import unit_of_angles
 from surefoot.sim.importing.names import Named, lists_of, read_name, words_of
-from surefoot.sim.importing.recorded_file import (
-    RecordedFile,
-    recorded_files,
-    times_of_topic,
-)
+from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.sensors.streams import SLOWEST

@@ -13,9 +13,6 @@ from surefoot.sim.importing.layout import encoding_of, first_lines, no_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable
 
-_CELL = 80
-"""Bytes in a file that may take as long to read as a cell, which is empty where a line is short."""
-
 
 def read_text(path: Path, source: Source) -> RecordedTable:
     """Read the table of a text file. Raises SurefootError in one line with file and line."""
@@ -26,7 +23,8 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     with path.open("rb") as stream:
         pieces = iter(lambda: stream.read(1 << 20), b"")
         lines = sum(max(one.count(b"\n"), one.count(b"\r")) for one in pieces)
-    check_unpacked(path.stat().st_size, _CELL * lines * len(header), f"{path}: cells of its lines")
+    # A cell, empty where a line is short, takes as long as 80 bytes that are unpacked.
+    check_unpacked(path.stat().st_size, 80.0 * lines * len(header), f"{path}: cells of its lines")
     frame = pd.DataFrame()
     with warnings.catch_warnings(), suppress(pd.errors.EmptyDataError):
         # pandas only warns of a first line that is too long, and shifts the columns.

@@ -16,7 +16,7 @@ OTHERS_CHANGE = 6
 """Number of changes of each other contact within which a contact must change: three strides."""
 STRIDE = 2
 """Number of lasting changes of a contact in a stride."""
-MOVING, MOVES = 0.2, 0.2
+MOVES_APART, MOVES = 0.2, 0.2
 """Speed of a foot against others in contact that is none of a standing foot [m/s], and share of the
 time of a foot that does not stand: sliding feet have 0.14 in half a second, swinging ones 0.26.
 """
@@ -129,7 +129,7 @@ def _moving_in_contact(view: LogView) -> np.ndarray:
     by_foot = some.body_velocity(view.gyro[some.which])
     by_foot = np.where(some.contact[..., None], by_foot, np.nan)
     apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
-    share = np.sum(apart > MOVING, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
+    share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
     return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)
 
 
