@@ -107,7 +107,9 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    with parsed_as(f"a readable {path.suffix} file" if reader else "a readable table", path):
+    remedy = "; save arrays of numbers anew, by np.savez" if reader is read_npz else ""
+    what = f"{path.suffix} file" if reader else "table"
+    with parsed_as(f"a readable {what}", path, remedy):
         return with_stamps(reader(path) if reader else read_text(path, source))
 
 

@@ -322,6 +322,10 @@ REFUSED = {
         lambda d: text(d, [json.dumps({"t": t, "gyro": [0.1, 0.2]}) for t in T]),
         (".jsonl",),
     ),
+    "an object array": (
+        lambda d: npz(d, t=T, info=np.array({"q": 1}, dtype=object)),
+        ("Object", "np.savez"),
+    ),
     "a pickle": (lambda d: pickled(d, {"q": ANGLES}), ("pickle", "np.savez")),
     "lists": (lambda d: text(d, [json.dumps([t, 0.1, -0.2]) for t in T]), (".jsonl",)),
     "many robots": (
