@@ -28,6 +28,8 @@ COMMENTS = ("#", "%", "//")
 _WORDS = re.compile(r"[^\s,;|]+")
 _MOST_KINDS = 20
 """Largest number of kinds of lines in a text."""
+_SEARCHED = 1_000_000
+"""Lines among which another table is looked for."""
 _TABLE = 10
 """Rows of numbers that are a table; fewer are parameters above one."""
 _ROW = re.compile(r'[\s"]*[-+.]?\d')
@@ -157,7 +159,7 @@ def _check_alone(path: Path) -> None:
     """Raise SurefootError, with the next step, where another table follows a text's first one."""
     rows = last = begin = 0
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
-        for number, line in enumerate(stream, 1):
+        for number, line in zip(range(1, _SEARCHED), stream, strict=False):
             if _ROW.match(line):
                 rows, last = rows + 1, number
             elif _names_columns(line):

@@ -108,7 +108,7 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
     remedy = "; save arrays of numbers anew, by np.savez" if reader is read_npz else ""
-    what = f"{path.suffix} file" if reader else "table"
+    what = f"{path.suffix} file" if reader else "table of text"
     with parsed_as(f"a readable {what}", path, remedy):
         return with_stamps(reader(path) if reader else read_text(path, source))
 

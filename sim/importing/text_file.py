@@ -24,7 +24,8 @@ def read_text(path: Path, source: Source) -> RecordedTable:
         pieces = iter(lambda: stream.read(1 << 20), b"")
         lines = sum(max(one.count(b"\n"), one.count(b"\r")) for one in pieces)
     # A cell, empty where a line is short, takes as long as 80 bytes that are unpacked.
-    check_unpacked(path.stat().st_size, 80.0 * lines * len(header), f"{path}: cells of its lines")
+    cost = 80.0 * lines * len(header)
+    check_unpacked(path.stat().st_size, cost, f"{path}: cells of its lines", at_once=False)
     frame = pd.DataFrame()
     with warnings.catch_warnings(), suppress(pd.errors.EmptyDataError):
         # pandas only warns of a first line that is too long, and shifts the columns.

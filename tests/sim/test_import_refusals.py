@@ -164,6 +164,14 @@ def test_a_text_that_is_mostly_empty_is_refused_before_it_is_read(tmp_path, monk
     assert all(word in line for word in (name, "times its size")), line
 
 
+def test_cells_of_numbers_are_within_the_limits_of_memory(tmp_path, monkeypatch):
+    """A cell is weighed by its time, not as memory."""
+    monkeypatch.setenv(limits.VARIABLE, "memory=1000")
+    (tmp_path / "a.csv").write_text(CSV)
+    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
+    assert len(read_recording(tmp_path / "a.csv", tmp_path / "map.toml").main["t"]) == 40
+
+
 def test_the_first_word_among_numbers_is_named(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("t\n1\n" + "no\n" * 5)
