@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from surefoot.sim.common.terminal import printable
 from surefoot.sim.importing.columns import UNITS, ColumnEntry, kind_of, map_line
 
 _LISTED = 20
@@ -103,7 +104,7 @@ class Draft:
         for reason, names in self.unused.items():
             listed = ", ".join(names[:_LISTED]) + ", ..." * (len(names) > _LISTED)
             lines.append(f"# not used ({reason}): {' '.join(listed.split())}")
-        return "\n".join(lines) + "\n"
+        return printable("\n".join(lines), "\n") + "\n"
 
     def _file(self, path: Path) -> list[str]:
         """Lines that name a file and its layout."""

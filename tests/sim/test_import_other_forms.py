@@ -5,6 +5,7 @@ import json
 import pickle
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import h5py
@@ -384,3 +385,14 @@ def test_a_tracker_that_lost_the_body_leaves_a_gap(tmp_path):
     frame.loc[80:110, POSE] = 0.0
     log = with_mocap(tmp_path, T, frame)
     assert 0 < np.sum(log.frame["ref_ok"] == 0.0) < 40
+
+
+@pytest.mark.parametrize("mark", ["\x1b[31m", "\x7f", "\x9b", "\u202e"])
+def test_control_characters_of_names_do_not_reach_a_draft(tmp_path, mark):
+    """They would reach a terminal, and TOML allows none of them; the file's columns are found."""
+    columns = {f"gyro_{axis}{mark}": np.sin(k * T) for k, axis in enumerate("xyz", 1)}
+    draft = drafted(csv(tmp_path, {"t": T, **columns, f"odd{mark}": np.cos(9.0 * T)}))
+    assert mark not in draft.text
+    said = tomllib.loads(draft.text)
+    assert said["columns"]["gyro_x"]["column"] == f"gyro_x{mark}"
+    assert "odd" in draft.text
