@@ -59,8 +59,10 @@ FREE = 1e-9
 """Precision of a nuisance parameter without a bound."""
 _START = (0.5, 0.1, 0.3)
 """Initial a, b, and noise relative to the residual."""
-_ROUNDS = 60
-"""Rounds of the expectation maximisation."""
+_ROUNDS = 100
+"""Most rounds of the expectation maximisation."""
+_SETTLED = 3e-3
+"""Relative change of a and b in a round at which it has converged."""
 
 
 @dataclass(frozen=True)
@@ -248,10 +250,14 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         if _is_term(key, limbs) and one > NOTHING
     ]
     D = 1.0 / strength[[keys.index(key) for key in terms]]
+    parts = [_Part.of(run, terms, limbs) for run in runs]
     a, b, noise = _START[0], _START[1], _START[2] * scale
     for _ in range(_ROUNDS):
-        posterior = _posterior(runs, terms, limbs, (a, b, noise), D)
+        posterior = _posterior(parts, (a, b, noise), D)
+        settled = abs(np.log([posterior.a / a, posterior.b / b])).max() < _SETTLED
         a, b, noise = posterior.a, posterior.b, posterior.noise
+        if settled:
+            break
     covariance = 0.5 * (posterior.covariance + posterior.covariance.T)
     found = ModelError(
         runs=len(runs),
@@ -262,6 +268,32 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         rates={joint: max(run.rates[joint] for run in runs) for joint in runs[0].rates},
     )
     return _with_spread(runs, found, limbs)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Sums of one run over its n sizes: C terms, and what belongs to the run.
+
+    Attributes:
+        own: prior precision of the latter (n - C,).
+        square: of the residual, by group (G,).
+        right: products of residual and sizes (G, n).
+        gram: products of the sizes (G, n * n).
+        count: entries of each group (G,).
+    """
+
+    own: np.ndarray
+    square: np.ndarray
+    right: np.ndarray
+    gram: np.ndarray
+    count: np.ndarray
+
+    @staticmethod
+    def of(run: RunSums, terms: Sequence[Key], limbs: Limbs) -> "_Part":
+        use = [*run.places(terms), *own_places(run)]
+        gram = run.sums[:, use][:, :, use].reshape(len(run.sums), -1)
+        own = own_precision(run, limbs)
+        return _Part(own, run.sums[:, 0, 0], run.sums[:, use, 0], gram, run.count)
 
 
 @dataclass(frozen=True)
@@ -276,40 +308,32 @@ class _Posterior:
 
 
 def _posterior(
-    runs: Sequence[RunSums],
-    terms: Sequence[Key],
-    limbs: Limbs,
-    known: tuple[float, float, np.ndarray],
-    D: np.ndarray,
+    runs: Sequence[_Part], known: tuple[float, float, np.ndarray], D: np.ndarray
 ) -> _Posterior:
     """One round of expectation maximisation from a, b and the noise (G,) in `known`."""
     a, b, noise = known
-    C, common = len(terms), slice(len(terms))
-    own = [np.append((b**2 * D) ** -1.0, own_precision(run, limbs)) for run in runs]
-    precision, score, parts = np.diag((a**2 * D) ** -1.0), np.zeros(C), []
-    for run, weak in zip(runs, own, strict=True):
-        use = [*run.places(terms), *own_places(run)]
-        G = run.whitened(noise)
-        inverse = np.linalg.inv(G[np.ix_(use, use)] + np.diag(weak))
-        left = G[np.ix_(use, [0, *use[:C]])]
-        S = G[np.ix_(use[:C], [0, *use[:C]])] - left[:, 1:].T @ inverse @ left
-        score, precision = score + S[:, 0], precision + S[:, 1:]
-        parts.append((use, inverse, G[use, 0]))
+    C, weak, information = len(D), (b**2 * D) ** -1.0, noise**-2.0
+    precision, score, solved = np.diag((a**2 * D) ** -1.0), np.zeros(C), []
+    for run in runs:
+        n = run.right.shape[1]
+        G, right = (information @ run.gram).reshape(n, n), information @ run.right
+        inverse = np.linalg.inv(G + np.diag(np.append(weak, run.own)))
+        left = G[:, :C]
+        precision = precision + G[:C, :C] - left.T @ inverse @ left
+        score = score + right[:C] - left.T @ inverse @ right
+        solved.append((inverse, right))
     covariance = np.linalg.inv(precision)
     mean = covariance @ score
     between, square = 0.0, np.zeros(len(noise))
-    for run, weak, (use, inverse, right) in zip(runs, own, parts, strict=True):
+    for run, (inverse, right) in zip(runs, solved, strict=True):
         # Sizes of the run given the common ones, and their derivative with respect to these.
-        pull = inverse[:, common] * weak[common]
-        sizes = inverse @ right + pull @ mean
-        spread = inverse + pull @ covariance @ pull.T
-        apart, more = sizes[common] - mean, pull[common] - np.eye(C)
-        vary = np.diag(inverse)[common] + np.einsum("ij,jk,ik->i", more, covariance, more)
-        between += float(np.sum((apart**2 + vary) / D))
-        vector = np.zeros(run.sums.shape[1])
-        vector[0], vector[use] = 1.0, -sizes
-        square += run.sums @ vector @ vector
-        square += np.einsum("gij,ji->g", run.sums[:, use][:, :, use], spread)
+        pull = inverse[:, :C] * weak
+        sizes, spread = inverse @ right + pull @ mean, inverse + pull @ covariance @ pull.T
+        more = pull[:C] - np.eye(C)
+        vary = np.diag(inverse)[:C] + np.sum(more @ covariance * more, axis=1)
+        between += float(np.sum(((sizes[:C] - mean) ** 2 + vary) / D))
+        second = (np.outer(sizes, sizes) + spread).ravel()
+        square += run.square - 2.0 * run.right @ sizes + run.gram @ second
     return _Posterior(
         mean=mean,
         covariance=covariance,
