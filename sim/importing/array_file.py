@@ -80,8 +80,8 @@ def read_hdf5(path: Path) -> RecordedTable:
                 f"arrays, of a timeseries t = {name}.Time; data = {name}.Data"
             )
         # A chunk is unpacked as a whole, however little of it the array has.
-        whole = [(np.prod(np.maximum(d.shape, d.chunks or 0)), d) for d in every.values()]
-        _bounded(path, sum(float(size) * one.dtype.itemsize for size, one in whole))
+        held = [(np.prod(np.maximum(d.shape, d.chunks or 0)), d) for d in every.values() if d.shape]
+        _bounded(path, sum(float(size) * one.dtype.itemsize for size, one in held))
         for name, node in found.items():
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
