@@ -74,6 +74,8 @@ class Import(CheckedSettings, OutputSettings):
     def run(self) -> None:
         kind = len(self.files) > 1 and self.files[0] in ("csv", "bag")  # alone it is a file's name
         files = self.files[1:] if kind else self.files
+        for file in files:
+            file_there(file)
         if self.guess:
             self._draft(files)
             return

@@ -75,20 +75,19 @@ def read_hdf5(path: Path) -> RecordedTable:
         if objects and not found:
             name, node = next(iter(objects.items()))
             kind = np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
-            remedy = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
             raise SurefootError(
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
-                f"arrays{remedy if kind == 'timeseries' else ''}"
+                f"arrays, of a timeseries t = {name}.Time; data = {name}.Data"
             )
         # A chunk is unpacked as a whole, however little of it the array has.
-        whole = [(max(d.size, np.prod(d.chunks or 0)), d) for d in every.values() if d.shape]
-        _bounded(path, sum(size * one.dtype.itemsize for size, one in whole))
+        held = [(np.prod(np.maximum(d.shape, d.chunks or 0)), d) for d in every.values() if d.shape]
+        _bounded(path, sum(float(size) * one.dtype.itemsize for size, one in held))
         for name, node in found.items():
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
-            elif h5py.check_string_dtype(node.dtype) and node.ndim == 1 and node.size <= MOST_NAMES:
-                texts = (node.asstr(errors="replace")[k] for k in range(node.size))
+            elif h5py.check_string_dtype(node.dtype) and node.ndim == 1 and len(node) <= MOST_NAMES:
+                texts = (node.asstr(errors="replace")[k] for k in range(len(node)))
                 arrays[name] = np.array([text[:_LONGEST_NAME] for text in texts])
         return _table(path, arrays | _matlab_strings(every))
 

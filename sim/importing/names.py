@@ -65,7 +65,7 @@ _WORDS: dict[str, tuple[str, str]] = {
 """Word -> what it votes for, and which."""
 _SOURCES = ("bias", "error", "parameter", "command", "reference", "estimate", "filtered")
 """Kinds of source, the deciding one of several first: an estimated bias is a bias."""
-_LEGS_OF_TWO_WORDS = {
+_LEGS_OF_TWO_WORDS: dict[frozenset[str], str] = {
     frozenset((end, side)): ("f" if end in ("front", "fore") else "r") + side[0]
     for end in ("front", "fore", "rear", "hind", "back")
     for side in ("left", "l", "right", "r")
