@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.found import Found
@@ -38,6 +39,10 @@ from surefoot.sim.robot.limbs import Limbs
 
 NAMED = 2.0 * np.log(1e3)
 """Twice the logarithm of the odds from which a change is named: a thousand to one."""
+CHANCE = 0.005
+"""Probability by which Student's t of as many runs, less one, exceeds the least excess on one side:
+how runs differ is known no better than that.
+"""
 AS_LIKELY = 2.0 * np.log(20.0)
 """The same up to which another explanation is as good: twenty to one."""
 SURE = 1.645
@@ -95,6 +100,11 @@ class Explanation:
     deviations: np.ndarray
     evidence: float
     overlap: float = 1.0
+
+    @property
+    def excess(self) -> float:
+        """The largest of its sizes in standard deviations."""
+        return float(np.max(np.abs(self.sizes) / self.deviations))
 
     @property
     def of_sensor(self) -> bool:
@@ -194,7 +204,7 @@ def _best(
     new = _NewRuns(runs, known, sums[0].keys, S, limbs)
     every = [_explained(keys, part, new) for keys, part in _explanations(new)]
     every = [one for one in every if one is not None]
-    least = {one.keys[0]: _least(one, limbs) for one in every if len(one.keys) == 1}
+    least = {one.keys[0]: _least(one, new) for one in every if len(one.keys) == 1}
     if contradicted := _contradicted(sums, known):
         return Change("not_identifiable", contradicted, (), (), least)
     first = sorted(every, key=lambda one: -one.evidence)
@@ -211,7 +221,7 @@ def _best(
     alike = [one for one in as_good if one.of_sensor == first[0].of_sensor]
     inside = [one for one in alike if one.part <= first[0].part]
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
-    if best.evidence < NAMED:
+    if best.evidence < NAMED or best.excess < _least_excess(known):
         return Change("unchanged", (), (), (), least)
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
@@ -365,12 +375,17 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
     return best
 
 
-def _least(one: Explanation, limbs: Limbs) -> float:
+def _least(one: Explanation, new: _NewRuns) -> float:
     """The least size that is named in 95 of 100 runs like these."""
-    deviation, prior = float(one.deviations[0]), _prior(one.keys[0], limbs)
+    deviation, prior = float(one.deviations[0]), _prior(one.keys[0], new.limbs)
     ratio = (prior / deviation) ** 2
     z = np.sqrt((NAMED + np.log1p(ratio)) * (1.0 + ratio) / ratio)
-    return float((z + SURE) * deviation)
+    return float((max(z, _least_excess(new.known)) + SURE) * deviation)
+
+
+def _least_excess(known: ModelError) -> float:
+    """Standard deviations that unchanged runs hardly exceed, as few as they are."""
+    return float(stdtrit(known.runs - 1, 1.0 - CHANCE))
 
 
 def _contradicted(runs: Sequence[RunSums], known: ModelError) -> tuple[str, ...]:

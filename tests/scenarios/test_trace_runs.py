@@ -182,27 +182,30 @@ def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
 
 def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path, capsys):
     """A rotor seems another in each run: one more such run is no change, friction is one."""
-    logs = [run(0, armature=0.01), run(1, armature=0.03), run(2, armature=0.05)]
+    logs = [run(k, armature=x) for k, x in ((0, 0.01), (1, 0.03), (2, 0.05), (5, 0.02))]
     out = tmp_path / "calibrated"
     before = trace(logs, PENDULUM, out, TraceOptions(declared=[]))
-    assert before.run_variation is not None
+    assert before.model_error is not None
     declared = load_effects(out / "effects.toml")
     since = unchanged_beside(out / "effects.toml", declared)
     assert since is not None
-    assert since == before.run_variation
-    assert since.size_spread["armature", "shoulder"] == pytest.approx(0.02, rel=0.5)
+    assert since.keys == before.model_error.keys
+    assert np.array_equal(since.covariance, before.model_error.covariance)
     one_more = run(3, armature=0.05)
-    assert names(trace_logs([one_more], PENDULUM, TraceOptions(declared=declared))) != []
     again = trace_logs([one_more], PENDULUM, TraceOptions(declared=declared, since=since))
-    assert (again.verdict, names(again)) == ("no_residual", [])
+    assert (again.verdict, names(again)) == ("unchanged", [])
+    assert again.least["coulomb_friction", "shoulder"] < 1.2
     one_more.write(tmp_path / "new.parquet")
     main(["trace", str(tmp_path / "new.parquet"), "--declared", str(out / "effects.toml"), "-o",
           str(tmp_path / "new")])  # fmt: skip
-    assert "3 runs of the unchanged machine" in capsys.readouterr().out
-    rubs = run(4, armature=0.03, friction=0.5)
+    said = capsys.readouterr().out
+    assert "verdict: unchanged" in said
+    assert "4 runs of the unchanged machine" in said
+    assert "coulomb_friction" in said
+    rubs = run(4, armature=0.03, friction=0.8)
     changed = trace_logs([rubs], PENDULUM, TraceOptions(declared=declared, since=since))
-    assert names(changed)[0] == ("coulomb_friction", "shoulder")
-    assert changed.found[0].interval[0] < 0.5 < changed.found[0].interval[1]
+    assert (changed.verdict, names(changed)) == ("attributed", [("coulomb_friction", "shoulder")])
+    assert changed.found[0].interval[0] < 0.8 < changed.found[0].interval[1]
 
 
 def test_another_traces_runs_say_nothing_and_damaged_ones_are_one_line(tmp_path):
@@ -210,13 +213,24 @@ def test_another_traces_runs_say_nothing_and_damaged_ones_are_one_line(tmp_path)
     file = tmp_path / "trace.json"
     assert unchanged_beside(tmp_path / "effects.toml", [ROTOR]) is None
     said = {"effects": [{**ROTOR.as_dict(), "interval": [0.02, 0.04]}]}
-    sizes = {"runs": 3, "differ": [{"name": "armature", "target": "shoulder", "deviation": 0.01}]}
-    file.write_text(json.dumps(said | {"unchanged": {**sizes, "left": {"joint_torque": 0.5}}}))
+    error = {
+        "runs": 3,
+        "terms": [{"name": "armature", "target": "shoulder", "mean": 0.01}],
+        "covariance": [[1e-4]],
+        "noise": [{"channel": "joint_torque", "kind": "shoulder", "level": 0.1}],
+        "rates": {"shoulder": 0.02},
+    }
+    file.write_text(json.dumps(said | {"unchanged": error}))
     known = unchanged_beside(tmp_path / "effects.toml", [ROTOR])
     assert known is not None
-    assert known.size_spread == {("armature", "shoulder"): 0.01}
+    assert known.keys == (("armature", "shoulder"),)
     assert unchanged_beside(tmp_path / "effects.toml", []) is None
-    for damaged in (sizes, {**sizes, "left": {"joint_torque": -1}}, {**sizes, "left": []}, 3):
+    for damaged in (
+        error | {"covariance": [[-1e-4]]},
+        error | {"noise": [{"channel": "joint_torque", "kind": "shoulder", "level": 0}]},
+        error | {"terms": []},
+        3,
+    ):
         file.write_text(json.dumps(said | {"unchanged": damaged}))
         with pytest.raises(SurefootError, match="'unchanged' is damaged; trace the runs again"):
             unchanged_beside(tmp_path / "effects.toml", [ROTOR])
