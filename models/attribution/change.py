@@ -77,6 +77,10 @@ FAR = 0.2
 """Size of a zero from which the residual is not linear in it [rad]."""
 FAR_STARTS = (-2.8, -2.0, -1.2, -0.4, 0.4, 1.2, 2.0, 2.8)
 """Zeros from which a far one is refined [rad]."""
+_ROUNDS = 4
+"""Most rounds in which the noise is adapted to what the best explanation leaves."""
+_AS_UNCHANGED = 1.05
+"""Ratio of what it leaves to the noise at which it is as in the unchanged runs."""
 NEAR = 0.3
 """Share of the best evidence from which an explanation may turn out better in the refinement."""
 
@@ -91,6 +95,7 @@ class Explanation:
         sizes: (k,).
         deviations: standard deviations of the sizes (k,), as the runs tell them.
         evidence: twice the logarithm of its odds against the unchanged machine.
+        gain: reduction of the runs' squared error by it.
         overlap: cosine between its first regressor and that of the explanation it is a rival of.
     """
 
@@ -99,6 +104,7 @@ class Explanation:
     sizes: np.ndarray
     deviations: np.ndarray
     evidence: float
+    gain: float
     overlap: float = 1.0
 
     @property
@@ -200,22 +206,19 @@ def _best(
     runs: Sequence[RunEvidence], sums: Sequence[RunSums], known: ModelError, limbs: Limbs
 ) -> Change:
     """The change that the runs tell, without residuals."""
-    S = sum(against_unchanged(run, known, limbs) for run in sums)
-    new = _NewRuns(runs, known, sums[0].keys, S, limbs)
-    every = [_explained(keys, part, new) for keys, part in _explanations(new)]
-    every = [one for one in every if one is not None]
-    least = {one.keys[0]: _least(one, new) for one in every if len(one.keys) == 1}
+    entries = float(sum(run.count.sum() for run in sums))
+    for _ in range(_ROUNDS):
+        S = sum(against_unchanged(run, known, limbs) for run in sums)
+        new = _NewRuns(runs, known, sums[0].keys, S, limbs)
+        first = _ranked(new)
+        # What the best explanation leaves is noise that the unchanged runs did not have.
+        left = np.sqrt((S[0, 0] - first[0].gain) / entries)
+        if left < _AS_UNCHANGED:
+            break
+        known = replace(known, noise={group: left * x for group, x in known.noise.items()})
+    least = {one.keys[0]: _least(one, new) for one in first if len(one.keys) == 1}
     if contradicted := _contradicted(sums, known):
         return Change("not_identifiable", contradicted, (), (), least)
-    first = sorted(every, key=lambda one: -one.evidence)
-    if first[0].evidence > NAMED:
-        single = [one for one in first if len(one.keys) == 1]
-        near = [one for one in single if one.evidence > NEAR * first[0].evidence][:CONTENDERS]
-        # Far from zero, a lost zero does not look like its derivative.
-        near += [one for one in single if _is_lost_zero(one.keys) and one.part <= first[0].part]
-        refined = {one.keys: _refined(one, new) for one in near}
-        every = [refined.get(one.keys, one) for one in every]
-        first = sorted(every, key=lambda one: -one.evidence)
     # Of explanations that are about as good, the one of the fewest parts and sizes.
     as_good = [one for one in first if one.evidence > first[0].evidence - AS_LIKELY]
     alike = [one for one in as_good if one.of_sensor == first[0].of_sensor]
@@ -235,6 +238,20 @@ def _best(
         return Change("not_identifiable", tuple(dict.fromkeys(reasons)), (), rivals, least)
     verdict = "confounded" if rivals else "attributed"
     return Change(verdict, (), _found(best, limbs), rivals, least)
+
+
+def _ranked(new: "_NewRuns") -> list[Explanation]:
+    """Every explanation, the one with the greatest evidence first."""
+    tried = [_explained(keys, part, new) for keys, part in _explanations(new)]
+    first = sorted((one for one in tried if one is not None), key=lambda one: -one.evidence)
+    if first[0].evidence < NAMED:
+        return first
+    single = [one for one in first if len(one.keys) == 1]
+    near = [one for one in single if one.evidence > NEAR * first[0].evidence][:CONTENDERS]
+    # Far from zero, a lost zero does not look like its derivative.
+    near += [one for one in single if _is_lost_zero(one.keys) and one.part <= first[0].part]
+    refined = {one.keys: _refined(one, new) for one in near}
+    return sorted((refined.get(one.keys, one) for one in first), key=lambda one: -one.evidence)
 
 
 @dataclass(frozen=True)
@@ -345,7 +362,8 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Ex
         + np.linalg.slogdet(covariance)[1]
     )
     sizes = prior**2 * np.linalg.solve(both, alone)
-    return Explanation(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence))
+    gain = float(alone @ new.S[place, 0])
+    return Explanation(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence), gain)
 
 
 def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
@@ -367,10 +385,13 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
             size = new.clipped(key, size)
         S = new.at(key, size)
         variance = 1.0 / S[1, 1]
-        evidence = new.S[0, 0] - S[0, 0] - (size / prior) ** 2 - np.log1p(prior**2 / variance)
+        gain = float(new.S[0, 0] - S[0, 0])
+        evidence = gain - (size / prior) ** 2 - np.log1p(prior**2 / variance)
         if evidence > best.evidence:
             known = np.array([size]), np.sqrt([variance])
-            best = replace(one, sizes=known[0], deviations=known[1], evidence=float(evidence))
+            best = replace(
+                one, sizes=known[0], deviations=known[1], evidence=float(evidence), gain=gain
+            )
         size += (S[1, 0] / S[1, 1] - size * variance / prior**2) / (1.0 + variance / prior**2)
     return best
 
