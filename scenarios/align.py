@@ -14,6 +14,7 @@ from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save
 from surefoot.scenarios.settings import AlignSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
+from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.importing.reference import REFERENCE_OFFSET, reference_offset, tracked_poses
 from surefoot.sim.log import Log
@@ -34,11 +35,11 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     out, robot = settings.out, settings.robot
     for name in _OUTPUTS:
         refuse_overwrite(out / name, settings.force)
-    log, poses, about = _read(settings.file, settings.map)
+    log, poses, about, R_GW = _read(settings.file, settings.map)
     if len(poses.t) < 2 or min(np.ptp(log.t), np.ptp(poses.t)) < LEAST_OVERLAP:
         raise SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     at = Robot.for_log(log, robot) if robot else None
-    found = align(log, poses, settings.most, about=about)
+    found = align(log, poses, settings.most, about=about, R_GW=R_GW)
     with whole_folder(out, settings.force) as folder:
         write_whole(folder / "alignment.json", json.dumps(found.as_dict(), indent=1) + "\n")
         save_png(figure(log, poses, found), folder / "alignment.png")
@@ -86,19 +87,22 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
     return drawn
 
 
-def _read(file: Path, map: str | None) -> tuple[Log, Poses, float]:
-    """The log, the poses of its reference, and the clock offset that its map adds to theirs [s]."""
+def _read(file: Path, map: str | None) -> tuple[Log, Poses, float, np.ndarray]:
+    """The log, the poses of its reference, the clock offset that its map adds to theirs [s], and
+    the rotation (3, 3) by which it turns their world.
+    """
     recording = read_recording(file, map) if map is not None else None
     reference = recording.rules.sections.reference if recording is not None else None
     if recording is not None and recording.poses is not None and reference is not None:
-        poses = tracked_poses(recording.poses, reference)
+        R_GW = matrix_from_quaternion(np.array(reference.q_GW))
+        poses = tracked_poses(recording.poses, replace(reference, q_GW=(1.0, 0.0, 0.0, 0.0)))
         about = reference_offset(recording.rules, recording.name)
-        return recording.without_reference().log(), poses, about
+        return recording.without_reference().log(), poses, about, R_GW
     log = recording.log() if recording is not None else Log.read(file)
     log.require("imu", "reference")
     # Its poses have the offset of its map already.
     poses, about = reference_poses(log), log.meta.model.get(REFERENCE_OFFSET, 0.0)
-    return log, replace(poses, t=poses.t - about), about
+    return log, replace(poses, t=poses.t - about), about, np.eye(3)
 
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:

@@ -18,11 +18,14 @@ from surefoot.models.alignment.least_squares import (
 )
 from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, guess_from_rotation
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.importing.reference import REFERENCE_OFFSET, mounted, with_reference
+from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.importing.reference import REFERENCE_OFFSET, in_world, mounted, with_reference
 from surefoot.sim.importing.reference_check import without_jumps
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
+from surefoot.sim.plausibility.axes import match_axes
+from surefoot.sim.plausibility.reference import FASTEST_LEGS
 
 LARGEST_OFFSET = 10.0
 """Largest clock offset searched for [s]: two programs that are started by hand."""
@@ -34,6 +37,9 @@ MOST_ROTATION_MISSED = 0.15
 """Largest share of the gyro's rotation that the tracked body may lack. A gyro read at 100 Hz misses
 less than a tenth of a walk's rotation; a loose body, or another one, lacks more.
 """
+_LEVEL = np.eye(3)
+_OFF_AXIS = 0.25
+"""Largest error of the mean specific force along an axis of the reference's world, in gravities."""
 _FORCE_SHIFT = 5.0
 """Largest difference of the accelerometer's mean from the specific force of the reference [m/s^2]:
 half of gravity. A bias is smaller, as is the effect of the first guess of the rotation; gravity
@@ -42,22 +48,17 @@ with the wrong sign is larger.
 
 
 @dataclass(frozen=True)
-class Alignment:
+class Alignment(Placement):
     """Clock offset, position and rotation of a tracked body M relative to the IMU I.
 
     Half widths are those of 95 % intervals.
 
     Attributes:
-        offset: to add to the reference's stamps [s].
+        q_GW: of the reference's world, to one with z up, as w, x, y, z.
         offset_half_width: [s].
         halves: offsets fitted to each half of the log (2,) [s].
-        p_IM: M's origin in I (3,) [m].
         p_IM_half_width: (3,) [m].
-        R_IM: rotation from M's axes to I's (3, 3).
         R_IM_half_width: (3,) [rad].
-        bias_gyro: (3,) [rad/s].
-        bias_accel: (3,) [m/s^2].
-        tilt: of the reference's vertical, along x and y (2,) [rad].
         turn_missed: share of the gyro's rotation that the tracked body does not have.
         accel_sign: factor of each axis that makes the accelerometer a specific force (3,).
         accel_offset: to add to it (3,) [m/s^2].
@@ -67,16 +68,11 @@ class Alignment:
         faults: reasons to doubt the result, in words.
     """
 
-    offset: float
+    q_GW: np.ndarray
     offset_half_width: float
     halves: np.ndarray
-    p_IM: np.ndarray
     p_IM_half_width: np.ndarray
-    R_IM: np.ndarray
     R_IM_half_width: np.ndarray
-    bias_gyro: np.ndarray
-    bias_accel: np.ndarray
-    tilt: np.ndarray
     turn_missed: float
     accel_sign: np.ndarray
     accel_offset: np.ndarray
@@ -119,6 +115,7 @@ class Alignment:
             f"offset = {self.offset:.5f} # s",
             f"p_IM = [{_numbers(self.p_IM, 4)}] # m, of the tracked body in the IMU frame",
             f"q_IM = [{_numbers(self.q_IM, 6)}] # w, x, y, z",
+            *[f"q_GW = [{_numbers(self.q_GW, 6)}] # of its world"] * bool(self.q_GW[0] < 1.0),
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -134,6 +131,7 @@ def align(
     most: float = LARGEST_OFFSET,
     seed: int = 0,
     about: float = 0.0,
+    R_GW: np.ndarray = _LEVEL,
 ) -> Alignment:
     """Find clock offset, position and rotation of a reference, from IMU and reference alone.
 
@@ -144,11 +142,13 @@ def align(
             the clocks enough time in common, all offsets that do are searched.
         seed: of the bootstrap of the intervals.
         about: known part of the clock offset [s].
+        R_GW: known part of the rotation (3, 3) of the poses' world to one with z up; a turn of the
+            whole gravity is added to it.
 
     Raises SurefootError if the log has no IMU or no reference, or they overlap too little.
     """
     log.require("imu")
-    poses = without_jumps(reference_poses(log) if poses is None else poses)
+    poses = without_jumps(in_world(reference_poses(log) if poses is None else poses, R_GW))
     t, gyro, accel = log.t, log.gyro, log.accel
     too_little = SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     apart = max(poses.t[0] + about - t[-1], t[0] - poses.t[-1] - about) + LEAST_OVERLAP
@@ -156,15 +156,22 @@ def align(
         about = 0.5 * float(t[0] + t[-1] - poses.t[0] - poses.t[-1])
         most = 0.5 * float(np.ptp(t) + np.ptp(poses.t))
     poses = replace(poses, t=poses.t + about)
-    guess = guess_from_rotation(t, gyro, poses, most)
-    if guess is None:
+    start = guess_from_rotation(t, gyro, poses, most)
+    if start is None:
         raise too_little
-    none = np.zeros(3)
-    start = Placement(guess.offset, guess.R_IM, guess.bias, none, none, np.zeros(2))
     readings = Readings(t, gyro, accel, poses)
+    speed = float(np.median(np.linalg.norm(np.diff(poses.p, axis=0), axis=1) / np.diff(poses.t)))
+    if speed > FASTEST_LEGS:
+        unit = "in mm, not m? Set the unit of ref_p in the map first"
+        raise SurefootError(f"{log.name}: the reference moves at {speed:.3g} m/s: {unit}")
     felt, moved, lever = specific_forces(readings, start)
     if len(felt) < _FEWEST_SAMPLES:
         raise too_little
+    turn = _level(readings, start, felt.mean(axis=0))
+    turned = ("the reference's world has another axis up than z: see q_GW",) * (turn is not None)
+    if turn is not None:
+        readings, R_GW = replace(readings, poses=in_world(poses, turn)), turn @ R_GW
+        felt, moved, lever = specific_forces(readings, start)
     sign, shift = _accelerometer(felt, moved, lever)
     readings = replace(readings, accel=accel * sign + shift)
     fitted = fit_placement(readings, start, np.random.default_rng(seed))
@@ -176,23 +183,19 @@ def align(
     # The median of the residual, since impacts smeared by the IMU's filter are not another body.
     missed = 3.0 * (1.4826 * np.median(np.abs(fitted.rates))) ** 2 / turning
     return Alignment(
-        offset=about + found.offset,
+        **vars(replace(found, offset=about + found.offset)),
+        q_GW=quaternion_from_matrix(R_GW),
         offset_half_width=float(width[0]),
         halves=halves,
-        p_IM=found.p_IM,
         p_IM_half_width=width[10:13],
-        R_IM=found.R_IM,
         R_IM_half_width=width[1:4],
-        bias_gyro=found.bias_gyro,
-        bias_accel=found.bias_accel,
-        tilt=found.tilt,
         turn_missed=float(missed),
         accel_sign=sign,
         accel_offset=shift,
         other_epoch=other_epoch,
         samples=len(fitted.t),
         fitted=fitted,
-        faults=_faults(float(missed), halves, sign, shift),
+        faults=(*turned, *_faults(float(missed), halves, sign, shift)),
     )
 
 
@@ -202,6 +205,7 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
     `poses` are those that were aligned, by default the log's own; rows outside them are cut.
     """
     poses = reference_poses(log) if poses is None else poses
+    poses = in_world(poses, matrix_from_quaternion(alignment.q_GW))
     late = Poses(poses.t + alignment.offset, poses.p, poses.q)
     at_imu = mounted(late, alignment.p_IM, alignment.R_IM)
     columns = {str(n): x.to_numpy() for n, x in log.frame.items() if not str(n).startswith("ref_")}
@@ -212,6 +216,23 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
     model.pop(REFERENCE_OFFSET, None)
     frame = log.frame.iloc[:0].reindex(columns=list(columns)).assign(**columns)
     return replace(log, frame=frame, meta=replace(log.meta, derived=derived, model=model))
+
+
+def _level(readings: Readings, at: Placement, felt: np.ndarray) -> np.ndarray | None:
+    """Rotation (3, 3) to a world with z up, where the mean specific force (3,) [m/s^2] is along
+    another axis of the reference's world and the motion fits it there; else None.
+
+    Along -z only that of an upright IMU: else it may be the accelerometer's sign.
+    """
+    up = (readings.poses.R @ at.R_IM.T @ felt).mean(axis=0) / GRAVITY
+    axis = np.round(up)
+    upright = axis[2] > 0.0 or (axis[2] < 0.0 and felt[2] < 0.0)
+    if upright or np.abs(axis).sum() != 1.0 or np.linalg.norm(up - axis) > _OFF_AXIS:
+        return None
+    turn = np.round(Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0].as_matrix())
+    poses = in_world(readings.poses, turn)
+    felt, moved, _ = specific_forces(replace(readings, poses=poses), at)
+    return turn if match_axes(felt, moved).alike else None
 
 
 def _accelerometer(
@@ -247,6 +268,9 @@ def _faults(
             f"the halves of the log disagree by {1e3 * abs(halves[1] - halves[0]):.0f} ms: a clock "
             "that drifts or jumps"
         )
+    if np.count_nonzero(shift) > 1:
+        shift = 0.0 * shift
+        found.append("gravity is along other axes of accel than of the reference: swapped ones?")
     for axis, s, d in zip("xyz", sign, shift, strict=True):
         if s < 0 or d:
             found.append(

@@ -6,13 +6,13 @@ each, the rates are rotated by the best rotation (Kabsch, Acta Crystallographica
 the peak with the smallest difference is taken.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
+from surefoot.models.alignment.least_squares import Placement
 from surefoot.sim.common.series import convolve
+from surefoot.sim.importing.streams import with_short_gaps
 from surefoot.sim.log.reference import Poses
 
 _STEP = 0.005
@@ -25,28 +25,11 @@ _PEAKS = 12
 """Number of offsets whose rates are compared: the strides within ten seconds."""
 
 
-@dataclass(frozen=True)
-class RotationGuess:
-    """A first guess of a reference's clock offset and rotation.
-
-    Attributes:
-        offset: to add to the reference's stamps [s].
-        R_IM: rotation (3, 3) from the tracked body M to the IMU I.
-        bias: of the gyro (3,) [rad/s].
-        missed: share of the gyro's rotation that the reference does not have.
-    """
-
-    offset: float
-    R_IM: np.ndarray
-    bias: np.ndarray
-    missed: float
-
-
 def guess_from_rotation(
     t: np.ndarray, gyro: np.ndarray, poses: Poses, most: float
-) -> RotationGuess | None:
-    """The best guess with an offset within +-`most` [s]; None if IMU and reference have too little
-    time in common.
+) -> Placement | None:
+    """The best guess of clock offset, rotation and gyro bias, with an offset within +-`most` [s];
+    None if IMU and reference have too little time in common.
 
     t (N,) [s] and gyro (N, 3) [rad/s] are those of the IMU.
     """
@@ -55,7 +38,10 @@ def guess_from_rotation(
     fastest = 1.5 * np.linalg.norm(gyro, axis=1).max()
     size = np.maximum(np.linalg.norm(rates, axis=1), 1e-12)
     rates = rates * np.minimum(1.0, fastest / size)[:, None]
-    t, middle = _with_short_gaps(t, middle, 2.0 * (most + LEAST_OVERLAP))
+    # An offset up to half of the longest gap that both keep moves nothing across it.
+    both = np.union1d(t, middle)
+    short = with_short_gaps(both, 2.0 * (most + LEAST_OVERLAP))
+    t, middle = (short[np.searchsorted(both, one)] for one in (t, middle))
     here, there = (np.arange(x[0], x[-1], _STEP) for x in (t, middle))
     a, b = smoothed(here, t, gyro), smoothed(there, middle, rates)
     shift = there[0] - here[0]
@@ -68,21 +54,7 @@ def guess_from_rotation(
     tried = [
         _guess_at_offset(here, a, there, b, lags[k] + n * _STEP) for k in best for n in range(-6, 7)
     ]
-    return min((one for one in tried if one), key=lambda one: one.missed, default=None)
-
-
-def _with_short_gaps(
-    t: np.ndarray, middle: np.ndarray, longest: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times t (N,) and `middle` (K,) [s] without what exceeds `longest` [s] of the gaps that both
-    have: an offset up to half of it moves nothing across such a gap.
-    """
-    both = np.union1d(t, middle)
-    more = np.maximum(np.diff(both) - longest, 0.0)
-    if not more.any():
-        return t, middle
-    short = both - np.concatenate([[0.0], np.cumsum(more)])
-    return short[np.searchsorted(both, t)], short[np.searchsorted(both, middle)]
+    return min((one for one in tried if one), key=lambda one: one[0], default=(0.0, None))[1]
 
 
 def rates_of(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
@@ -119,8 +91,9 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _guess_at_offset(
     here: np.ndarray, a: np.ndarray, there: np.ndarray, b: np.ndarray, offset: float
-) -> RotationGuess | None:
-    """The best rotation from rates b, at the times `there` plus `offset`, to rates a at `here`.
+) -> tuple[float, Placement] | None:
+    """The best rotation from rates b, at the times `there` plus `offset`, to rates a at `here`,
+    after the share of the gyro's rotation that the reference does not have with it.
 
     Args:
         here: (A,) times of the IMU [s].
@@ -141,5 +114,5 @@ def _guess_at_offset(
     turned = np.sum(a**2)
     if turned == 0.0:
         return None
-    missed = float(np.sum((a - b @ R.T) ** 2) / turned)
-    return RotationGuess(float(offset), R, mean_a - R @ mean_b, missed)
+    missed, zero = float(np.sum((a - b @ R.T) ** 2) / turned), np.zeros(3)
+    return missed, Placement(float(offset), R, mean_a - R @ mean_b, zero, zero, zero[:2])

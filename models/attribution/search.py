@@ -10,8 +10,7 @@ from surefoot.models.attribution.drift import adds_drift
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, all_keys, linearise
 from surefoot.models.attribution.fit import NormalEquations, design, fit, normal_equations, overlap
 from surefoot.models.attribution.found import Found
-from surefoot.models.attribution.harm import find_harmful_effect
-from surefoot.models.attribution.levels import channel_gains
+from surefoot.models.attribution.levels import channel_gains, channel_levels, without_nuisance
 from surefoot.models.attribution.noise_floor import (
     NoiseFloor,
     is_compensated_approximately,
@@ -33,7 +32,8 @@ from surefoot.models.attribution.robust_weights import (
     noisy_leg_columns,
     robust_weights,
 )
-from surefoot.models.attribution.run_offsets import is_sampling_lag
+from surefoot.models.attribution.run_fit import fit_runs
+from surefoot.models.attribution.run_offsets import is_per_run, is_sampling_lag
 from surefoot.models.attribution.selection import (
     Candidate,
     SearchState,
@@ -76,7 +76,7 @@ def attribute(
     floor: NoiseFloor,
     split: Split,
     rng: np.random.Generator,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Attribution:
     """Greedy forward selection: add the best candidate on unseen blocks while one earns its place.
 
@@ -106,8 +106,7 @@ def attribute(
     rivals: tuple[tuple[Key, float], ...] = ()
     known, declared, use, plain = None, None, split.fit | split.select, floor
     while True:
-        if progress:
-            progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
+        progress(min(len(rounds) / (settings.most_effects + 1), 1.0))
         known, data = _refined_until_settled(cases, chosen, keys, known, floor, split)
         declared, found = declared or known.evidence, [_key(e) for e in known.explained]
         explained, limbs = approximate_gains(known), known.evidence.layout.limbs
@@ -177,8 +176,37 @@ def attribute(
     return Attribution(sized, tuple(rounds), rivals, weights, evidence, floor, harmful)
 
 
-LINK = ("link_mass", "link_com", "link_inertia")
-"""What a load changes of the link that it is tied to."""
+def find_harmful_effect(known: RefinementData) -> tuple[Effect, str] | None:
+    """The first channel that the effects make worse (`ChannelLevel.worse`), and the effect whose
+    removal improves it most; None where there is no such channel.
+
+    Per-run effects are compensated on both sides, at each run's own size.
+
+    Args:
+        known: the evidence with all effects compensated, and the matching noise floor.
+    """
+    weights, unseen = known.robust_weights, known.part == REPORT
+    several = known.evidence.settings.per_run_offsets
+    own = [e for e in known.explained if several and is_per_run(e.name)]
+    shared = [e for e in known.explained if e not in own]
+    runs = fit_runs(known, shared, own) if own else ()
+    cases = [run.case for run in runs] or known.cases
+
+    def left(evidence: Evidence) -> np.ndarray:
+        return without_nuisance(evidence, weights, ~unseen)[unseen]
+
+    before = linearise(cases, (), ())
+    after = linearise(cases, shared, ()) if own else known.evidence
+    levels = channel_levels(left(before), left(after), after, known.floor)
+    worse = next((name for name, level in levels.items() if level.worse), None)
+    if worse is None or not shared:
+        return None
+
+    def without(one: Effect) -> float:
+        others = linearise(cases, [e for e in shared if e != one], ())
+        return float(np.nanmean(left(others)[:, before.layout.of(worse)] ** 2))
+
+    return min(shared, key=without), worse
 
 
 def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
@@ -196,7 +224,7 @@ def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
         if is_sampling_lag(one, slowest):
             continue
         link = next((j for j in joints if one.target in (j, *(f"{j}_{a}" for a in AXES))), "")
-        causes.add(link if one.name in LINK and link else _key(one))
+        causes.add(link if link and one.name.startswith("link_") else _key(one))
     return len(causes)
 
 

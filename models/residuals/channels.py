@@ -110,16 +110,10 @@ class LegVelocity(Channel):
         return [np.nan_to_num(way) for way in _unknown_rolling(inputs)]
 
 
-class StanceVelocity(Channel):
+class StanceVelocity(LegVelocity):
     """Mean of the leg velocity residual over each stance, which leg odometry accumulates."""
 
     name = "stance_velocity"
-    unit = "m/s"
-    needs = ("q", "contact", "reference")
-    on_given_feet = True
-    imu_replaces_reference = True
-    masked_by = ("slid", "elsewhere")
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_legs("stance", self.unit, limbs)

@@ -5,6 +5,7 @@ import importlib
 import os
 import re
 import sys
+import warnings
 
 from surefoot.scenarios.cli.signals import catch_signals, ignore_signals
 from surefoot.sim.common.errors import SurefootError
@@ -24,16 +25,16 @@ would raise a traceback.
 BACKENDS = {"MPLBACKEND": "matplotlib", "MUJOCO_GL": "mujoco"}
 """Environment variable of a graphics backend -> module whose import fails for an unknown one."""
 
-COLLECTION = (10_000, 50, 100)
-"""Thresholds of Python's garbage collector. Imports and compiled kernels leave half a million
-objects, which the default thresholds scan again and again; cycles are rare.
-"""
-
 
 def entry_point() -> None:
     """Run the command line; environment variables and plug-ins are checked first."""
     catch_signals()
-    gc.set_threshold(*COLLECTION)
+    # Imports and compiled kernels leave half a million objects, which the default thresholds of the
+    # garbage collector scan again and again; cycles are rare.
+    gc.set_threshold(10_000, 50, 100)
+    # Of libraries, such as a mean of nothing: what matters to a user, a command says itself.
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     # No window is opened. Otherwise MuJoCo looks for a windowing library in another process, whose
     # traceback would appear on the terminal after a signal.
     os.environ.setdefault("MUJOCO_GL", "disable")
@@ -64,10 +65,8 @@ def _check_environment() -> None:
         elif not re.fullmatch(pattern, text):
             raise SurefootError(f"{name} must be {what}, is '{text}'")
     for name, library in BACKENDS.items():
-        text = os.environ.get(name)
-        if not text or text == "disable":
-            continue
-        try:
-            importlib.import_module(library)
-        except Exception as error:
-            raise SurefootError(f"{name}='{text}': {library} has no such backend") from error
+        if (text := os.environ.get(name)) not in (None, "", "disable"):
+            try:
+                importlib.import_module(library)
+            except Exception as error:
+                raise SurefootError(f"{name}='{text}': {library} has no such backend") from error

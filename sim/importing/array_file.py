@@ -23,7 +23,12 @@ _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element
 (MAT-File Format, MathWorks).
 """
-_CHUNK = 1 << 20
+MOST_NAMES, _LONGEST_NAME = 100, 200
+"""Largest number of words in a list of joints, and of letters in one of HDF5."""
+PARAMETERS = "parameters: not one for each row"
+"""Why an array or number of a file is no column."""
+_NESTED = 24
+"""Further bytes in memory of a value in a list or record of Parquet."""
 _DEEPEST = 20
 """Maximum depth of nested groups."""
 
@@ -64,31 +69,51 @@ def read_hdf5(path: Path) -> RecordedTable:
                 raise SurefootError(f"{path}: {name} lies in another file, which is not read")
             every[name] = node
             check_limit("columns", len(every), f"{path}: datasets")
-        found = {n: d for n, d in every.items() if d.shape and not n.startswith("#")}
+        found = {n: d for n, d in every.items() if d.size and not n.startswith("#")}
         objects = {n: d for n, d in found.items() if "MATLAB_object_decode" in d.attrs}
         found = {n: d for n, d in found.items() if n not in objects}
         if objects and not found:
             name, node = next(iter(objects.items()))
             kind = np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
-            remedy = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
             raise SurefootError(
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
-                f"arrays{remedy if kind == 'timeseries' else ''}"
+                f"arrays, of a timeseries t = {name}.Time; data = {name}.Data"
             )
-        _bounded(path, sum(one.size * one.dtype.itemsize for one in every.values() if one.shape))
+        # A chunk is unpacked as a whole, however little of it the array has.
+        held = [(np.prod(np.maximum(d.shape, d.chunks or 0)), d) for d in every.values() if d.shape]
+        _bounded(path, sum(float(size) * one.dtype.itemsize for size, one in held))
         for name, node in found.items():
             if node.dtype.kind in "fiubc" or node.dtype.names:
                 values = node[()]
                 arrays[name] = values.T if "MATLAB_class" in node.attrs else values
+            elif h5py.check_string_dtype(node.dtype) and node.ndim == 1 and len(node) <= MOST_NAMES:
+                texts = (node.asstr(errors="replace")[k] for k in range(len(node)))
+                arrays[name] = np.array([text[:_LONGEST_NAME] for text in texts])
         return _table(path, arrays | _matlab_strings(every))
 
 
 def read_parquet(path: Path) -> RecordedTable:
-    """Read the columns of a Parquet file."""
+    """Read the columns of a Parquet file, but no lists of texts, of which no column can be made.
+
+    A text is unpacked once for all cells that have it. Raises SurefootError.
+    """
     about = pq.read_metadata(path)
-    _bounded(path, 8.0 * about.num_rows * about.num_columns)
-    frame = pq.read_table(path).to_pandas(ignore_metadata=True)
-    return RecordedTable(path, {str(name): frame[name].to_numpy() for name in frame})
+    check_limit("items", about.num_columns * about.num_row_groups, f"{path}: parts of columns")
+    columns = [about.schema.column(k) for k in range(about.num_columns)]
+    size = 0.0
+    for k, one in enumerate(columns):
+        chunks = (about.row_group(group).column(k) for group in range(about.num_row_groups))
+        each = 8 + one.length + _NESTED * ("." in one.path)
+        size += sum(max(each * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
+    _bounded(path, size)
+    texts = [one.path for one in columns if one.physical_type == "BYTE_ARRAY"]
+    read = [one.path for one in columns if one.path not in texts or not one.max_repetition_level]
+    table = pq.ParquetFile(path, read_dictionary=texts).read(read)
+    found = {name: table[name].to_pandas() for name in table.column_names}
+    # As objects, since cells of categories would each have a text of their own.
+    cells = {n: x.astype(object) if x.dtype == "category" else x for n, x in found.items()}
+    lists = dict.fromkeys((one for one in texts if one not in read), "a list of texts")
+    return RecordedTable(path, {n: x.to_numpy() for n, x in cells.items()}, skipped=lists)
 
 
 def _datasets(
@@ -142,8 +167,7 @@ def _table(path: Path, found: Mapping[str, object]) -> RecordedTable:
             )
     check_limit("columns", len(cells), f"{path}: arrays")
     cells, parameters = rows_first(cells)
-    skipped = dict.fromkeys(parameters, "parameters: not one for each row")
-    return RecordedTable(path, cells, skipped=skipped)
+    return RecordedTable(path, cells, skipped=dict.fromkeys(parameters, PARAMETERS))
 
 
 def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
@@ -152,7 +176,7 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
     Rows are the axis whose length most values share; an array as long as the rows of another are
     wide, such as the gains of joints, has none.
     """
-    shared = Counter(n for one in arrays.values() for n in {*one.shape})
+    shared = Counter(n for one in arrays.values() for n in {*one.shape} - {1})
     found: dict[str, np.ndarray] = {}
     for name, one in arrays.items():
         rows = max(range(one.ndim), key=lambda k, shape=one.shape: shape[k] * shared[shape[k]])
@@ -163,6 +187,7 @@ def rows_first(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray],
         name
         for name, one in found.items()
         if one.dtype.kind != "U"
+        and len(one) > 1
         and (longest.get(len(one), 0) > len(one) or len(one) in {*longest} - recorded)
     )
     return {n: one for n, one in found.items() if n not in parameters}, parameters
@@ -172,7 +197,7 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
     """Arrays of up to three axes of a file's contents; fields of structs under their own names."""
     cells: dict[str, np.ndarray] = {}
     for name, content in found.items():
-        if not isinstance(content, np.ndarray | np.void):
+        if not isinstance(content, np.ndarray | np.generic | float | int):
             continue
         value: np.ndarray = np.asarray(content)
         if value.dtype.names:
@@ -184,10 +209,11 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             cells |= _arrays({name: value.astype("datetime64[ns]").astype(float) * 1e-9})
         elif value.dtype.kind == "S":
             cells |= _arrays({name: np.char.decode(value, errors="replace")})
-        elif value.dtype.kind in "fiubcU" and value.ndim in (1, 2, 3) and value.size:
+        elif value.dtype.kind in "fiubcU" and value.ndim < 4 and value.size:
             # Of the only episode, as gym-quadruped writes it, or the only robot.
             single = [k for k in (0, 1) if value.ndim == 3 and value.shape[k] == 1]
-            cells[name] = value.take(0, single[0]) if single else value
+            values = value.take(0, single[0]) if single else value
+            cells[name] = values.reshape(1) if values.size == 1 else values
     return cells
 
 
@@ -202,7 +228,7 @@ def _bound_inflated(path: Path) -> None:
         if kind == _MAT_COMPRESSED:
             unpacking, rest = zlib.decompressobj(), content[at + 8 : at + 8 + size]
             while rest:
-                total += len(unpacking.decompress(rest, _CHUNK))
+                total += len(unpacking.decompress(rest, 1 << 20))
                 rest = unpacking.unconsumed_tail
                 _bounded(path, total)
         at += 8 + size

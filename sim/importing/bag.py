@@ -20,7 +20,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError, parsed_as
-from surefoot.sim.common.files import is_there
 from surefoot.sim.common.limits import admitted, bounded_text, check_limit
 from surefoot.sim.importing.bag_limits import Adds, decoder, within_limits
 from surefoot.sim.importing.clock import Stamped
@@ -32,13 +31,12 @@ _MOST_PLACES = 64
 """Largest array in a message whose elements may be columns; longer ones are images or scans."""
 _READING = 16.0
 """Bytes in memory of a reading, while its column grows."""
-BAGS = (".bag", ".mcap", ".db3")
-"""Endings of bags."""
 _REPAIRS = {
     ".bag": "rosbag reindex",
     ".mcap": "mcap recover",
     ".db3": "ros2 bag reindex, or sqlite3 with .recover",
 }
+"""By the ending of a bag."""
 _NO_URI = {*"#?%"}
 _PART_OF_BAG = re.compile(r"_\d+$")
 _PART = re.compile(r"(\w+)(?:\[([^\]]+)\])?$")
@@ -78,16 +76,13 @@ def read_whole_bag(path: Path) -> tuple[dict[str, Stamped], dict[str, str]]:
             skipped[topic] = "does not move in its frame"
         elif all(column.endswith(":header.stamp") for column in columns):
             skipped[topic] = "empty, or only lists: write what you need to a topic of its own"
-    for topic in skipped:
-        found[topic] = {}
+    used = {topic: columns for topic, columns in found.items() if topic not in skipped}
     framed = {topic.partition("[")[0] for topic in found if _FRAME.search(topic)}
-    return _flat(found), {topic: why for topic, why in skipped.items() if topic not in framed}
+    return _flat(used), {topic: why for topic, why in skipped.items() if topic not in framed}
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[AnyReader, Adds]]:
-    if not is_there(path):
-        raise SurefootError(f"{path}: no such file")
     files = _storage(path) if path.is_dir() else [path]
     beside = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else files
     for one in beside:  # any of which the metadata may name
@@ -113,7 +108,7 @@ def is_bag(path: Path) -> bool:
     """Whether a path is a ROS 1, ROS 2 or MCAP bag, by its name; or the folder of one, with or
     without its metadata.
     """
-    if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
+    if path.suffix.lower() in _REPAIRS or (path / "metadata.yaml").is_file():
         return True
     return path.is_dir() and bool(_storage(path)) and not any(path.glob("*.csv"))
 

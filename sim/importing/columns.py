@@ -163,4 +163,6 @@ def _map_value(value: Any) -> str:
         return f"[{', '.join(map(_map_value, value))}]"
     if isinstance(value, float):
         return f"{value:.9g}" if abs(value) < 1e6 else f"{value:.6f}"
-    return json.dumps(value, ensure_ascii=False)
+    # TOML allows no DEL and no C1 control characters, which JSON leaves as they are.
+    text = json.dumps(value, ensure_ascii=False)
+    return re.sub(r"[\x7f-\x9f]", lambda found: f"\\u{ord(found[0]):04x}", text)

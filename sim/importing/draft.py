@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from surefoot.sim.common.terminal import printable
 from surefoot.sim.importing.columns import UNITS, ColumnEntry, kind_of, map_line
 
 _LISTED = 20
@@ -42,26 +43,26 @@ class Draft:
     """A draft of a map.
 
     Attributes:
-        files: the main file first.
+        file: the main file.
         main: entries of [columns].
         reference: entries of [reference.columns], from `reference_file`.
         reference_file: file of the reference.
         sources: further files by name, with the entry of their times.
         layouts: keys of [source] for text files.
-        rate: of the rows [Hz], where no times were found.
+        rate: of the rows [Hz], where no times were found, and what states it.
         robot: name.
         contact: on and off force of [contact].
         notes: questions that concern no single column.
         unused: columns and arrays without a use, by the reason.
     """
 
-    files: tuple[Path, ...]
+    file: Path
     main: tuple[Entry, ...]
     reference: tuple[Entry, ...] = ()
     reference_file: Path | None = None
     sources: Mapping[str, tuple[Path, Entry]] = field(default_factory=dict)
     layouts: Mapping[Path, Mapping[str, object]] = field(default_factory=dict)
-    rate: float | None = None
+    rate: tuple[float, str] | None = None
     robot: str | None = None
     contact: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
@@ -76,15 +77,17 @@ class Draft:
             *(f"# ? {' '.join(note.split())}" for note in self.notes),
             "",
             "[source]",
-            *self._file(self.files[0]),
+            *self._file(self.file),
         ]
-        lines += [f"rate = {self.rate:.6g} # ? no times found"] if self.rate else []
+        if self.rate:
+            rate, stated = self.rate
+            lines.append(f"rate = {rate:.6g} # ? no times found; by {' '.join(stated.split())}")
         for name, (path, clock) in self.sources.items():
             lines += ["", f"[sources.{name}]", *self._file(path), _line(replace(clock, name="t"))]
         lines += ["", "[columns]", *_lines(self.main)]
         if self.reference:
             lines += ["", "[reference]"]
-            if self.reference_file is not None and self.reference_file != self.files[0]:
+            if self.reference_file is not None and self.reference_file != self.file:
                 lines += self._file(self.reference_file)
             lines += [
                 'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align',
@@ -101,7 +104,7 @@ class Draft:
         for reason, names in self.unused.items():
             listed = ", ".join(names[:_LISTED]) + ", ..." * (len(names) > _LISTED)
             lines.append(f"# not used ({reason}): {' '.join(listed.split())}")
-        return "\n".join(lines) + "\n"
+        return printable("\n".join(lines), "\n") + "\n"
 
     def _file(self, path: Path) -> list[str]:
         """Lines that name a file and its layout."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.bag import is_bag, topic_of
+from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import EULER, UNITS
 from surefoot.sim.importing.draft import Draft, Entry
 from surefoot.sim.importing.guess_columns import guess_columns, vectors
@@ -20,7 +21,7 @@ from surefoot.sim.importing.guess_units import unit_of_angles
 from surefoot.sim.importing.names import Named, lists_of, read_name, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
 from surefoot.sim.log.schema import joint_prefix
-from surefoot.sim.robot.machine import Machine, load_machine
+from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.sensors.streams import SLOWEST
 
 _FEW = 8
@@ -33,7 +34,7 @@ _UNUSED = {
         "motion of a body, no reading of a sensor",
     ),
     "command": "set points",
-    "t": "other times, or too coarse for the rows",
+    "t": "other times, or too coarse or set back between rows",
     "other": "of no use in a log",
     "": "names not understood",
 }
@@ -58,43 +59,44 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     main = max(read, key=_richness)
     others = [one for one in read if one is not main]
     poses = [one for one in others if _reference(one) and _richness(one) == 0]
+    entries, asked, rate = guess_columns(main)
     notes: list[str] = []
-    found = guess_columns(main, machine)
-    entries = list(found.entries)
     sources: dict[str, tuple[Path, Entry]] = {}
     for one in (one for one in others if one not in poses):
         label, there = one.label, {"t", *(entry.name for entry in entries)}
-        added = guess_columns(one, machine, commands=read_name(label).commanded).entries
+        added, _, _ = guess_columns(one, commands=read_name(label).commanded)
         added = [replace(e, theirs=f"{label}:{e.theirs}") for e in added if e.name not in there]
-        if added and one.t is not None:
-            sources[label] = (one.path, one.t)
+        if added and (clock := one.t or one.counter):
+            sources[label] = (one.path, clock)
             entries += added
         else:
             columns = ", ".join([*one.columns][:_FEW])
             what = one.path.name if one.path != main.path else f"{label} in {one.path.name}"
             notes.append(f"nothing of {what} is used: what are its columns {columns}?")
     entries, dropped = _complete(entries)
-    notes += [*found.notes, *dropped]
+    notes += asked + dropped
     at = poses[0] if poses else main
     reference = _reference(at)
     if reference and main.seconds is not None and at.seconds is not None:
         apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
         notes += ["the reference's clock is another: which [reference] offset?"] * bool(apart)
-    notes += _missing(main, entries, found.rate, machine)
+    stated = None if main.t else main.stated or ((rate, "rates of joints") if rate else None)
+    notes += _missing(main, entries, rated=stated is not None)
     # Columns of other files are named as in a map.
     labels = {"": main} | {f"{one.label}:": one for one in others}
     used = {entry.theirs for entry in entries}
     used |= {f"{label}:{clock.theirs}" for label, (_, clock) in sources.items()}
+    used |= {stated[1]} if stated else set()
     used |= {f"{'' if at is main else at.label + ':'}{entry.theirs}" for entry in reference}
     columns = {f"{label}{n}": v for label, one in labels.items() for n, v in one.columns.items()}
     return Draft(
-        files=tuple(dict.fromkeys((main.path, *(one.path for one in others)))),
+        file=main.path,
         main=tuple(entries),
         reference=reference,
         reference_file=at.path if reference else None,
         sources=sources,
         layouts={one.path: one.layout for one in read},
-        rate=found.rate if main.t is None else None,
+        rate=stated,
         robot=robot,
         contact=_threshold(columns, entries),
         notes=tuple(notes),
@@ -122,7 +124,7 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
     """
     if not is_bag(one.path):
         return _pose(one)
-    topics: dict[str, dict[str, np.ndarray]] = {}
+    topics: dict[str, Columns] = {}
     for name, values in one.recorded.items():
         topics.setdefault(topic_of(name), {})[name] = values
 
@@ -144,7 +146,8 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
     """Entries of a pose: three positions, and four or three values of an attitude."""
     own = {n: named for n, named in one.names.items() if not named.leg and named.source in _POSES}
     positions = vectors({n: x for n, x in own.items() if x.kind == "ref_p"}, tuple(_POSES))
-    if one.t is None or not positions:
+    t = one.t or one.counter
+    if t is None or not positions:
         return ()
     p = positions[0]
     most = max(float(np.ptp(one.columns[n])) for n in p)
@@ -159,7 +162,7 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
     by_stem = lists_of(turned, "stem")
     for stem in sorted(by_stem, key=lambda stem: -len(words & {*stem[0].split()})):
         if entries := _attitude(one, by_stem[stem]):
-            return (one.t, *found, *entries)
+            return (t, *found, *entries)
     return ()
 
 
@@ -201,25 +204,20 @@ def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
     return kept, said
 
 
-def _missing(
-    main: RecordedFile, entries: Sequence[Entry], rate: float | None, machine: Machine | None
-) -> list[str]:
-    """Questions for what is missing beside what was found.
-
-    Args:
-        main: the main file.
-        entries: of the map.
-        rate: of the rows by the joints' rates, or None.
-        machine: robot, or None.
+def _missing(main: RecordedFile, entries: Sequence[Entry], rated: bool) -> list[str]:
+    """Questions for what is missing beside what was found; `rated` says that the rate of the main
+    file's rows is known, which have no times.
     """
     there = {entry.name for entry in entries}
     groups = {name.partition("_")[0] for name in there}
-    legs = machine is not None and bool(machine.limbs.legs)
+    legs = main.machine is not None and bool(main.machine.limbs.legs)
     legs |= any(one.leg for name in there for one in [read_name(name)] if joint_prefix(name))
     found = []
     if groups <= {"t"}:
         found.append("no name says what a column is: which of those not used below is what?")
-    if main.seconds is None and rate is None:
+    if main.t is None and (counter := main.counter):
+        found.append(f"{counter.theirs} counts rows: which [source] rate, or t with which gain?")
+    elif main.t is None and not rated:
         found.append("no times found: which column are they, or what is the [source] rate?")
     times = np.zeros(0) if main.seconds is None else main.seconds
     step = np.median(np.diff(times)) if len(times) > 1 else 0.0
@@ -250,14 +248,13 @@ def _unused(files: Mapping[str, RecordedFile], used: Set[str]) -> dict[str, list
         if label and not any(f"{label}{name}" in used for name in one.columns):
             continue
         reasons = {
-            name: (named.source and _UNUSED.get(named.source))
-            or _UNUSED.get(named.kind, "beside others of their kind")
+            name: _UNUSED.get(named.source or named.kind, "beside others of their kind")
             for name, named in one.names.items()
-            if f"{label}{name}" not in used
         }
         for name, reason in (reasons | dict(one.skipped)).items():
-            stem = read_name(name).stem or name
-            groups.setdefault((reason, label, stem), []).append(f"{label}{name}")
+            if f"{label}{name}" not in used:
+                stem = read_name(name).stem or name
+                groups.setdefault((reason, label, stem), []).append(f"{label}{name}")
     found: dict[str, list[str]] = {}
     for (reason, _, _), names in groups.items():
         more = f" and {len(names) - 1} more" * (len(names) > 1)
@@ -265,9 +262,7 @@ def _unused(files: Mapping[str, RecordedFile], used: Set[str]) -> dict[str, list
     return found
 
 
-def _threshold(
-    columns: Mapping[str, np.ndarray], entries: Sequence[Entry]
-) -> tuple[float, float] | None:
+def _threshold(columns: Columns, entries: Sequence[Entry]) -> tuple[float, float] | None:
     forces = [columns[e.theirs] for e in entries if e.name.startswith("force_")]
     if not forces or any(e.name.startswith("contact_") for e in entries):
         return None

@@ -1,11 +1,11 @@
 """Entries of an import map for one file of a recording, from names and values of its columns."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
 from surefoot.sim.importing.guess_units import (
@@ -15,14 +15,10 @@ from surefoot.sim.importing.guess_units import (
     unit_of_gyro,
     unit_of_rates,
 )
-from surefoot.sim.importing.layout import is_number
 from surefoot.sim.importing.names import HINGES, Named, by_their_legs, lists_of, words_of
 from surefoot.sim.importing.recorded_file import RecordedFile, name_in_file
 from surefoot.sim.log.schema import JOINTS, LEGS, joint_prefix
-from surefoot.sim.robot.machine import Machine
 
-_SMALL = 4096
-"""Size [bytes] below which a text may be a list of joints."""
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
 """Order of the legs in software of Unitree and MIT."""
 _SOURCES = ("", "filtered", "estimate")
@@ -36,41 +32,26 @@ _TURN = 400.0
 _SWAPPED = "in left turns the strides on this robot's left are longer: are left and right swapped?"
 
 
-@dataclass(frozen=True)
-class GuessedColumns:
-    """Interpretation of a file's columns.
-
-    Attributes:
-        entries: of the map.
-        notes: questions that concern no single column.
-        rate: of the rows [Hz] by the joints' rates, for a file without times.
-    """
-
-    entries: tuple[Entry, ...]
-    notes: tuple[str, ...]
-    rate: float | None
-
-
 def guess_columns(
-    file: RecordedFile, machine: Machine | None = None, commands: bool = False
-) -> GuessedColumns:
-    """Entries for times, IMU, joints and feet of a file.
+    file: RecordedFile, commands: bool = False
+) -> tuple[list[Entry], list[str], float | None]:
+    """Entries for times, IMU, joints and feet of a file, questions that concern no single column
+    and, for a file without times, the rate of its rows [Hz] by the joints' rates.
 
-    Args:
-        file: of the recording.
-        machine: its joint order is used for unnamed columns; or None.
-        commands: whether its joint columns are targets and not readings.
+    commands: whether its joint columns are targets and not readings.
     """
     imu, notes = _imu_entries(file)
     yaw = next((e.scale * file.columns[e.theirs] for e in imu if e.name == "gyro_z"), None)
-    columns = _joint_columns(file, machine, commands, yaw)
+    columns = _joint_columns(file, commands, yaw)
     joints, rate = _joint_entries(file, columns, yaw)
-    notes += _beyond_limits(file, machine, joints)
-    asked = {one.doubt for of_kind in columns.values() for one in of_kind.values()}
-    legs = _OTHER_SIDE_FIRST if _legs_doubt(_OTHER_SIDE_FIRST) in asked else LEGS
-    feet, feet_notes = _feet_entries(file, legs, machine)
+    notes += _beyond_limits(file, joints)
+    # Feet without names are in the order of the joints' legs.
+    known = file.machine.limbs.legs if file.machine is not None else ()
+    order = [*dict.fromkeys(joint.partition("_")[0] for joint in columns.get("q", {}))]
+    legs = order if {*order} == {*(known or LEGS)} else known or LEGS
+    feet, feet_notes = _feet_entries(file, legs)
     times = [file.t] if file.t else []
-    return GuessedColumns((*times, *imu, *joints, *feet), (*notes, *feet_notes), rate)
+    return [*times, *imu, *joints, *feet], notes + feet_notes, rate
 
 
 def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
@@ -81,31 +62,28 @@ def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
 def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     """Entries of gyro and accelerometer, and notes."""
     notes: list[str] = []
-    triples: dict[str, tuple[str, ...]] = {}
-    asked: dict[str, str] = {}
-    for kind in ("gyro", "accel"):
+    entries: list[Entry] = []
+    accel = None
+    # The accelerometer first, as the gyro's unit follows from it.
+    for kind in ("accel", "gyro"):
         own = {n: one for n, one in _of(file, kind).items() if not one.leg}
         found = vectors(own, _SOURCES[:2])
-        if found:
-            source = own[found[0][0]].source
-            others = [other for other in found[1:] if own[other[0]].source == source]
-            asked[kind] = f"this, or {others[0][0]}?" if others else _source_doubt(source)
-            triples[kind] = found[0]
-        elif own := {n: one for n, one in own.items() if not one.source}:
-            notes.append(f"which of {', '.join(own)} are the {kind}'s x, y and z?")
-    values = {k: np.column_stack([file.columns[n] for n in of]) for k, of in triples.items()}
-    entries: list[Entry] = []
-    for kind, axes in triples.items():
+        if not found:
+            unclear = ", ".join(n for n, one in own.items() if not one.source)
+            notes += [f"which of {unclear} are the {kind}'s x, y and z?"] * bool(unclear)
+            continue
+        source = own[found[0][0]].source
+        others = [other[0] for other in found[1:] if own[other[0]].source == source]
+        values = np.column_stack([file.columns[n] for n in found[0]])
         if kind == "accel":
-            unit, gain, doubt = unit_of_accel(values["accel"])
+            accel = values
+            unit, gain, doubt = unit_of_accel(values)
         else:
-            named = {file.names[name].unit for name in axes}
-            unit, doubt = unit_of_gyro(file.seconds, values["gyro"], values.get("accel"), named)
+            unit, doubt = unit_of_gyro(file.seconds, values, accel, {own[n].unit for n in found[0]})
             gain = 1.0
-        entries += [
-            Entry(f"{kind}_{axis}", name, unit, gain, asked[kind] or doubt)
-            for axis, name in zip("xyz", axes, strict=True)
-        ]
+        asked = f"this, or {others[0]}?" if others else _source_doubt(source) or doubt
+        axes = zip("xyz", found[0], strict=True)
+        entries = [*(Entry(f"{kind}_{a}", n, unit, gain, asked) for a, n in axes), *entries]
     return entries, notes
 
 
@@ -137,14 +115,11 @@ _Joints = dict[str, dict[str, Entry]]
 """Kind of column -> joint -> its column, with a doubt."""
 
 
-def _joint_columns(
-    file: RecordedFile, machine: Machine | None, commands: bool, yaw: np.ndarray | None
-) -> _Joints:
+def _joint_columns(file: RecordedFile, commands: bool, yaw: np.ndarray | None) -> _Joints:
     """Columns of joints: q, dq and tau, or q_des, dq_des and tau_ff for commands.
 
     Args:
         file: of the recording.
-        machine: robot, or None.
         commands: whether its joint columns are targets and not readings.
         yaw: (N,) yaw rate [rad/s], or None.
     """
@@ -167,10 +142,7 @@ def _joint_columns(
         if commanded or commands:
             kind = {"q": "q_des", "dq": "dq_des", "tau": "tau_ff"}[kind]
         of = joints.setdefault(kind, {})
-        found = _named_joints(file, machine, own) or _counted_joints(
-            file, machine, own, angles, yaw
-        )
-        for one in found:
+        for one in _named_joints(file, own) or _counted_joints(file, own, angles, yaw):
             first = of.get(one.name)
             of[one.name] = replace(first, doubt=f"this, or {one.theirs}?") if first else one
     return joints
@@ -187,92 +159,79 @@ def _bare_angles(file: RecordedFile) -> dict[str, Named]:
     }
 
 
-def _named_joints(
-    file: RecordedFile, machine: Machine | None, own: Mapping[str, Named]
-) -> list[Entry]:
+def _named_joints(file: RecordedFile, own: Mapping[str, Named]) -> list[Entry]:
     """The joint of each column whose name has one, of columns of one kind."""
     found: list[Entry] = []
-    legs = {one.leg for one in own.values() if one.leg}
-    # A word common to all elements of a list names a group, not a joint.
-    places: dict[str, set[int | None]] = {}
-    for one in own.values():
-        places.setdefault(one.part, set()).add(one.place)
+    by_part = lists_of(own, "part")
     for name, one in own.items():
-        if one.joint or one.leg or (one.part and len(places[one.part]) == 1):
+        # A word common to all elements of a list names a group, not a joint.
+        alone = len({other.place for other in by_part[(one.part,)].values()}) == 1
+        if one.joint or one.leg or (one.part and alone):
             part = one.part or ("" if one.place is None else HINGES[one.place % 3])
-            joint = joint_of_words(replace(one, leg=_leg(one.leg, legs), part=part))
+            joint = replace(one, part=part).joint_of_log
             doubt = "" if file.names[name].kind else "angles, by their sizes?"
             if one.leg and not (one.part or one.joint):
                 doubt = f"which joint of {one.leg} is {name}?"
-            if machine is not None and joint not in machine.limbs.joints:
-                doubt = f"{machine.name} has no joint {joint}: which is it?"
+            if file.machine is not None and joint not in file.machine.limbs.joints:
+                doubt = f"{file.machine.name} has no joint {joint}: which is it?"
             found.append(Entry(joint, name, doubt=doubt))
     return found
 
 
-def joint_of_words(one: Named) -> str:
-    """Name of a joint in the log by the words of a column, or of a list of joints."""
-    leg = one.leg if one.leg in LEGS else one.written
-    return one.joint or f"{leg}_{one.part}".strip("_")
-
-
 def _counted_joints(
-    file: RecordedFile,
-    machine: Machine | None,
-    own: Mapping[str, Named],
-    angles: Mapping[str, Named],
-    yaw: np.ndarray | None,
+    file: RecordedFile, own: Mapping[str, Named], angles: Iterable[str], yaw: np.ndarray | None
 ) -> list[Entry]:
     """The joint of each column by its number: in the order of a list of joints or, of those that
     are usual, in the one that fits the angles.
 
     Args:
         file: of the recording.
-        machine: robot, or None.
         own: the columns, of one kind.
-        angles: columns of angles.
+        angles: names of the columns of angles.
         yaw: (N,) yaw rate [rad/s], or None.
     """
-    # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
-    numbers = {n: (one.limb or 0, one.place) for n, one in own.items() if one.place is not None}
-    places = sorted(set(numbers.values()))
     if len(own) == 1:
-        joints, doubt = ["joint"] * len(places), ""
-    elif (listed := _listed_order(file, machine, len(places))) is not None:
-        joints, doubt = listed
-    else:
-        values = {(one.limb or 0, one.place): file.columns[n] for n, one in angles.items()}
-        joints, doubt = _fitting_order(file, machine, [values.get(at) for at in places], yaw)
+        return [Entry("joint", name) for name in own]
+    # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
+    number = {n: (one.limb or 0, one.place) for n, one in file.names.items()}
+    places = sorted({number[n] for n, one in own.items() if one.place is not None})
+    values = {number[n]: file.columns[n] for n in angles}
+    # The last of a list may be places without a motor, as of the twenty of a Go2.
+    motors = len(file.machine.limbs.joints if file.machine is not None else JOINTS)
+    silent = not any(values[at].any() for at in places[motors:] if at in values)
+    if silent and len(places) not in map(len, file.lists.values()):
+        places = places[:motors]
+    joints, doubt = _listed_order(file, len(places))
+    if joints is None:
+        joints, asked = _fitting_order(file, [values.get(at) for at in places], yaw)
+        doubt = f"{asked}{doubt}"
     joint_at = dict(zip(places, joints, strict=True))
-    return [
-        Entry(joint_at[numbers[name]], name, doubt=doubt)
-        if name in numbers
-        else Entry("joint", name, doubt=f"which joint is {name}?" if len(own) > 1 else "")
-        for name in own
-    ]
+    found = [Entry(joint_at[number[n]], n, doubt=doubt) for n in own if number[n] in joint_at]
+    others = [n for n, one in own.items() if one.place is None]
+    return [*found, *(Entry("joint", n, doubt=f"which joint is {n}?") for n in others)]
 
 
-def _listed_order(
-    file: RecordedFile, machine: Machine | None, count: int
-) -> tuple[Sequence[str], str] | None:
-    """Names of so many joints in the order of a list of the recording, and a question."""
-    for source, listed in {**file.lists, **_lists_beside(file.path)}.items():
-        if len(set(listed)) == len(listed) == count:
-            read = by_their_legs({one: name_in_file(one, machine) for one in listed})
+def _listed_order(file: RecordedFile, count: int) -> tuple[Sequence[str] | None, str]:
+    """Names of so many joints in the order of a list of the recording, and a question; None, and
+    which lists have another number of names, if none has theirs.
+    """
+    others = ""
+    for source, listed in file.lists.items():
+        read = by_their_legs({one: name_in_file(one, file.machine) for one in listed})
+        if len(read) == len(listed) == count:
             names = [
-                joint_of_words(one) if one.joint or (one.leg in LEGS and one.part) else text
+                one.joint_of_log if one.joint or (one.leg in LEGS and one.part) else text
                 for text, one in read.items()
             ]
-            names = names if len(set(names)) == count else listed
-            return names, f"are its joints in the order of {source}?"
-    return None
+            order = names if len(set(names)) == count else listed
+            return order, f"are its joints in the order of {source}?"
+        if sum(bool(one.leg or one.joint) for one in read.values()) > len(read) / 2:
+            others += f" {source} has {len(listed)} names, not {count}."
+    return None, others
 
 
 def _fitting_order(
-    file: RecordedFile,
-    machine: Machine | None,
-    angles: Sequence[np.ndarray | None],
-    yaw: np.ndarray | None,
+    file: RecordedFile, angles: Sequence[np.ndarray | None], yaw: np.ndarray | None
 ) -> tuple[Sequence[str], str]:
     """Names of joints in the usual order that fits their angles best, and a question.
 
@@ -281,10 +240,10 @@ def _fitting_order(
 
     Args:
         file: of the recording.
-        machine: robot, or None.
         angles: (N,) in any unit of each joint, or None.
         yaw: (N,) yaw rate [rad/s], or None.
     """
+    machine = file.machine
     if machine is not None and len(machine.limbs.joints) == len(angles):
         joints = machine.limbs.joints
         kinds = {joint: machine.limbs.kind(k) for k, joint in enumerate(joints)}
@@ -292,7 +251,7 @@ def _fitting_order(
         known = {k: x for k, x in enumerate(angles) if x is not None}
         scale = UNITS["q"][unit_of_angles(known.values(), set())[0]]
         fits = [
-            sum(_share_inside(machine, order[k], scale * x) for k, x in known.items())
+            sum(_share_inside(file, order[k], scale * x) for k, x in known.items())
             for order in (joints, by_kind)
         ]
         if fits[0] >= fits[1]:
@@ -305,18 +264,16 @@ def _fitting_order(
     return [f"joint{k}" for k in range(len(angles))], "which joint is it?"
 
 
-def _share_inside(machine: Machine | None, joint: str, angles: np.ndarray) -> float:
+def _share_inside(file: RecordedFile, joint: str, angles: np.ndarray) -> float:
     """Share of the angles (N,) [rad] within the limits of the robot's joint; 1 without limits."""
-    robot = machine.legged if machine is not None else None
+    robot = file.machine.legged if file.machine is not None else None
     if robot is None or joint not in robot.limbs.joints:
         return 1.0
     low, high = robot.joint_range[robot.limbs.joints.index(joint)]
     return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
-def _longer_inside(
-    file: RecordedFile, angles: Mapping[str, np.ndarray], yaw: np.ndarray | None
-) -> bool:
+def _longer_inside(file: RecordedFile, angles: Columns, yaw: np.ndarray | None) -> bool:
     """Whether the strides of a quadruped's inner legs, by the angles' joints, are the longer ones
     in turns: left and right are exchanged.
     """
@@ -368,37 +325,25 @@ def _joint_entries(
     return entries, rate
 
 
-def _beyond_limits(
-    file: RecordedFile, machine: Machine | None, entries: Sequence[Entry]
-) -> list[str]:
+def _beyond_limits(file: RecordedFile, entries: Sequence[Entry]) -> list[str]:
     """A question where angles are beyond the limits of the robot's joints."""
-    angles = {e.name[2:]: e for e in entries if joint_prefix(e.name) == "q_"}
     beyond = [
-        joint
-        for joint, e in angles.items()
-        if _share_inside(machine, joint, e.scale * file.columns[e.theirs]) < _INSIDE
+        e.name[2:]
+        for e in entries
+        if joint_prefix(e.name) == "q_"
+        and _share_inside(file, e.name[2:], e.scale * file.columns[e.theirs]) < _INSIDE
     ]
     which = ", ".join(beyond[:3]) + ", ..." * (len(beyond) > 3)
     question = f"{which} beyond the limits of the robot: other joints, signs or zeros?"
     return [question] * bool(beyond)
 
 
-def _feet_entries(
-    file: RecordedFile, legs: Sequence[str], machine: Machine | None
-) -> tuple[list[Entry], list[str]]:
-    """Entries of contacts, forces and positions of the feet, and notes.
-
-    Args:
-        file: of the recording.
-        legs: order of the legs for feet without names.
-        machine: robot whose legs are recognised by the words of their joints.
+def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry], list[str]]:
+    """Entries of contacts, forces and positions of the feet, and notes; `legs` is the order of the
+    legs for feet without names.
     """
     found = {n: x for n, x in _of(file, "contact", "force", "foot").items() if x.source in _SOURCES}
-    found = _with_legs_of(machine, found)
-    named_legs = {one.leg for one in file.names.values() if one.leg}
-    found = {n: replace(one, leg=_leg(one.leg, named_legs)) for n, one in found.items()}
-    if machine is not None and machine.limbs.legs:
-        legs = machine.limbs.legs
+    found = _with_legs_of(file, found)
     counted = _counted_legs(found, legs)
     found |= {name: replace(found[name], leg=leg) for name, leg in counted.items()}
     entries: dict[str, Entry] = {}
@@ -449,18 +394,16 @@ def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, 
     return legs_of
 
 
-def _with_legs_of(machine: Machine | None, found: Mapping[str, Named]) -> dict[str, Named]:
+def _with_legs_of(file: RecordedFile, found: Mapping[str, Named]) -> dict[str, Named]:
     """Names with the legs of a machine with other than two or four legs, whose legs have no names
     of their own: the words that all joints of a leg share and that not all legs share.
     """
     read = dict(found)
-    if machine is None or len(machine.limbs.legs) in (0, 2, 4):
+    if file.machine is None or len(file.machine.limbs.legs) in (0, 2, 4):
         return read
-    limbs = machine.limbs
-    shared = [
-        set.intersection(*(set(words_of(limbs.joints[joint])) for joint in chain))
-        for chain in limbs.chains
-    ]
+    limbs = file.machine.limbs
+    words_of_joints = [set(words_of(joint)) for joint in limbs.joints]
+    shared = [set.intersection(*(words_of_joints[k] for k in chain)) for chain in limbs.chains]
     of_all = set.intersection(*shared)
     for name, one in found.items():
         words = {*words_of(name)}
@@ -473,21 +416,3 @@ def _with_legs_of(machine: Machine | None, found: Mapping[str, Named]) -> dict[s
 
 def _legs_doubt(legs: Sequence[str]) -> str:
     return f"are its legs {', '.join(legs)}, each hip, thigh, calf?"
-
-
-def _leg(name: str, legs: set[str]) -> str:
-    """Name of a leg: without rear legs, the front ones are left and right."""
-    if name in ("FL", "FR") and not legs & {"RL", "RR"}:
-        return "left" if name == "FL" else "right"
-    return name
-
-
-def _lists_beside(path: Path) -> dict[str, tuple[str, ...]]:
-    """Words of small text files in the file's folder, which may list its joints in order."""
-    found = {}
-    for one in sorted(path.parent.glob("*.txt")):
-        if one != path and one.stat().st_size < _SMALL:
-            words = one.read_text(encoding="utf-8", errors="replace").split()
-            if not any(map(is_number, words)):
-                found[one.name] = tuple(words)
-    return found

@@ -93,8 +93,7 @@ def unit_of_gyro(
     """
     size = float(np.quantile(np.abs(gyro), 0.99))
     by_name = next(iter(named)) if len(named) == 1 and named <= set(UNITS["gyro"]) else ""
-    by_size = "rad/s" if size < 12.0 else "deg/s"
-    unit = by_name or by_size
+    unit = by_name or ("rad/s" if size < 12.0 else "deg/s")
     dt = 1.0 if t is None else max(float(np.median(np.diff(t))), 1e-6)
     width = max(int(0.5 / dt), 1)
     if t is not None and accel is not None and len(t) > 2 * width:

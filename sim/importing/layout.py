@@ -5,6 +5,7 @@ import csv
 import re
 from collections import Counter
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
@@ -13,36 +14,66 @@ from surefoot.sim.importing.sections import Source
 
 _LOOKED_AT = 65536
 """Number of characters at the beginning of a text that are examined."""
+_NO_TEXT = {
+    "compressed: unpack it first": (b"\x1f\x8b", b"\xfd7zXZ", b"BZh9", b"\x28\xb5\x2f\xfd"),
+    "a spreadsheet or archive: save a sheet as CSV, or unpack it": (b"PK\3\4", b"\xd0\xcf\x11\xe0"),
+    "a pickle: save its arrays by np.savez": (b"\x80\2", b"\x80\3", b"\x80\4", b"\x80\5"),
+    "a bag; if its recorder was killed, try rosbag reindex, and name it .bag": b"#ROSBAG",
+    "binary: name it .mcap, .h5, .db3, .parquet": (b"\x89MCAP", b"\x89HDF", b"SQLite", b"PAR1\x15"),
+}
+"""What files are that are no text, and what to do; and how they begin."""
 SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
 _WORDS = re.compile(r"[^\s,;|]+")
 _MOST_KINDS = 20
 """Largest number of kinds of lines in a text."""
+_SEARCHED = 1_000_000
+"""Lines among which another table is looked for."""
+_TABLE = 10
+"""Rows of numbers that are a table; fewer are parameters above one."""
+_ROW = re.compile(r'[\s"]*[-+.]?\d')
+"""The beginning of a row of numbers."""
+_PAIR = re.compile(r"(?<![^\s,;])([a-zA-Z_][\w./\[\]-]*) ?[:=] *[^\s,;]+")
+"""A value after its name."""
+_JSON = re.compile(r'\s*(\{".*\}|\[-?\d\S*, *-?\d.*\])\s*')
+_WITHOUT_NAMES = "sed -E 's/[[:alpha:]_][^ ,;:=]*[:=] *//g'"
 _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
 def encoding_of(path: Path) -> str:
-    """Encoding of a text: UTF-8, UTF-16 with a byte order mark or, without zero bytes and not valid
-    UTF-8, Windows-1252 (the latter two are written by spreadsheets).
+    """Encoding of a text: UTF-8, UTF-16 or, without zero bytes and not valid UTF-8, Windows-1252
+    (the latter two are written by spreadsheets).
+
+    Raises SurefootError, with the next step, for a file of another kind that begins as such.
     """
-    decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as stream:
-        begin = piece = stream.read(_LOOKED_AT)
-        if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            return "utf-16"
-        try:
-            while piece:
-                decoder.decode(piece)
-                piece = stream.read(_LOOKED_AT)
-        except UnicodeDecodeError:
-            return "utf-8-sig" if b"\0" in begin else "cp1252"
+        begin = stream.read(_LOOKED_AT)
+    for what, start in _NO_TEXT.items():
+        if begin.startswith(start):
+            raise SurefootError(f"{path}: is {what}")
+    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # Without a byte order mark, by the zero half of its first eight letters.
+    for half, encoding in enumerate(("utf-16-be", "utf-16-le")):
+        if begin and not any(begin[half:16:2]):
+            return encoding
+    try:
+        with path.open(encoding="utf-8") as stream:
+            while stream.read(_LOOKED_AT):
+                pass
+    except UnicodeDecodeError:
+        return "utf-8-sig" if b"\0" in begin else "cp1252"
     return "utf-8-sig"
 
 
 def layout_of(path: Path) -> dict[str, Any]:
-    """Keys of a map's [source] for this text where the defaults do not fit."""
+    """Keys of a map's [source] for this text where the defaults do not fit.
+
+    Raises SurefootError, with the next step, for two tables in one text.
+    """
+    _check_alone(path)
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[:-1]
     if len(lines) < 2:
@@ -105,6 +136,13 @@ def no_table(path: Path, skip: int) -> str:
     with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
         lines = stream.read(_LOOKED_AT).splitlines()[skip:-1]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    if lines and all(map(_JSON.fullmatch, lines)):
+        return "has JSON on each line: name it .jsonl"
+    keyed = [_PAIR.sub(r"\1", line) for line in lines]
+    alike = keyed.count(keyed[0]) if keyed and keyed[0] != lines[0] else 0
+    if alike > max(2, 0.9 * len(lines)) and "<" not in keyed[0]:
+        table = f"echo {quote(keyed[0])}; {_WITHOUT_NAMES} {quote(path.name)}"
+        return f"has a name before each value; make a table: ({table}) > table.csv"
     if "---" in lines and sum(map(bool, map(_YAML.match, lines))) > 0.9 * len(lines):
         return "is YAML, as of a topic's echo; record a bag, or use ros2 topic echo --csv"
     rows = [_WORDS.findall(line) for line in lines]
@@ -115,6 +153,28 @@ def no_table(path: Path, skip: int) -> str:
             # Quoted, as "$" is of the shell.
             return f"has {what}; make a file of each: grep '{start}' {path.name} > '{kinds[0]}.txt'"
     return ""
+
+
+def _check_alone(path: Path) -> None:
+    """Raise SurefootError, with the next step, where another table follows a text's first one."""
+    rows = last = begin = 0
+    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
+        for number, line in zip(range(1, _SEARCHED), stream, strict=False):
+            if _ROW.match(line):
+                rows, last = rows + 1, number
+            elif _names_columns(line):
+                begin, rows = last if rows >= _TABLE else begin, 0
+            if begin and rows == _TABLE:
+                name = quote(path.name)
+                cut = (
+                    f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
+                )
+                raise SurefootError(f"{path}: has two tables; make a file of each: {cut}")
+
+
+def _names_columns(line: str) -> bool:
+    words = [] if line.lstrip().startswith(COMMENTS) else _WORDS.findall(line[:_LOOKED_AT])
+    return bool(words) and not any(map(is_number, words))
 
 
 def _kinds(rows: list[list[str]], place: int) -> list[str]:

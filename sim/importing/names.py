@@ -6,8 +6,10 @@ what each word votes for; `read_name` weighs the votes.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from surefoot.sim.log.schema import LEGS
 
@@ -63,8 +65,11 @@ _WORDS: dict[str, tuple[str, str]] = {
 """Word -> what it votes for, and which."""
 _SOURCES = ("bias", "error", "parameter", "command", "reference", "estimate", "filtered")
 """Kinds of source, the deciding one of several first: an estimated bias is a bias."""
-_SIDES = {"left": "L", "l": "L", "right": "R", "r": "R"}
-_ENDS = {"front": "F", "fore": "F", "rear": "R", "hind": "R", "back": "R"}
+_LEGS_OF_TWO_WORDS: dict[frozenset[str], str] = {
+    frozenset((end, side)): ("f" if end in ("front", "fore") else "r") + side[0]
+    for end in ("front", "fore", "rear", "hind", "back")
+    for side in ("left", "l", "right", "r")
+}
 _HINGES: dict[str, str] = {
     word: hinge
     for hinge, words in {
@@ -99,7 +104,6 @@ class Named:
             reference (of a tracked body).
         stem: the words that say neither axis, number, unit, leg nor hinge; those of one vector or
             list share it.
-        body: whether it is of the body.
         leg: FL, FR, RL, RR, left or right.
         written: the leg as written in the name.
         part: the joint's name without the leg's; hip, thigh or calf for FL to RR.
@@ -113,7 +117,6 @@ class Named:
     kind: str = ""
     source: str = ""
     stem: str = ""
-    body: bool = False
     leg: str = ""
     written: str = ""
     part: str = ""
@@ -127,6 +130,12 @@ class Named:
     def commanded(self) -> bool:
         """Whether it is a set point."""
         return self.source == "command"
+
+    @property
+    def joint_of_log(self) -> str:
+        """Name of its joint in the log."""
+        leg = self.leg if self.leg in LEGS else self.written
+        return self.joint or f"{leg}_{self.part}".strip("_")
 
 
 def words_of(name: str) -> list[str]:
@@ -144,13 +153,9 @@ def words_of(name: str) -> list[str]:
 
 def _legs_in_one(words: list[str]) -> list[str]:
     """Replace "front" and "left", in either order, by "fl"."""
-    ends = [k for k, word in enumerate(words) if word in _ENDS]
-    for k in ends:
-        for other in (k + 1, k - 1):
-            if 0 <= other < len(words) and words[other] in _SIDES:
-                leg = (_ENDS[words[k]] + _SIDES[words[other]]).lower()
-                first = min(k, other)
-                return [*words[:first], leg, *words[first + 2 :]]
+    for k, pair in enumerate(pairwise(words)):
+        if leg := _LEGS_OF_TWO_WORDS.get(frozenset(pair)):
+            return [*words[:k], leg, *words[k + 2 :]]
     return words
 
 
@@ -158,72 +163,65 @@ def read_name(name: str) -> Named:
     """Interpret a single name."""
     words = words_of(name)
     leg, written, axis, unit, limb = "", "", "", "", None
-    quantities: list[str] = []
     numbers: list[int] = []
-    part: list[str] = []
     stem: list[str] = []
-    votes: dict[str, set[str]] = {}
+    votes: dict[str, list[str]] = defaultdict(list)
     # A vector's letter needs an axis or index; without one, as in "motor 0A", it is not a vector.
     vectors = any(word in tuple("xyz") or word.isdigit() for word in words)
     for word in words:
         letters, digits = re.fullmatch(r"([a-z]*)([0-9]*).*", word).groups()  # pyright: ignore
-        what, which = _WORDS.get(word) or (_WORDS.get(letters) if digits else None) or ("", "")
+        what, which = _WORDS.get(word) or (_WORDS.get(letters) if digits else None) or ("part", "")
         if word.isdigit():
             numbers.append(int(word))
             continue
-        if word in ("x", "y", "z") or (word == "w" and {"q", "ref_q"} & set(quantities)):
+        if word in ("x", "y", "z") or (word == "w" and {"q", "ref_q"} & {*votes["quantity"]}):
             axis = word
             continue
         if what == "leg" and not leg and len(words) > 1 and not digits:
             leg, written = which, word
             continue
-        if what == "unit" and (quantities or axis or "time" in votes) and not digits:
+        if what == "unit" and (votes["quantity"] or axis or votes["time"]) and not digits:
             word = _SPELT.get(word, word)
             unit = f"{unit}/{word}" if unit else word
             continue
         if _SPELT.get(word) == "s":
             what = "time"
-        if word == "w" and (quantities or "turning" in votes or "linear" in votes):
+        if word == "w" and (votes["quantity"] or votes["turning"] or votes["linear"]):
             what, which = "world", ""  # as in Isaac Lab's root_ang_vel_w
         if what == "quantity" and (
             (word in ("a", "w") and not vectors)
-            or (which == "euler" and (leg or part or "q" in quantities))
-            or (digits and quantities)
+            or (which == "euler" and (leg or votes["part"] or "q" in votes["quantity"]))
+            or (digits and votes["quantity"])
         ):
-            what = ""
-        if what == "quantity":
-            quantities.append(which)
-            part += [word] if which == "euler" else []
-        elif what in ("", "leg", "unit"):
-            part.append(word)
-            what = ""
-        else:
-            votes.setdefault(what, set()).add(which)
+            what = "part"
+        what = "part" if what in ("leg", "unit") else what
+        votes[what].append(word if what == "part" else which)
+        if (what, which) == ("quantity", "euler"):
+            votes["part"].append(word)
+        elif word not in _HINGES:
+            stem.append(word if what == "part" else letters)
         if digits and what == "limb":
             limb = int(digits)
-        elif digits and what:
+        elif digits and what != "part":
             numbers.append(int(digits))
-        if word not in _HINGES and (what, which) != ("quantity", "euler"):
-            stem.append(letters if what else word)
     if len(numbers) > 1 and limb is None:
         limb = numbers[-2]
-    hinge = _of_a_leg(part) if leg in LEGS else "_".join(part)
-    source = next((one for one in _SOURCES if one in votes.get("source", ())), "")
-    kind = _kind(quantities, votes, axis, bool(numbers), leg, part)
+    hinge = _of_a_leg(votes["part"]) if leg in LEGS else "_".join(votes["part"])
+    source = next((one for one in _SOURCES if one in votes["source"]), "")
+    kind = _kind(votes, axis, bool(numbers), leg)
     if kind == "force" and leg in LEGS and hinge in HINGES:
         kind = "tau"  # the load of a joint
-    if kind in ("gyro", "accel") and "world" in votes:
+    if kind in ("gyro", "accel") and votes["world"]:
         kind = "ref_v"  # no sensor's axes are the world's
     if kind in ("q", "dq", "tau") and source == "reference":
         source = "command"
-    if not (kind or quantities or part or leg) and axis:
-        alone = not stem or source == "reference" or votes.get("of") == {"body"}
+    if not (kind or votes["quantity"] or votes["part"] or leg) and axis:
+        alone = not stem or source == "reference" or {*votes["of"]} == {"body"}
         kind = "ref_p" if alone else ""  # "x [mm]", "vicon_x"
     return Named(
         kind=kind,
         source=source,
         stem=" ".join(stem),
-        body="body" in votes.get("of", ()),
         leg=leg,
         limb=limb,
         part=hinge,
@@ -234,49 +232,40 @@ def read_name(name: str) -> Named:
     )
 
 
-def _kind(
-    quantities: Sequence[str],
-    votes: Mapping[str, set[str]],
-    axis: str,
-    counted: bool,
-    leg: str,
-    part: Sequence[str],
-) -> str:
+def _kind(votes: Mapping[str, list[str]], axis: str, counted: bool, leg: str) -> str:
     """The quantity that the votes of a name agree on: its last noun, by what it belongs to.
 
     Args:
-        quantities: in the order of the words.
-        votes: of the other words, by what they are for.
+        votes: of the words in their order, by what they are for.
         axis: of a vector, or "".
         counted: whether there is an index.
         leg: its name, or "".
-        part: words of a joint.
     """
-    if "time" in votes:
+    if votes["time"]:
         return "t"
-    of, turning = votes.get("of", set()), "turning" in votes
+    of, turning = votes["of"], bool(votes["turning"])
     of_joint = bool(leg or "joint" in of)
-    before, kind = ("", "", *quantities)[-2:]
+    before, kind = ("", "", *votes["quantity"])[-2:]
     if kind in ("velocity", "rate"):
         turning = turning or before == "ref_q" or (kind == "rate" and axis != "")
         if before in ("gyro", "dq", "q"):
             return "dq" if before == "q" else before
-        if "foot" in of or (before == "euler" and not of_joint and len(part) == 1):
+        if "foot" in of or (before == "euler" and not of_joint and len(votes["part"]) == 1):
             return "other"
         if turning and not of_joint and (axis or counted):
             return "gyro"
-        of_body = not of_joint and (axis or "body" in of or "linear" in votes)
+        of_body = not of_joint and (axis or "body" in of or votes["linear"])
         return "ref_v" if of_body else "dq"
     if kind == "accel":
         return "other" if turning or of_joint or "foot" in of else kind
     if kind == "gyro" and not axis and (of_joint or "foot" in of):
         return "dq" if of_joint else "other"  # "omega" of a joint
     if kind == "position":
-        tracked = axis or "body" in of or "reference" in votes.get("source", ())
+        tracked = axis or "body" in of or "reference" in votes["source"]
         return "foot" if "foot" in of else "ref_p" if tracked and not of_joint else "q"
     if kind == "t" and axis:
         return "ref_p"  # a translation, as TUM's "tx"
-    if kind == "q" and not of_joint and (axis or (before == "euler" and len(part) == 1)):
+    if kind == "q" and not of_joint and (axis or (before == "euler" and len(votes["part"]) == 1)):
         return "ref_q" if axis else "euler"
     if not kind and turning:
         return "q" if of_joint else "gyro" if axis else ""
@@ -295,7 +284,7 @@ def _of_a_leg(part: list[str]) -> str:
 
 def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
     """Interpret the names of one recording together: "abduct, hip, knee" of a quadruped are our
-    hip, thigh, calf.
+    hip, thigh, calf; without rear legs, the front ones are left and right.
     """
     found = dict(names)
     hinges = {
@@ -308,6 +297,9 @@ def by_their_legs(names: Mapping[str, Named]) -> dict[str, Named]:
         for name, said in hinges.items():
             if names[name].part == "hip" and "hip" in said and "abduction" not in said:
                 found[name] = replace(names[name], part="thigh")
+    if not {one.leg for one in names.values()} & {"RL", "RR"}:
+        sides = {"FL": "left", "FR": "right"}
+        found = {n: replace(one, leg=sides.get(one.leg, one.leg)) for n, one in found.items()}
     return found
 
 
@@ -341,7 +333,7 @@ def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
                 kind_of_joint = "q" if kind == "ref_p" else "dq"
                 command = "command" if source == "reference" else source
                 found[name] = replace(one, kind=kind_of_joint, source=command)
-            elif not kind and one.body and len(members) in (7, 13):
+            elif not kind and ("of", "body") in votes and len(members) in (7, 13):
                 what = "ref_p" if at < 3 else "ref_q" if at < 7 else "ref_v"
                 found[name] = replace(one, kind=what)
             elif (

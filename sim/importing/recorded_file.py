@@ -11,12 +11,13 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import admitted
+from surefoot.sim.importing.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, is_bag, read_whole_bag
-from surefoot.sim.importing.clock import kept_rows, mostly_rises, rises
+from surefoot.sim.importing.clock import Columns, kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.draft import Entry
-from surefoot.sim.importing.layout import layout_of
-from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name
+from surefoot.sim.importing.layout import is_number, layout_of
+from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name, words_of
 from surefoot.sim.importing.recording import is_text, read_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of, elements
@@ -27,10 +28,19 @@ _RATES = (0.5, 5000.0)
 _USUAL_RATES = (8.0, 2500.0)
 """Range of usual rates of a log [Hz]."""
 _OF_JOINTS = ("q", "dq", "tau")
-_MOST_JOINTS = 100
-"""Largest number of words in a list of joints."""
+_LARGEST_COUNT = 1e9
+"""First count of a row below which it is no time since an epoch [ms]."""
+_STEPS = ("dt", "ts", "step", "timestep", "period")
+_RATE_WORDS = ("rate", "fs", "hz", "freq", "frequency", "fps")
+"""Last words of names of a step of time [s], and of a rate [Hz]."""
+_SMALL = 4096
+"""Size [bytes] below which a text may be a list of joints."""
 _FEW = 10
 """Readings up to which a mostly empty column is ignored."""
+
+
+_Readings = tuple[np.ndarray, np.ndarray]
+"""Rows or times of readings, and their values, both (M,)."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +53,12 @@ class RecordedFile:
         columns: by name, each (N,) on one clock, those of a bag interpolated to it.
         recorded: the same as in the file.
         names: interpretation of each column's name.
-        lists: names of joints that the file lists, by the list's name.
+        lists: words in order, as of its joints, of each list in the file or text beside it.
         layout: keys of [source] for a text.
         t: the column of times, or None.
         seconds: its times (N,) [s].
+        machine: robot for which a map is drafted, or None.
+        stated: rate of the rows [Hz] that the file states, and its name there, or None.
         skipped: what else the file contains, and why it is no column.
     """
 
@@ -59,7 +71,16 @@ class RecordedFile:
     layout: dict[str, Any]
     t: Entry | None
     seconds: np.ndarray | None
+    machine: Machine | None
+    stated: tuple[float, str] | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def counter(self) -> Entry | None:
+        """A column that counts its rows, as its times; None without."""
+        counts = (name for name, values in self.columns.items() if name and counts_rows(values))
+        doubt = "counts rows: gain = 1 / rate [Hz]?"
+        return next((Entry("t", name, gain=0.01, doubt=doubt) for name in counts), None)
 
 
 def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
@@ -75,29 +96,38 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     columns = columns_of(table)
     if between := _with_empty_cells(table, columns, machine):
         columns, layout = between, {**layout, "sparse": True}
-    lists = {
-        name: tuple(map(str, cells))
-        for name, cells in table.cells.items()
-        if len(cells) <= _MOST_JOINTS and all(isinstance(one, str) for one in cells)
-    }
+    lists, stated = _lists(path, table.cells), _stated_rate(columns)
     found = []
-    for part in _by_clock({n: v for n, v in columns.items() if len(v) > 1}):
+    long = {n: v for n, v in columns.items() if len(v) > 1}
+    for part in _by_clock(long):
         names = _names(part, machine)
-        t = column_of_times(part, names)
-        part, t = _at_rising_times(part, t)
+        part, t = _at_rising_times(part, column_of_times(part, names))
         seconds = t.scale * part[t.theirs] if t else None
-        label = _label(path, part, columns)
-        found.append(RecordedFile(path, label, part, part, names, lists, layout, t, seconds))
+        label = _label(path, part, long)
+        found.append(
+            RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine, stated)
+        )
     if found:
         there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
-        unread = dict.fromkeys((n for n in table.cells if n not in there), UNREADABLE)
-        found[0] = replace(found[0], skipped={**unread, **table.skipped})
+        unread = {name: UNREADABLE for name in table.cells if name not in there}
+        single = {name: PARAMETERS for name, cells in table.cells.items() if len(cells) == 1}
+        found[0] = replace(found[0], skipped=unread | single | dict(table.skipped))
     return found
 
 
-def _with_empty_cells(
-    table: RecordedTable, full: Mapping[str, np.ndarray], machine: Machine | None
-) -> dict[str, np.ndarray]:
+def _stated_rate(columns: Columns) -> tuple[float, str] | None:
+    """The rate of the rows by a constant that is named as one, or as a step of time, and its name;
+    of several the slowest, as of a simulation whose steps are not all recorded.
+    """
+    found = []
+    for name, values in columns.items():
+        last, value = (words_of(name) or [""])[-1], float(values[0])
+        if np.ptp(values) == 0.0 and value > 0.0 and last in (*_STEPS, *_RATE_WORDS):
+            found.append((value if last in _RATE_WORDS else 1.0 / value, name))
+    return min((one for one in found if _USUAL_RATES[0] < one[0] < _USUAL_RATES[1]), default=None)
+
+
+def _with_empty_cells(table: RecordedTable, full: Columns, machine: Machine | None) -> Columns:
     """Read a table in which cells are empty between readings.
 
     Returns its columns, interpolated to the rows of the gyro, or else of the most frequent column;
@@ -108,10 +138,8 @@ def _with_empty_cells(
         full: the columns of numbers without an empty cell.
         machine: whose joint names columns may use, or None.
     """
-    readings: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for name in elements(table):
-        if name in full:
-            continue
+    readings: dict[str, _Readings] = {}
+    for name in (name for name in elements(table) if name not in full):
         with suppress(SurefootError):
             rows, values = column_readings(table, name, Source(sparse=True))
             if _FEW < len(rows) < max(map(len, table.cells.values())):
@@ -129,9 +157,7 @@ def _with_empty_cells(
     return {n: between[n] for n in dict.fromkeys((*elements(table), *full)) if n in between}
 
 
-def _leading(
-    readings: Mapping[str, tuple[np.ndarray, np.ndarray]], names: Mapping[str, Named]
-) -> str:
+def _leading(readings: Mapping[str, _Readings], names: Mapping[str, Named]) -> str:
     """The column whose readings are the rows: one of the IMU, or else the most frequent."""
     gyro = (n for n in readings if names[n].kind == "gyro" and not names[n].source)
     return next(gyro, None) or max(readings, key=lambda name: len(readings[name][0]))
@@ -151,28 +177,45 @@ def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
     seconds, _ = readings[first]
     t = times_of_topic(first.partition(":")[0], recorded, names)
     columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
-    label = _plain(path.stem)
-    return [RecordedFile(path, label, columns, recorded, names, {}, layout, t, seconds, skipped)]
+    label, lists = _plain(path.stem), _lists(path, {})
+    one = RecordedFile(path, label, columns, recorded, names, lists, layout, t, seconds, machine)
+    return [replace(one, skipped=skipped)]
 
 
-def times_of_topic(
-    topic: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Named]
-) -> Entry:
+def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, ...]]:
+    """Texts in a file's cells, and words of small text files in its folder, which may list its
+    joints in order.
+    """
+    found = {
+        name: tuple(map(str, texts))
+        for name, texts in cells.items()
+        if len(texts) <= MOST_NAMES and all(isinstance(one, str) for one in texts)
+    }
+    for one in sorted(path.parent.glob("*.txt")):
+        if one != path and one.stat().st_size < _SMALL:
+            words = one.read_text(encoding="utf-8", errors="replace").split()
+            if not any(map(is_number, words)):
+                found[one.name] = tuple(words)
+    return found
+
+
+def times_of_topic(topic: str, columns: Columns, names: Mapping[str, Named]) -> Entry:
     """The stamps in a topic's messages or, without these, the times of reception."""
     own = {n: v for n, v in columns.items() if n.startswith(f"{topic}:") and names[n].kind == "t"}
     return column_of_times(own, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
 
 
-def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> Entry | None:
+def column_of_times(columns: Columns, names: Mapping[str, Named]) -> Entry | None:
     """The column of times: one with such a name, or else one that increases in even steps."""
     long = {n: v for n, v in columns.items() if len(v) > 2}
     named = [n for n, v in long.items() if names[n].kind == "t" and mostly_rises(v)]
-    even = [
-        n for n, v in long.items() if rises(v) and np.std(np.diff(v)) < 0.5 * np.mean(np.diff(v))
-    ]
+    rising = {n: np.diff(v) for n, v in long.items() if not names[n].kind and rises(v)}
+    even = [n for n, steps in rising.items() if np.std(steps) < 0.5 * np.mean(steps)]
     for name in (*named, *even):
         if (unit := names[name].unit) in UNITS["t"]:
             return Entry("t", name, unit)
+        if counts_rows(columns[name]):
+            continue
         steps = np.diff(columns[name])
         step = float(np.median(steps[steps > 0.0]))
         for low, high in (_USUAL_RATES, _RATES):
@@ -180,15 +223,18 @@ def column_of_times(columns: Mapping[str, np.ndarray], names: Mapping[str, Named
             if fits:
                 sure = name in named and len(fits) == 1 and low == _USUAL_RATES[0]
                 doubt = "" if sure else f"is this the time, in {fits[0]}?"
-                if np.all(steps == 1.0):
-                    doubt = f"in {fits[0]}, or a count of rows: which [source] rate?"
                 return Entry("t", name, fits[0], doubt=doubt)
     return None
 
 
-def _at_rising_times(
-    part: dict[str, np.ndarray], t: Entry | None
-) -> tuple[dict[str, np.ndarray], Entry | None]:
+def counts_rows(values: np.ndarray) -> bool:
+    """Whether values (N,) are numbers of rows, each 1 after the one before where none is lost."""
+    steps = np.diff(values)
+    whole = abs(values[0]) < _LARGEST_COUNT and not np.any(values % 1.0)
+    return bool(whole and steps.min(initial=1.0) >= 1.0 and np.median(steps) == 1.0)
+
+
+def _at_rising_times(part: Columns, t: Entry | None) -> tuple[Columns, Entry | None]:
     """The rows that an import keeps; all, and no times, where stamps contradict each other."""
     if t is None or rises(part[t.theirs]):
         return part, t
@@ -204,7 +250,7 @@ def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
     return by_their_lists(by_their_legs({name: name_in_file(name, machine) for name in columns}))
 
 
-def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+def _by_clock(columns: Columns) -> list[Columns]:
     """Group the columns by number of rows and, within these, by equal times."""
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
@@ -218,7 +264,7 @@ def _by_clock(columns: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
     return list(parts.values())
 
 
-def _label(path: Path, part: Mapping[str, np.ndarray], whole: Mapping[str, np.ndarray]) -> str:
+def _label(path: Path, part: Columns, whole: Columns) -> str:
     """Name for a part of a file: the file's, or that of the part's groups."""
     if len(part) == len(whole):
         return _plain(path.stem)
@@ -241,8 +287,7 @@ def name_in_file(name: str, machine: Machine | None) -> Named:
         alone = re.compile(rf"(?<![A-Za-z0-9]){re.escape(text)}(?![A-Za-z0-9])", re.IGNORECASE)
         if alone.search(name):
             rest, whole = read_name(alone.sub(" ", name)), read_name(alone.sub(ours[text], name))
-            load = whole.kind in _OF_JOINTS and rest.kind not in _OF_JOINTS
-            found = whole if load else rest
+            found = whole if whole.kind in _OF_JOINTS and rest.kind not in _OF_JOINTS else rest
             if not found.kind or found.kind in _OF_JOINTS:
                 return replace(found, joint=ours[text], leg=whole.leg)
     return read_name(name)

@@ -20,12 +20,13 @@ from surefoot.sim.importing.clock import (
     gap_lines,
     kept_rows,
     on_clock,
+    outside_lines,
     seconds,
 )
 from surefoot.sim.importing.columns import EULER, MapColumn
 from surefoot.sim.importing.json_file import read_json
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import poses_of, quaternions_of
+from surefoot.sim.importing.reference import poses_of, quaternions_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, with_stamps
 from surefoot.sim.importing.text_file import read_text
@@ -88,7 +89,10 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     shared = on_clock(clock, streams, str(main))
     rules = replace(rules, robot=_robot_file(rules, main))
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
-    return RawRecording(kept, poses, rules, main, (*notes, *gap_lines(clock, streams)))
+    notes += gap_lines(clock, streams)
+    if poses is not None:
+        notes += outside_lines(kept, poses.t + reference_offset(rules, main.stem))
+    return RawRecording(kept, poses, rules, main, tuple(notes))
 
 
 def _robot_file(rules: ImportMap, main: Path) -> str | None:
@@ -103,7 +107,9 @@ def read_table(path: Path, source: Source) -> RecordedTable:
     """Read the table of a file of any kind except a bag. Raises SurefootError."""
     admitted(path, "recording")
     reader = _READERS.get(path.suffix.lower())
-    with parsed_as("a readable table" if reader else "a readable table of text", path):
+    remedy = "; save arrays of numbers anew, by np.savez" if reader is read_npz else ""
+    what = f"{path.suffix} file" if reader else "table of text"
+    with parsed_as(f"a readable {what}", path, remedy):
         return with_stamps(reader(path) if reader else read_text(path, source))
 
 
@@ -113,13 +119,12 @@ def is_text(path: Path) -> bool:
 
 
 def _main_file(path: Path, rules: ImportMap) -> Path:
-    if rules.sections.source.file and is_file(path / rules.sections.source.file):
-        return path / rules.sections.source.file
-    if is_bag(path) or not path.is_dir():
-        return path
-    if rules.sections.source.file is None:
+    inside = path / (rules.sections.source.file or "")
+    if is_file(inside) or is_bag(path) or not path.is_dir():
+        return inside if is_file(inside) else path
+    if inside == path:
         raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
-    return path / rules.sections.source.file
+    return inside
 
 
 def _streams(
@@ -224,7 +229,7 @@ def _blank_lines(path: Path, blank: Mapping[str, SurefootError], found: Iterable
 
 def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.ndarray:
     if clock is None:
-        rows = max(map(len, table.cells.values()))
+        rows = max(map(len, table.cells.values()), default=0)
         return np.arange(rows) / (source.rate or 1.0)
     return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 

@@ -2,6 +2,8 @@
 of the IMU frame at a log's rows.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -34,11 +36,16 @@ def quaternions_of(angles: np.ndarray) -> Columns:
 
 def tracked_poses(poses: Poses, reference: ReferenceTable) -> Poses:
     """Poses of the tracked body in a world with z up, on its own clock, from those recorded."""
-    R_WM = poses.R.swapaxes(1, 2) if reference.inverse else poses.R
-    R_GW = matrix_from_quaternion(np.array(reference.q_GW))
-    if not reference.inverse and np.array_equal(R_GW, np.eye(3)):
+    if reference.inverse:
+        poses = replace(poses, q=quaternion_from_matrix(poses.R.swapaxes(1, 2)))
+    return in_world(poses, matrix_from_quaternion(np.array(reference.q_GW)))
+
+
+def in_world(poses: Poses, R_GW: np.ndarray) -> Poses:
+    """Poses in a world G, from those in W; R_GW (3, 3)."""
+    if np.array_equal(R_GW, np.eye(3)):
         return poses
-    return Poses(poses.t, poses.p @ R_GW.T, quaternion_from_matrix(R_GW @ R_WM))
+    return Poses(poses.t, poses.p @ R_GW.T, quaternion_from_matrix(R_GW @ poses.R))
 
 
 def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from surefoot.sim.importing.clock import seconds, set_forward
 from surefoot.sim.importing.reference import MAX_GAP
 from surefoot.sim.log.reference import Poses
 
@@ -47,26 +48,16 @@ class ReferenceCheck:
     """Result of the checks of a reference.
 
     Attributes:
-        samples: number of samples.
-        rate: [Hz].
+        samples: number, rate and gaps of its samples, in words.
+        others: faults other than doubtful stamps, in words.
         judged: number of steps at a steady speed, whose frames can be counted.
         miscounted: number of these that are off by a frame.
-        jumps: number of steps that jump.
-        held: number of steps that repeat the pose exactly while the body moves.
-        gaps: number of intervals over MAX_GAP.
-        longest_gap: [s].
-        largest: size and time of the largest jump, in words, "" without one.
     """
 
-    samples: int
-    rate: float
-    judged: int
-    miscounted: int
-    jumps: int
-    held: int
-    gaps: int
-    longest_gap: float
-    largest: str = ""
+    samples: str
+    others: tuple[str, ...] = ()
+    judged: int = 0
+    miscounted: int = 0
 
     @property
     def doubtful(self) -> float:
@@ -76,55 +67,49 @@ class ReferenceCheck:
     @property
     def lines(self) -> tuple[str, ...]:
         """Description in words, followed by the faults."""
-        said = (
-            f"reference: {self.samples} samples, {self.rate:.3g} Hz; longest gap "
-            f"{1e3 * self.longest_gap:.0f} ms, {self.gaps} over {1e3 * MAX_GAP:.0f} ms"
-        )
-        return (said, *self._faults(_SHOWN_DOUBTFUL))
+        return (self.samples, *self._faults(_SHOWN_DOUBTFUL))
 
     @property
     def faults(self) -> tuple[str, ...]:
         """The faults only, in words."""
-        return tuple(self._faults(_FEW_DOUBTFUL))
+        return self._faults(_FEW_DOUBTFUL)
 
-    def _faults(self, least: float) -> list[str]:
-        said = []
-        if self.judged and self.doubtful >= least:
-            said.append(
-                f"reference: {100 * self.doubtful:.1f} % of stamps doubtful: so many of the "
-                f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
-                "neighbours' (frames miscounted)"
-            )
-        if self.largest:
-            what = "jumps of position or attitude, the largest by"
-            said.append(f"reference: {self.jumps} {what} {self.largest}")
-        if self.held:
-            said.append(
-                f"reference: {self.held} samples repeat the one before while the body moves"
-            )
-        return said
+    def _faults(self, least: float) -> tuple[str, ...]:
+        if self.doubtful < least:
+            return self.others
+        return (
+            f"reference: {100 * self.doubtful:.1f} % of stamps doubtful: so many of the "
+            f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
+            "neighbours' (frames miscounted)",
+            *self.others,
+        )
 
 
 def check_reference(poses: Poses) -> ReferenceCheck:
     """Check the K samples of a reference by themselves."""
-    step = np.diff(poses.t)
+    t, step = poses.t, np.diff(poses.t)
+    rate = 1.0 / np.median(step) if len(step) else 0.0
+    longest, gaps = 1e3 * step.max(initial=0.0), np.sum(step > MAX_GAP)
+    samples = f"reference: {len(t)} samples, {rate:.3g} Hz; longest gap {longest:.0f} ms, "
+    samples += f"{gaps} over {1e3 * MAX_GAP:.0f} ms"
     if len(step) < 2 * _NEIGHBOURS + 1:
-        return ReferenceCheck(len(poses.t), 0.0, 0, 0, 0, 0, 0, float(step.max(initial=0.0)))
-    miscounted, judged = miscounts(poses)
-    _, around = _speeds(poses)
-    same = ~np.diff(np.column_stack([poses.p, poses.q]), axis=0).any(axis=1)
-    jumped = np.flatnonzero(jumps(poses))
-    return ReferenceCheck(
-        samples=len(poses.t),
-        rate=float(1.0 / np.median(step)),
-        judged=int(judged.sum()),
-        miscounted=int(miscounted.sum()),
-        jumps=len(jumped),
-        held=int((same & (around > _SLOWEST)).sum()),
-        gaps=int((step > MAX_GAP).sum()),
-        longest_gap=float(step.max()),
-        largest=max((_jump(poses, int(k)) for k in jumped), default=(0.0, ""))[1],
-    )
+        return ReferenceCheck(samples)
+    pose = np.column_stack([poses.p, poses.q])
+    said = [
+        f"stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while it goes on: a clock"
+        " that was set; import what is before and the rest separately"
+        for row in set_forward(t, pose)
+    ]
+    if np.all(step == 1.0):
+        said.append("stamps are whole numbers: of frames? Give [reference] rate, and no t")
+    if (jumped := np.flatnonzero(jumps(poses))).size:
+        _, largest = max(_jump(poses, int(k)) for k in jumped)
+        said.append(f"{len(jumped)} jumps of position or attitude, the largest by {largest}")
+    same = ~np.diff(pose, axis=0).any(axis=1)
+    if held := np.sum(same & (_speeds(poses)[1] > _SLOWEST)):
+        said.append(f"{held} samples repeat the one before while the body moves")
+    miscounted, judged = (int(one.sum()) for one in miscounts(poses))
+    return ReferenceCheck(samples, tuple(f"reference: {one}" for one in said), judged, miscounted)
 
 
 def _jump(poses: Poses, step: int) -> tuple[float, str]:
@@ -155,7 +140,9 @@ def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
     """
     speed, around = _speeds(poses)
     spread = _median_around(np.abs(speed - around))
-    frames = _frames(np.diff(poses.t))
+    step = np.diff(poses.t)
+    frame = np.median(step[step < 1.5 * np.percentile(step, 5.0)])  # the shortest usual step
+    frames = np.maximum(np.rint(step / frame), 1.0)
     judged = (around > _SLOWEST) & (spread < _STEADY * around) & (frames <= max(_MISCOUNTED))
     ratio = speed / np.maximum(around, _SLOWEST)
     off = np.zeros(len(ratio), dtype=bool)
@@ -199,14 +186,6 @@ def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
         if keep.all():
             return poses
         poses = poses.rows(keep)
-
-
-def _frames(step: np.ndarray) -> np.ndarray:
-    """Number of frames (M,) from one sample to the next, by their stamps; a frame is the shortest
-    usual step.
-    """
-    frame = np.median(step[step < 1.5 * np.percentile(step, 5.0)])
-    return np.maximum(np.rint(step / frame), 1.0)
 
 
 def _speeds(poses: Poses) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,8 @@ _LEAST = 0.25
 """
 _OUTLYING = 8.0
 """Ratio to the usual change beyond which a change is not noise."""
+_SURELY = 3.0
+"""Standard deviations of what samples of the accelerometer may miss between them."""
 _MOST = 0.05
 """Share of samples above which reference and IMU do not match at all: another clock, axes or
 position, which `surefoot align` estimates.
@@ -42,12 +44,17 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     beside = matching_imu(t, gyro, accel, poses.rows(known))
     if beside is None:
         return found
+    dt = float(np.median(np.diff(t)))
     half = max(0.5 * _WINDOW, 2.0 * float(np.median(np.diff(beside.t))))
     v = derivative(beside.t, beside.path, 0.5 * _WINDOW, causal=False)
     before = np.searchsorted(beside.t, beside.t - half)
     after = np.searchsorted(beside.t, beside.t + half, side="right") - 1
     change = np.linalg.norm(v[after] - v[before], axis=1)
-    bad = change > max(_LEAST, _OUTLYING * float(np.median(change)))
+    # Samples of what shakes a body between the rows, in place of averages, change as much.
+    bend = np.sum((accel[1:-1] - 0.5 * (accel[2:] + accel[:-2])) ** 2, axis=1) / 1.5
+    summed = np.interp(beside.t[:, None] + [-half, half], t[1:-1], np.cumsum(bend * dt**2))
+    sampled = _SURELY * np.sqrt(np.diff(summed, axis=1)[:, 0])
+    bad = change > np.maximum(max(_LEAST, _OUTLYING * float(np.median(change))), sampled)
     if np.median(change) > _LEAST or not bad.any() or bad.mean() > _MOST:
         return found
     out = _closed(beside.t, bad)

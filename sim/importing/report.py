@@ -36,8 +36,7 @@ def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
     by = f"{100 * missed:.0f} % of it" if missed < 1.0 else "more than it turns"
     return (
         *lines,
-        f"reference: does not turn as the IMU does (differs by {by}):"
-        " another clock, other axes or another body; try surefoot align",
+        f"reference: does not turn as the IMU does (differs by {by}); try surefoot align",
     )
 
 

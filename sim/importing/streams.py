@@ -1,19 +1,15 @@
-"""Streams of a log that are held or late.
+"""Columns of a log that are held.
 
 A column is held if it repeats its value exactly although it moves by far more than its resolution:
-a slower sensor was read more often than it measures. A stream is late relative to another column
-that measures the same: rates and the derivative of their angles, the reference's velocity and its
-positions.
+a slower sensor was read more often than it measures.
 """
 
 from collections import defaultdict
-from dataclasses import dataclass
 
 import numpy as np
 
 from surefoot.sim.importing.clock import column_kind
 from surefoot.sim.log import Log
-from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 
 _MOVES = 20.0
 """Motion within _MOVING seconds, in resolutions, at which a repeated value is significant."""
@@ -29,39 +25,11 @@ single missed rows.
 """
 _MOVING_ROWS = 50
 """Least number of rows in motion."""
-_FEWEST_ROWS = 10
-"""Least number of rows for a delay."""
-_LATEST = 0.05
-"""Largest delay that is searched for [s], as for the effects of timing."""
-_LATEST_REFERENCE = 0.3
-"""Largest delay of a reference's velocity, which a tracker may filter [s]."""
-_LEAST_DELAY = 2e-3
-"""Smallest delay that is reported [s]; at least a quarter of a row."""
-_ALIKE = 0.5
-"""Correlation below which two columns do not measure the same, at any delay."""
 
 
-@dataclass(frozen=True)
-class HeldStream:
-    """Columns whose values change at `rate` [Hz] and are held in the rows between."""
-
-    columns: tuple[str, ...]
-    rate: float
-
-
-@dataclass(frozen=True)
-class LateStream:
-    """Columns with a `delay` [s] relative to `witness`, which measures the same."""
-
-    columns: tuple[str, ...]
-    delay: float
-    witness: str
-
-
-def held_streams(log: Log) -> tuple[HeldStream, ...]:
-    """Columns of a log that were sampled more slowly than its rows.
-
-    Grouped by kind (gyro, q, ...), with the median rate.
+def held_streams(log: Log) -> dict[str, dict[str, float]]:
+    """Rates [Hz] at which the values of columns change that were sampled more slowly than the rows
+    of a log, by kind (gyro, q, ...) and name.
     """
     found: dict[str, dict[str, float]] = defaultdict(dict)
     for name in map(str, log.frame):
@@ -70,59 +38,10 @@ def held_streams(log: Log) -> tuple[HeldStream, ...]:
         share = _repeated(log.t, log.frame[name].to_numpy())
         if share > _HELD_SHARE:
             found[column_kind(name)][name] = log.rate * (1.0 - share)
-    return tuple(
-        HeldStream(tuple(rates), float(np.round(np.median(list(rates.values())))))
-        for rates in found.values()
-    )
+    return found
 
 
-def late_streams(log: Log) -> tuple[LateStream, ...]:
-    """Streams of a log that are late relative to what measures the same; negative if early."""
-    found = []
-    if log.has("q") and log.has("dq"):
-        lag = delay_between(log.t, log.dq, derivative(log.t, log.q, JOINT_WINDOW, causal=False))
-        found.append(LateStream(tuple(f"dq_{j}" for j in log.joints), lag, "the change of q"))
-    if log.has("ref_v"):
-        lag = delay_between(
-            log.t,
-            log.ref_v,
-            derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal=False),
-            _LATEST_REFERENCE,
-        )
-        names = tuple(f"ref_v_{axis}" for axis in "xyz")
-        found.append(LateStream(names, lag, "the change of ref_p"))
-    least = max(_LEAST_DELAY, 0.25 / log.rate)
-    return tuple(one for one in found if abs(one.delay) > least)
-
-
-def delay_between(
-    t: np.ndarray, late: np.ndarray, witness: np.ndarray, latest: float = _LATEST
-) -> float:
-    """Delay [s], at most `latest`, of `late` (N, D) relative to `witness` (N, D), at t (N,) [s].
-
-    Maximum of their correlation, refined by a parabola. 0 where they do not correlate.
-    """
-    if len(t) < _FEWEST_ROWS:
-        return 0.0
-    t = _with_short_gaps(t, 2.0 * latest)
-    dt = float(np.median(np.diff(t)))
-    even = np.arange(t[0], t[-1], dt)
-    a, b = (_even(even, t, x) for x in (late, witness))
-    most = min(int(np.ceil(latest / dt)) + 1, len(even) // 4)
-    inner = slice(most, len(even) - most)
-    if most < 1:
-        return 0.0
-    shifts = np.arange(-most, most + 1)
-    alike = np.array([_correlation(np.roll(a, -k, axis=0)[inner], b[inner]) for k in shifts])
-    best = int(np.argmax(alike))
-    if alike[best] < _ALIKE or best in (0, len(shifts) - 1):
-        return 0.0
-    before, top, after = alike[best - 1 : best + 2]
-    bend = before - 2.0 * top + after
-    return dt * float(shifts[best] + (0.5 * (before - after) / bend if bend else 0.0))
-
-
-def _with_short_gaps(t: np.ndarray, longest: float) -> np.ndarray:
+def with_short_gaps(t: np.ndarray, longest: float) -> np.ndarray:
     """Times (N,) [s] with gaps of at most `longest`: no rows are compared across longer ones."""
     more = np.maximum(np.diff(t) - longest, 0.0)
     return t - np.concatenate([[0.0], np.cumsum(more)]) if more.any() else t
@@ -147,17 +66,3 @@ def _moving_sum(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     total = np.concatenate([[0.0], np.cumsum(x)])
     ends = [np.interp(t[1:] + side * _MOVING, t, total) for side in (-0.5, 0.5)]
     return ends[1] - ends[0]
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Correlation of a and b (N, D), 0 if one of them is constant zero.
-
-    Normalised separately for each shift, so that rows gained and lost at the ends do not matter.
-    """
-    size = np.sqrt(np.sum(a**2) * np.sum(b**2))
-    return float(np.sum(a * b) / size) if size > 0.0 else 0.0
-
-
-def _even(even: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    values = np.column_stack([np.interp(even, t, column) for column in x.T])
-    return values - values.mean(axis=0)

@@ -1,9 +1,11 @@
 """A file as a table of raw cells, and the conversion of its columns to numbers."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -204,13 +206,14 @@ def _numbers(
     if cells.dtype.kind == "c" or any(isinstance(one, complex) for one in cells[:1]):
         raise SurefootError(f"{table.path}: column {column!r} has complex numbers, not real ones")
     plain = cells.dtype.kind in "fiub"
-    values = cells.astype(float) if plain else np.array([_number(one) for one in cells], float)
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
+    finite = takewhile(math.isfinite, map(_number, cells))
+    values = cells.astype(float) if plain else np.fromiter(finite, float)
+    bad = [*np.flatnonzero(~np.isfinite(values))[:1], *range(len(values), len(cells))[:1]]
+    if bad:
         cell = cells[bad[0]]
         empty = "NaN or empty; sparse = true in the map leaves such cells out"
         other = empty if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
-        what = "infinite" if np.isinf(values[bad[0]]) else other
+        what = "infinite" if math.isinf(_number(cell)) else other
         row = table.first + int(rows[bad[0]])
         raise SurefootError(f"{table.path}: column {column!r}, {table.row} {row}: {what}")
     return values

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.limits import check_unpacked
 from surefoot.sim.importing.layout import encoding_of, first_lines, no_table
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.table import RecordedTable
@@ -19,6 +20,12 @@ def read_text(path: Path, source: Source) -> RecordedTable:
     if source.long is None and (why := no_table(path, source.skip)):
         raise SurefootError(f"{path}: {why}")
     header, separator, units = first_lines(path, source, encoding)
+    with path.open("rb") as stream:
+        pieces = iter(lambda: stream.read(1 << 20), b"")
+        lines = sum(max(one.count(b"\n"), one.count(b"\r")) for one in pieces)
+    # A cell, empty where a line is short, takes as long as 80 bytes that are unpacked.
+    cost = 80.0 * lines * len(header)
+    check_unpacked(path.stat().st_size, cost, f"{path}: cells of its lines", at_once=False)
     frame = pd.DataFrame()
     with warnings.catch_warnings(), suppress(pd.errors.EmptyDataError):
         # pandas only warns of a first line that is too long, and shifts the columns.

@@ -30,15 +30,11 @@ TILT = 45.0
 _UPRIGHT = 30.0
 """The same for an interpretation that corrects it [deg]."""
 
-_LAST_IS_W = {
-    "ref_q_w": "ref_q_z",
-    "ref_q_x": "ref_q_w",
-    "ref_q_y": "ref_q_x",
-    "ref_q_z": "ref_q_y",
-}
+_LAST_IS_W = {f"ref_q_{a}": f"ref_q_{b}" for a, b in zip("wxyz", "zwxy", strict=True)}
 """Column -> that which was taken for it, where w is the last number and was read as the first."""
 _NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 _Y_UP = Rotation.from_euler("x", 90, degrees=True)
+_X_UP = Rotation.from_euler("y", -90, degrees=True)
 
 
 @dataclass(frozen=True)
@@ -49,11 +45,13 @@ class Reading:
         words: its name.
         changes: of an import map that state it.
         read: function that converts the attitudes.
+        of_world: whether they are of another world, in which the body turns alike.
     """
 
     words: str
     changes: Changes
     read: Callable[[Rotation], Rotation]
+    of_world: bool = False
 
 
 def _rolled(R: Rotation) -> Rotation:
@@ -68,7 +66,7 @@ def _exchanged(columns: Mapping[str, str], inverse: bool = False) -> Changes:
 
 
 def _of_world(words: str, R_GW: Rotation) -> Reading:
-    return Reading(words, {"reference": {"q_GW": quaternion(R_GW)}}, lambda R: R_GW * R)
+    return Reading(words, {"reference": {"q_GW": quaternion(R_GW)}}, lambda R: R_GW * R, True)
 
 
 OTHER_READINGS = (
@@ -110,7 +108,9 @@ OTHER_READINGS = (
         lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYX")[:, [0, 2, 1]]),
     ),
     _of_world("the world's y is up", _Y_UP),
-    _of_world("the world's z is down and y up", _Y_UP.inv()),
+    _of_world("the world's y is down", _Y_UP.inv()),
+    _of_world("the world's x is up", _X_UP),
+    _of_world("the world's x is down", _X_UP.inv()),
 )
 
 
@@ -166,16 +166,20 @@ def attitude_fault(
     match, lean = match_axes(gyro, as_is), leaning(lambda R: R)
     own = float(match.own.mean())
     late, shifted = delay
-    if late and shifted > _SAME_MOTION and shifted > own + _CLEARLY and lean < TILT:
-        which, how = ("after", "late") if late > 0 else ("before", "early")
-        seen = f"turns {abs(late):.2f} s {which} the gyro"
-        return AttitudeFault(seen, f"the reference's clock is {how}", {}, late)
+    if not (late and shifted > _SAME_MOTION and shifted > own + _CLEARLY):
+        late, shifted = 0.0, own
+    which, how = ("after", "late") if late > 0 else ("before", "early")
+    clock = f"the reference's clock is {how}"
+    if late and lean < TILT:
+        return AttitudeFault(f"turns {abs(late):.2f} s {which} the gyro", clock, {}, late)
     if not match.wrong and own > 0.5 and lean < TILT:
         return None
     tried = [
-        (float(match_axes(gyro, turned(r.read)).own.mean()), leaning(r.read), r)
+        # A body turns alike in any world.
+        (shifted if r.of_world else float(match_axes(gyro, turned(r.read)).own.mean()),
+         leaning(r.read), r)
         for r in OTHER_READINGS
-    ]
+    ]  # fmt: skip
     fitting = [one for one in tried if one[1] < _UPRIGHT and one[0] > _ALIKE]
     if not fitting:
         return None
@@ -192,4 +196,6 @@ def attitude_fault(
     alike = ", ".join(f"{x:.2f}" for x in match.own)
     seen = f"correlation of its turning with the gyro {alike} about x, y, z, "
     seen += f"its vertical {lean:.0f} deg from gravity"
+    if late and best[2].of_world:
+        return AttitudeFault(seen, f"{best[2].words}, and {clock}", best[2].changes, late)
     return AttitudeFault(seen, best[2].words, best[2].changes)

@@ -5,9 +5,10 @@ from itertools import permutations
 
 import numpy as np
 
-AXIS_NAMES = "xyz"
+from surefoot.sim.importing.streams import with_short_gaps
+
 GYRO, ACCEL, REF_P, REF_V = (
-    tuple(f"{kind}_{a}" for a in AXIS_NAMES) for kind in ("gyro", "accel", "ref_p", "ref_v")
+    tuple(f"{kind}_{a}" for a in "xyz") for kind in ("gyro", "accel", "ref_p", "ref_v")
 )
 OTHER = 0.7
 """Correlation with another axis from which that axis is taken to be measured: clean walks have 0.8
@@ -15,6 +16,10 @@ OTHER = 0.7
 """
 GAIN = 0.4
 """Least excess over the correlation with its own axis; correlated axes have 0.4 with each other."""
+_FEWEST_ROWS = 10
+"""Least number of rows for a delay."""
+_MEASURE_ALIKE = 0.5
+"""Correlation below which two streams do not measure the same, at any delay."""
 _ALIKE = 0.8
 """Correlation with its own axis from which scales are compared."""
 
@@ -60,7 +65,7 @@ class AxesMatch:
     def words(self) -> str:
         """The wrong axes in words, such as "x is -y"."""
         return ", ".join(
-            f"{AXIS_NAMES[i]} is {'-' * bool(self.sign[i] < 0)}{AXIS_NAMES[self.order[i]]}"
+            f"{'xyz'[i]} is {'-' * bool(self.sign[i] < 0)}{'xyz'[self.order[i]]}"
             for i in self.wrong
         )
 
@@ -118,6 +123,20 @@ def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> t
     bend = before - 2.0 * top + after
     part = 0.5 * (before - after) / bend if bend else 0.0
     return step * float(shifts[k] + part), top
+
+
+def delay_between(t: np.ndarray, late: np.ndarray, witness: np.ndarray, most: float) -> float:
+    """Delay [s], at most `most`, of `late` (N, D) relative to `witness` (N, D), at t (N,) [s];
+    0 where they do not correlate.
+    """
+    if len(t) < _FEWEST_ROWS:
+        return 0.0
+    t = with_short_gaps(t, 2.0 * most)
+    step = float(np.median(np.diff(t)))
+    even = np.arange(t[0], t[-1], step)
+    a, b = (np.column_stack([np.interp(even, t, one) for one in x.T]) for x in (late, witness))
+    delay, alike = lag_of(a, b, step, most + step)
+    return delay if alike > _MEASURE_ALIKE else 0.0
 
 
 def _standardised(x: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.importing.advice import entries
+from surefoot.sim.importing.clock import legs_moving, set_forward
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import RESTS, LogView
@@ -64,11 +65,9 @@ def stamps(view: LogView) -> Iterator[Finding]:
     actual = 1.0 / view.step
     if not SLOWEST_ROWS < actual < FASTEST_ROWS:
         unit = next((u for u, s in UNITS["t"].items() if _USUAL[0] <= actual / s <= _USUAL[1]), "")
-        if actual < SLOWEST_ROWS and _leaps_from_row_to_row(view):
-            cause = "too slow for any filter: a stride has two rows; log at 100 Hz or more"
-            yield Finding(("t",), f"rows at {actual:.3g} Hz, between which all moves", cause)
-            return
         cause = f"in {unit}, not s" if unit else "wrong unit of time"
+        if actual < SLOWEST_ROWS and _leaps_from_row_to_row(view):
+            unit, cause = "", "too slow for any filter: all moves from row to row; log at 100 Hz"
         changes = entries(("t",), unit=unit) if unit else {}
         yield Finding(("t",), f"rows at {actual:.3g} Hz", cause, changes)
         return
@@ -78,7 +77,11 @@ def stamps(view: LogView) -> Iterator[Finding]:
         yield Finding(("t",), seen, "wrong rate, or wrong unit of time")
     seen, gap = _lost(view)
     if gap:
-        yield Finding(("t",), seen, "lost rows")
+        cause, leaps = "lost rows", set_forward(t, legs_moving(view.log.frame))
+        if leaps.size:
+            seen = f"leaps by {t[leaps[0]] - t[leaps[0] - 1]:.2f} s after {t[leaps[0] - 1]:.2f} s"
+            cause = "the clock was set: joints go on meanwhile; import what is before and the rest"
+        yield Finding(("t",), seen, f"{cause} separately" if leaps.size else cause)
 
 
 def _leaps_from_row_to_row(view: LogView) -> bool:
@@ -165,13 +168,7 @@ def leaps(view: LogView) -> Iterator[Finding]:
     Because: rows are missing there, although stamps are even.
     Remedy: record again, with the sensor's own stamps.
     """
-    log = view.log
-    streams = [log.q] if log.has("q") else []
-    if log.has("foot"):
-        streams.append(log.foot_I.reshape(len(view.t), -1))
-    if not streams:
-        return
-    x = np.column_stack(streams)
+    x = legs_moving(view.log.frame)
     # Rows very close together have a late or an early stamp; no joint jumped.
     step = np.diff(view.t)
     rate = np.abs(np.diff(x, axis=0)) / np.maximum(step, 0.5 * np.median(step))[:, None]

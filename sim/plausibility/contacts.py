@@ -14,6 +14,14 @@ carried.
 """
 OTHERS_CHANGE = 6
 """Number of changes of each other contact within which a contact must change: three strides."""
+STRIDE = 2
+"""Number of lasting changes of a contact in a stride."""
+MOVES_APART, MOVES = 0.2, 0.2
+"""Speed of a foot against others in contact that is none of a standing foot [m/s], and share of the
+time of a foot that does not stand: sliding feet have 0.14 in half a second, swinging ones 0.26.
+"""
+FEWEST_TIMES = 10
+"""Least number of times for such a share."""
 UNCHANGED = 1.0
 """Shortest time without a change to report [s], two strides; bouncing contacts change often in
 less.
@@ -71,30 +79,35 @@ def missed(view: LogView) -> Iterator[Finding]:
 def dead(view: LogView) -> Iterator[Finding]:
     """Check that each foot of a walking robot touches down and lifts off.
 
-    Compares: contacts with each other over time.
+    Compares: contacts with each other over time, and the velocity of each foot in contact with
+        that of the others.
     Speaks from: none changes, or one does not for {UNCHANGED:g} s in which the others change
-        {OTHERS_CHANGE} times and more, although the robot walks.
-    Because: a foot of a robot that walks lifts at every stride.
+        {OTHERS_CHANGE} times and more, although the robot walks; in a log in which it never
+        changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time.
+    Because: a foot of a robot that walks lifts at every stride; feet that stand move alike.
     Remedy: the threshold of [contact]; leave a dead contact out.
     """
-    log = view.log
+    log, contact = view.log, view.log.contact
     if len(log.legs) < 2:
         return
-    contact = log.contact
     count = np.abs(np.diff(contact.astype(int), axis=0)).sum(axis=0)
-    still = np.flatnonzero(count == 0)
-    walks = int(np.sum(count >= OTHERS_CHANGE)) >= 2
-    if len(still) == len(log.legs) and log.has("reference"):
-        walks = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
+    steps = np.array([_lasting(view.t, one) for one in contact.T])
+    moves = _moving_in_contact(view)
+    walks = int(np.sum(steps >= STRIDE)) >= 2
+    # A robot that has just begun to walk has not lifted every foot.
+    wrong = np.where(contact[0], int(np.sum(count >= OTHERS_CHANGE)) >= 2, walks)
+    wrong = np.where(np.isfinite(moves), moves > MOVES, wrong) & (count == 0)
+    if not (count.any() or wrong.any()) and log.has("reference"):
+        far = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
         # Its feet move under it, so that it is not carried.
         feet = None if view.stance is None else view.stance.foot[:, :, :2]
-        walks = walks and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
-    if walks and still.size:
-        for state in (1, 0):
-            columns = tuple(f"contact_{log.legs[i]}" for i in still if contact[0, i] == state)
-            if columns:
-                seen = f"always {state} although the robot walks"
-                yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
+        wrong[:] = far and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
+    for state in (1, 0):
+        found = np.flatnonzero(wrong & (contact[0] == state))
+        if found.size:
+            seen = f"always {state} although the robot walks"
+            columns = tuple(f"contact_{log.legs[i]}" for i in found)
+            yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
     for i in np.flatnonzero(count > 0):
         for first, last in stretches_without_change(view.t, contact[:, i], UNCHANGED)[:1]:
             t, rows = view.t[first : last + 1], np.delete(contact, i, axis=1)[first : last + 1]
@@ -103,6 +116,21 @@ def dead(view: LogView) -> Iterator[Finding]:
                 seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s, while the others change"
                 seen += f" {others:.0f} times"
                 yield Finding((f"contact_{log.legs[i]}",), seen, "a sensor that hangs")
+
+
+def _moving_in_contact(view: LogView) -> np.ndarray:
+    """Share (L,) of its time in contact in which a foot moves against the median of those in
+    contact; NaN where that is unknown.
+    """
+    legs = view.feet if view.log.has("imu") else None
+    if legs is None:
+        return np.full(len(view.log.legs), np.nan)
+    some = legs.at(np.flatnonzero(legs.contact.any(axis=1)))
+    by_foot = some.body_velocity(view.gyro[some.which])
+    by_foot = np.where(some.contact[..., None], by_foot, np.nan)
+    apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
+    share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
+    return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)
 
 
 @rule_named("flickering", "t contact", when="comparable")
@@ -153,7 +181,7 @@ def inverted(view: LogView) -> Iterator[Finding]:
     Because: trotting robots lift their feet by 30 to 80 mm.
     Remedy: contact from the other level of the switch; the order of the legs.
     """
-    legs, up = view.stance, view.up_by_body
+    legs, up = view.feet, view.up_by_body
     if legs is None or up is None:
         return
     # Slow changes are due to terrain and posture.
@@ -164,7 +192,7 @@ def inverted(view: LogView) -> Iterator[Finding]:
     lifted = np.array([_lasting(view.t, contact) for contact in view.log.contact.T])
     # A contact that hardly changes has no other height.
     higher = both / np.where(power > _VARIES * len(on), power, np.inf)
-    wrong = np.flatnonzero((higher > HIGHER) & (alike > _CLEAR) & (lifted >= OTHERS_CHANGE))
+    wrong = np.flatnonzero((higher > HIGHER) & (alike > _CLEAR) & (lifted > STRIDE))
     if wrong.size:
         columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
         seen = f"feet are {1e3 * higher[wrong].mean():.0f} mm higher in contact than lifted"

@@ -11,7 +11,6 @@ from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.importing.advice import Changes, entries, quaternion
 from surefoot.sim.plausibility.axes import (
     ACCEL,
-    AXIS_NAMES,
     GAIN,
     GYRO,
     OTHER,
@@ -131,8 +130,8 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> 
     axis = int(np.argmax(np.abs(up)))
     found = int(np.argmax(np.abs(mean)))
     if found != axis:
-        cause = f"swapped axes: gravity is on {AXIS_NAMES[found]}, up is {AXIS_NAMES[axis]}"
-        return Finding((f"accel_{AXIS_NAMES[axis]}", f"accel_{AXIS_NAMES[found]}"), seen, cause)
+        cause = f"swapped axes: gravity is on {'xyz'[found]}, up is {'xyz'[axis]}"
+        return Finding((f"accel_{'xyz'[axis]}", f"accel_{'xyz'[found]}"), seen, cause)
     column = ACCEL[axis]
     offset = round(2.0 * float(np.sign(up[axis])) * GRAVITY, 2)
     if not view.trusts_reference:
@@ -195,7 +194,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     if _shakes(view, in_world) and (
         in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
     ):
-        columns = tuple(f"ref_p_{AXIS_NAMES[i]}" for i in in_world.wrong)
+        columns = tuple(f"ref_p_{'xyz'[i]}" for i in in_world.wrong)
         seen = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
         yield Finding(columns, seen, f"{down}{in_world.words}", _put_right(in_world, "ref_p"))
@@ -426,14 +425,14 @@ def turning_of_legs(view: LogView) -> Iterator[Finding]:
 
 
 def _of(match: AxesMatch, values: np.ndarray) -> str:
-    return ", ".join(f"{AXIS_NAMES[i]} {values[i]:.2f}" for i in match.wrong)
+    return ", ".join(f"{'xyz'[i]} {values[i]:.2f}" for i in match.wrong)
 
 
 def _put_right(match: AxesMatch, *kinds: str) -> Changes:
     """Changes of the map that correct each wrong axis of vectors of some kinds."""
     entry: dict[str, dict[str, Any]] = {}
     for kind, i in product(kinds, match.wrong):
-        axis, own = (f"{kind}_{AXIS_NAMES[k]}" for k in (match.order[i], i))
+        axis, own = (f"{kind}_{'xyz'[k]}" for k in (match.order[i], i))
         of = {"of": own} if own != axis else {}
         entry[axis] = of | ({"sign": -1.0} if match.sign[i] < 0 else {})
     return {"columns": entry}

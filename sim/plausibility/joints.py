@@ -68,10 +68,12 @@ def rates(view: LogView) -> Iterator[Finding]:
     if not moves.size:
         return
     names = [log.joints[j] for j in moves]
-    logged, moved, error = logged[:, moves], moved[:, moves], error[moves]
+    logged, moved = logged[:, moves], moved[:, moves]
     slow = size[moves] < _MOVES
     alike = np.corrcoef(logged, moved, rowvar=False)[: len(names), len(names) :]
     own = np.diag(alike)
+    # What does not correlate says nothing of the size.
+    error = error[moves] + 1.0 - own
     slope = logged.std(axis=0) / moved.std(axis=0)
     when = [sign_change(view.at, a, b) for a, b in zip(logged.T, moved.T, strict=True)]
     steady = np.array([one is None for one in when])
@@ -110,15 +112,21 @@ def rates(view: LogView) -> Iterator[Finding]:
             changes = entries((f"dq_{its}",), of=f"dq_{names[i]}")
         yield Finding((f"dq_{names[i]}",), seen, cause, changes)
     good = own > np.where(slow, _SURELY, 0.8)
-    if not good.any():
+    if not (good.any() and view.resolves):
         return
     typical = float(np.median(slope[good]))
     together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)
     # What lies between samples makes rates smaller, never larger.
     common = not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
     if common and 2 * together.sum() > good.sum():
-        columns = tuple(f"dq_{n}" for n, g in zip(names, together, strict=True) if g)
-        yield _scaled_rates(columns, typical, f"{typical:.3g} times the change of q")
+        which = [name for name, one in zip(names, together, strict=True) if one]
+        columns, angles = (tuple(f"{kind}_{name}" for name in which) for kind in ("dq", "q"))
+        seen = f"{typical:.3g} times the change of q"
+        if abs(np.degrees(typical) - 1.0) < 0.2:
+            yield Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
+        else:
+            otherwise = "scaled, or stamps at a wrong rate"
+            yield Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
     else:
         typical = 1.0
     for i in np.flatnonzero(good & (np.abs(slope / typical - 1.0) > 2.0 * RATE_OFF + error)):
@@ -155,14 +163,6 @@ def turned_round(column: str, since: float, expected: str) -> Finding:
     """The finding for a stream with another sign `since` some time [s]."""
     seen = f"from {since:.2f} s on minus {expected}, before it is that, or the other way round"
     return Finding((column,), seen, "its sign, or its angle's, changes on the way")
-
-
-def _scaled_rates(columns: tuple[str, ...], typical: float, seen: str) -> Finding:
-    if abs(np.degrees(typical) - 1.0) < 0.2:
-        angles = tuple(f"q_{c[3:]}" for c in columns)
-        return Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
-    otherwise = "scaled, or stamps at a wrong rate"
-    return Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
 
 
 @rule_named("joints' unit", "q")

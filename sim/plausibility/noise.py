@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.axes import AXIS_NAMES
 from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import LogView
 
@@ -35,7 +34,7 @@ def noisy(view: LogView) -> Iterator[Finding]:
     cause = "a broken sensor, a drive that chatters, or readings of several samples mixed up"
     if log.has("imu") and view.resolves:
         streams |= {"gyro": log.gyro, "accel": log.accel}
-    if log.has("dq"):
+    if log.has("dq") and view.resolves:
         shown = np.isfinite(view.between_samples(log.dq, log.q if log.has("q") else None))
         streams["dq"] = np.where(shown, log.dq, 0.0)
     for kind, x in streams.items():
@@ -43,7 +42,7 @@ def noisy(view: LogView) -> Iterator[Finding]:
         rough = np.median(np.abs(np.diff(x, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
         over = np.flatnonzero(rough > NOISY[kind])
         if over.size:
-            names = log.joints if kind == "dq" else AXIS_NAMES
+            names = log.joints if kind == "dq" else "xyz"
             columns = tuple(f"{kind}_{names[i]}" for i in over)
             seen = f"{rough[over].max():.2f} {next(iter(UNITS[kind]))} from row to row"
             yield Finding(columns, seen, cause)

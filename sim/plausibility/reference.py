@@ -64,12 +64,12 @@ def attitude(view: LogView) -> Iterator[Finding]:
         yield Finding(_Q, fault.evidence, fault.cause, fault.changes)
         return
     by_force, alike = lag_of(view.accel[view.ok], view.felt[view.ok], STEP, LATEST)
-    if alike > _SURELY and abs(by_force) < 0.5 * abs(fault.late):
+    if not fault.changes and alike > _SURELY and abs(by_force) < 0.5 * abs(fault.late):
         seen = f"{fault.evidence}, and the accelerometer does not"
         yield Finding(GYRO, seen, "a filter, or another clock, of the gyro alone")
         return
     offset = view.log.meta.model.get(REFERENCE_OFFSET, 0.0) - fault.late
-    changes = {"reference": {"offset": round(offset, 3)}}
+    changes = {"reference": {**fault.changes.get("reference", {}), "offset": round(offset, 3)}}
     yield Finding((*REF_P, *_Q), fault.evidence, fault.cause, changes)
 
 

@@ -3,22 +3,27 @@ derived from another column.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import chain, combinations
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from surefoot.sim.importing.advice import entries
-from surefoot.sim.importing.streams import LateStream, delay_between, held_streams, late_streams
+from surefoot.sim.importing.clock import column_kind
+from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
-from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.plausibility.attitude import LATE
+from surefoot.sim.plausibility.axes import REF_V, delay_between
 from surefoot.sim.plausibility.finding import Finding, rule_named
 from surefoot.sim.plausibility.view import MEAN, RESTS, LogView
 
 LATE_RATE = 4e-3
 """Delay of joint rates relative to the derivative of their angles [s]: two samples at 500 Hz."""
+LATEST_RATE, LATEST_REFERENCE = 0.05, 0.3
+"""Largest delays that are searched for [s]: of rates, as for the effects of timing, and of a
+reference's velocity, which a tracker may filter.
+"""
 FROZEN = 0.2
 """Time without a change while related streams move [s]: half a swing."""
 _STRAY = 0.02
@@ -229,18 +234,19 @@ def held(view: LogView) -> Iterator[Finding]:
     Remedy: nothing, if it is known: rates from differences are wrong, noise is less than it
         seems.
     """
-    rate = view.log.rate
-    slow = [one for one in held_streams(view.log) if one.rate < SLOWER * rate]
-    slow = [one for one in slow if not one.columns[0].startswith(_COMMANDS)]
+    rate, slow = view.log.rate, {}
+    for columns in held_streams(view.log).values():
+        usual = float(np.round(np.median([*columns.values()])))
+        if usual < SLOWER * rate and not next(iter(columns)).startswith(_COMMANDS):
+            slow |= dict.fromkeys(columns, usual)
     if slow:
-        which = {c for one in slow for c in one.columns}
-        columns = tuple(c for c in map(str, view.log.frame) if c in which)
-        limits = (pick(one.rate for one in slow) for pick in (min, max))
+        columns = tuple(c for c in map(str, view.log.frame) if c in slow)
+        limits = (pick(slow.values()) for pick in (min, max))
         rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
         seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
         kinds = _kinds(view, (*_SENSORS, "force"))
-        held_kinds = tuple(kind for kind, named in kinds.items() if which & named.keys())
+        held_kinds = tuple(kind for kind, named in kinds.items() if slow.keys() & named.keys())
         yield Finding(columns, seen, cause, {"even": {"held": held_kinds}})
 
 
@@ -275,45 +281,38 @@ def late(view: LogView) -> Iterator[Finding]:
     Because: two samples; a filter's delay moves what filters and traces see.
     Remedy: nothing, if it is known: trace has rate_delay.
     """
-    common = late_streams(view.log)
-    for one in (*common, *_late_joints(view, common)):
-        rates = one.columns[0].startswith("dq")
-        least = view.least_lag(LATE_RATE if rates else LATE)
-        if abs(one.delay) < least or not _explains(view, one):
+    for columns, x, witness, delay in _delays(view):
+        rates = columns[0].startswith("dq")
+        shifted = np.column_stack([np.interp(view.t + delay, view.t, one) for one in x.T])
+        left, whole = (float(np.sum((one - witness) ** 2)) for one in (shifted, x))
+        if not left < 0.5 * whole or abs(delay) < view.least_lag(LATE_RATE if rates else LATE):
             continue
-        when = "late" if one.delay > 0 else "early"
-        seen = f"{1e3 * abs(one.delay):.1f} ms {when} against {one.witness}"
+        of = "ref_p" if not rates else columns[0][1:] if len(columns) == 1 else "q"
+        when = "late" if delay > 0 else "early"
+        seen = f"{1e3 * abs(delay):.1f} ms {when} against the change of {of}"
         # A reference has a clock of its own.
-        which = one.columns[0] if len(one.columns) < len(view.log.joints) else "dq"
-        changes = {"even": {"late": {which: round(one.delay, 4)}}} if rates else {}
-        yield Finding(one.columns, seen, "a filter, or stamps of another clock", changes)
+        which = columns[0] if len(columns) < len(view.log.joints) else "dq"
+        changes = {"even": {"late": {which: round(delay, 4)}}} if rates else {}
+        yield Finding(columns, seen, "a filter, or stamps of another clock", changes)
 
 
-def _late_joints(view: LogView, common: Sequence[LateStream]) -> Iterator[LateStream]:
-    """Rates of single joints with a delay different from that of most."""
-    log = view.log
-    if len(log.joints) < 2 or not (log.has("q") and log.has("dq") and view.resolves):
-        return
-    moved = derivative(view.t, log.q, JOINT_WINDOW, causal=False)
-    usual = next((one.delay for one in common if one.columns[0].startswith("dq")), 0.0)
-    for j, name in enumerate(log.joints):
-        delay = delay_between(view.t, log.dq[:, [j]], moved[:, [j]])
-        if abs(delay - usual) > LATE_RATE:
-            yield LateStream((f"dq_{name}",), delay, f"the change of q_{name}")
-
-
-def _explains(view: LogView, late: LateStream) -> bool:
-    """Whether the delay removes half of the difference between the stream and what it measures."""
-    log = view.log
-    if late.columns[0].startswith("dq"):
-        angles = [f"q{name.removeprefix('dq')}" for name in late.columns]
-        measured, window = log.frame[angles].to_numpy(), JOINT_WINDOW
-    else:
-        measured, window = log.ref_p, REFERENCE_WINDOW
-    x = log.frame[list(late.columns)].to_numpy()
-    witness = derivative(view.t, measured, window, causal=False)
-    shifted = np.column_stack([np.interp(view.t + late.delay, view.t, one) for one in x.T])
-    return float(np.sum((shifted - witness) ** 2)) < 0.5 * float(np.sum((x - witness) ** 2))
+def _delays(view: LogView) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.ndarray, float]]:
+    """Columns, their readings (N, D), what these should be (N, D), and how late they are [s]: joint
+    rates, those of single joints that are unlike most, and the reference's velocity.
+    """
+    log, t = view.log, view.t
+    if log.has("q") and log.has("dq"):
+        names, dq = [f"dq_{j}" for j in log.joints], log.dq
+        moved = derivative(t, log.q, JOINT_WINDOW, causal=False)
+        usual = delay_between(t, dq, moved, LATEST_RATE)
+        yield tuple(names), dq, moved, usual
+        for j in range(len(names)) if len(names) > 1 and view.resolves else ():
+            delay = delay_between(t, dq[:, [j]], moved[:, [j]], LATEST_RATE)
+            if abs(delay - usual) > LATE_RATE:
+                yield (names[j],), dq[:, [j]], moved[:, [j]], delay
+    if log.has("ref_v"):
+        moved = derivative(t, log.ref_p, REFERENCE_WINDOW, causal=False)
+        yield REF_V, log.ref_v, moved, delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
 
 
 @rule_named("coarse", minor=True)
@@ -498,12 +497,15 @@ def derived(view: LogView) -> Iterator[Finding]:
 
 
 def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
-    """Columns (N,) of a log by kind, such as gyro, accel, q, foot, ref_p or ref_q, and name."""
+    """Columns (N,) of a log by kind, such as gyro, accel, q, foot, ref_p or ref_q, and name; of a
+    reference that is mostly interpolated over gaps, none.
+    """
     found: dict[str, dict[str, np.ndarray]] = {}
+    gaps = view.log.has("reference") and view.log.ref_ok.mean() < 0.5
     for name in map(str, view.log.frame):
-        prefix = joint_prefix(name)
-        kind = prefix[:-1] if prefix else name.rsplit("_", 1)[0]
-        kind = kind.split("_")[0] if kind.startswith(("foot", "force")) else kind
+        if gaps and name.startswith("ref_"):
+            continue
+        kind = name.rsplit("_", 1)[0] if name.startswith("ref_") else column_kind(name)
         if kind in wanted:
             found.setdefault(kind, {})[name] = view.log.frame[name].to_numpy()
     return found

@@ -242,14 +242,19 @@ class LogView:
         """
         if self.robot is not None:
             return self.robot.R_BI[2]
-        if self.stance is None:
+        if self.feet is None:
             return None
-        below = self.stance.foot.mean(axis=(0, 1))
+        below = self.feet.foot.mean(axis=(0, 1))
         return -below / max(float(np.linalg.norm(below)), 1e-9)
 
     @cached_property
-    def stance(self) -> Stance | None:
-        """Motion of the feet, where feet and contacts are known."""
-        if not (self.comparable and self.resolves and self.log.has("contact")):
+    def feet(self) -> Stance | None:
+        """Motion of the feet, where feet and contacts are known, of a log of any length."""
+        if not (len(self.at) and self.resolves and self.log.has("contact")):
             return None
         return stance_of(self.log, self.robot, self.at)
+
+    @property
+    def stance(self) -> Stance | None:
+        """Motion of the feet, where feet and contacts are known and the log is long enough."""
+        return self.feet if self.comparable else None

@@ -67,6 +67,46 @@ def test_what_was_planted_is_found_within_its_interval(log, offset):
     )
 
 
+WORLDS = {"y up": ("x", -90), "y down": ("x", 90), "x up": ("y", 90), "z down": ("x", 180)}
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_gravity_along_another_axis_is_the_world_turned_and_no_offset(log, world):
+    """Whatever the map's own q_GW, given as R_GW: the whole rotation is told, to be pasted."""
+    R_WG = Rotation.from_euler(*WORLDS[world], degrees=True)
+    at = tracked(log, 0.5)
+    poses = replace(
+        at,
+        p=R_WG.apply(at.p),
+        q=(R_WG * Rotation.from_quat(at.q, scalar_first=True)).as_quat(scalar_first=True),
+    )
+    found = align(log, poses, R_GW=Rotation.from_euler("z", 90, degrees=True).as_matrix())
+    assert found.offset == pytest.approx(0.5, abs=1e-3)
+    np.testing.assert_allclose(found.p_IM, P_IM, atol=0.02)
+    np.testing.assert_array_equal(found.accel_offset, 0.0)
+    assert ["world" in fault for fault in found.faults] == [True]
+    advised = tomllib.loads("\n".join(found.map_lines))["reference"]["q_GW"]
+    up = Rotation.from_quat(advised, scalar_first=True).apply(R_WG.apply([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(up, [0.0, 0.0, 1.0], atol=1e-5)
+    level = aligned_log(log, found, poses)
+    np.testing.assert_allclose(
+        np.diff(level.ref_p[:, 2]), np.diff(log.ref_p[:, 2])[: len(level.t) - 1], atol=0.05
+    )
+
+
+def test_swapped_axes_of_an_accelerometer_are_no_other_world_and_no_offsets(log):
+    swapped = with_columns(log, {"accel_y": log.frame["accel_z"], "accel_z": log.frame["accel_y"]})
+    found = align(swapped, tracked(log, 0.5))
+    assert ["accel" in fault and "offset" not in fault for fault in found.faults] == [True]
+    np.testing.assert_array_equal(found.q_GW, [1.0, 0.0, 0.0, 0.0])
+
+
+def test_positions_in_mm_are_named_and_no_offset_of_the_accelerometer(log):
+    at = tracked(log, 0.5)
+    with pytest.raises(SurefootError, match="in mm, not m"):
+        align(log, replace(at, p=1e3 * at.p))
+
+
 def test_an_aligned_log_has_the_motion_of_the_imu(log):
     poses = tracked(log, 0.5)
     found = aligned_log(log, align(log, poses), poses)

@@ -5,12 +5,11 @@ import pytest
 
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.fit import design
-from surefoot.models.attribution.harm import find_harmful_effect
 from surefoot.models.attribution.levels import channel_levels, without_nuisance
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.refinement import RefinementData
 from surefoot.models.attribution.robust_weights import robust_weights
-from surefoot.models.attribution.search import approximate_gains
+from surefoot.models.attribution.search import approximate_gains, find_harmful_effect
 from surefoot.models.attribution.split import split_of
 from surefoot.models.residuals.registry import channels as known_channels
 from surefoot.sim.effects import effect

@@ -241,7 +241,7 @@ def test_a_frame_that_is_not_there_is_named_with_those_that_are(tmp_path, topic)
 
 
 def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):
-    with pytest.raises(SurefootError, match="no such file"):
+    with pytest.raises(SurefootError, match="No such file"):
         import_log(tmp_path / "nothing.bag", map_file)
     for name in ("noise.bag", "noise.mcap", "noise.db3"):
         (tmp_path / name).write_bytes(b"noise" * 100)

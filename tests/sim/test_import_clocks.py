@@ -12,6 +12,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
+from surefoot.sim.plausibility import check_log
 
 N, STEP = 400, 0.01
 SENSORS = [f"{name}_{axis}" for name in ("gyro", "accel") for axis in "xyz"]
@@ -130,6 +131,48 @@ def test_stamps_that_contradict_each_other_are_refused_with_their_numbers(tmp_pa
     message = str(caught.value)
     assert "\n" not in message
     assert all(one in message for one in ("robot.csv: column 't'", *said)), message
+
+
+EVEN = STEP * np.arange(N)
+
+
+def leaping(row: int, seconds: float, t=EVEN) -> np.ndarray:
+    return t + seconds * (np.arange(N) >= row)
+
+
+SET = {  # times of the rows, of the reference, words of the notes, words of the finding
+    "forward within the reference": (leaping(200, 0.15), EVEN, (), "clock was set"),
+    "forward out of the reference": (leaping(200, 120.0), EVEN, ("200 of 400", "that was set"), ""),
+    "by an hour, in Unix time": (
+        leaping(150, 3600.0, UNIX + EVEN), UNIX + EVEN, ("250 of 400", "leap from 1.49 to"), ""),
+    "to Unix time, of a robot that has booted": (
+        leaping(201, float(UNIX)), EVEN, ("199 of 400", "clock that was set"), ""),
+    "without a reference": (leaping(201, 120.0), None, (), "clock was set"),
+    "a pause of the recording": (
+        np.delete(EVEN, np.s_[150:230]), None, (), "lost rows"),
+    "rows that were held up for a while": (
+        np.where((EVEN > 1.495) & (EVEN < 1.895), 1.885 + 1e-2 * (EVEN - 1.5), EVEN),
+        None, (), "lost rows"),
+    "a reference that ends early": (EVEN, EVEN[:300], ("100 of 400",), ""),
+    "a reference of all rows but a few": (EVEN, EVEN[:390], (), ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SET)
+def test_a_clock_that_was_set_is_told_from_rows_that_are_missing(tmp_path, case):
+    t, of_reference, noted, found = SET[case]
+    frame = table(t)
+    if len(t) < N:
+        frame["q_knee"] = np.sin(6.0 * t)
+    mocap = None if of_reference is None else poses(of_reference)
+    log, notes = read(tmp_path, frame, mocap=mocap)
+    assert [one in notes for one in noted] == [True] * len(noted), notes
+    assert ("left out" in notes) == bool(noted)
+    assert ("clock" in notes.replace("recording's clock", "")) == ("leap" in notes)
+    assert [
+        one.line for one in check_log(log) if one.streams == ("t",) and found not in one.line
+    ] == []
+    assert any(one.streams == ("t",) for one in check_log(log)) == bool(found)
 
 
 def test_a_reference_and_a_further_file_lose_single_rows_too(tmp_path):

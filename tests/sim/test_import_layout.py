@@ -67,7 +67,7 @@ def test_the_tables_of_a_folder_are_drafted_together(tmp_path):
     POSE.add_prefix("vicon_").to_csv(tmp_path / "truth.csv", index=False)
     (tmp_path / "notes.txt").write_text("a walk in the hall\n")
     draft = guess_map([tmp_path])
-    assert draft.files == (tmp_path / "imu.csv", tmp_path / "truth.csv")
+    assert (draft.file, draft.reference_file) == (tmp_path / "imu.csv", tmp_path / "truth.csv")
     assert draft.reference_file == tmp_path / "truth.csv"
 
 
@@ -94,9 +94,9 @@ def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_
     angles = {"q_knee": 0.5 * np.sin(3.0 * T), "dq_knee": 1.5 * np.cos(3.0 * T)}
     pd.DataFrame(angles).to_csv(tmp_path / "run.csv", index=False)
     log, draft = imported(tmp_path, "run.csv")
-    assert draft.rate == pytest.approx(100.0, rel=0.02)
     assert draft.rate is not None
-    np.testing.assert_allclose(log.t, np.arange(N) / draft.rate, rtol=1e-4)
+    assert draft.rate[0] == pytest.approx(100.0, rel=0.02)
+    np.testing.assert_allclose(log.t, np.arange(N) / draft.rate[0], rtol=1e-4)
     np.testing.assert_allclose(log.q[:, 0], angles["q_knee"], atol=1e-9)
 
 

@@ -1,16 +1,22 @@
 """What is no recording, or not a whole one: one line says what it is, and what to do."""
 
+import bz2
+import gzip
+import io
+import lzma
 import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from backports import zstd
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.models.observer.observer import Observer
+from surefoot.sim.common import limits
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.map import ImportMap
@@ -74,6 +80,12 @@ def test_every_reader_names_a_pointer(tmp_path, name, read):
     assert all(word in line for word in (Path(name).name, "git lfs pull")), line
 
 
+def pickled(value: object) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.array(value, dtype=object), allow_pickle=True)
+    return stream.getvalue()
+
+
 TEXTS = {
     "tagged": ("IMU 0.1 1 2 3 4 5 6\nCONTACT 0.1 1 1\n" * 20, "IMU, CONTACT"),
     "tagged by commas": ("gyro,0.1,1,2,3\njoint,0.1,1,2,3,4,5,6\n" * 20, "gyro, joint"),
@@ -91,6 +103,80 @@ def test_a_text_that_is_no_table_is_said_to_be_what_it_is(tmp_path, case):
     path.write_text(text)
     line = line_of(guess_map, [path])
     assert all(word in line for word in ("log.txt", said))
+
+
+CSV = "t,gyro_x,gyro_y\n" + "".join(f"{0.01 * k},{k},1\n" for k in range(40))
+OTHERS = {
+    # name, content, words of the error
+    "gzip": ("a.csv.gz", gzip.compress(CSV.encode()), ("compressed", "unpack")),
+    "gzip in disguise": ("a.csv", gzip.compress(CSV.encode()), ("compressed", "unpack")),
+    "xz": ("a.csv.xz", lzma.compress(CSV.encode()), ("compressed", "unpack")),
+    "bzip2": ("a.csv.bz2", bz2.compress(CSV.encode()), ("compressed", "unpack")),
+    "zstd": ("a.csv.zst", zstd.compress(CSV.encode()), ("compressed", "unpack")),
+    "xlsx": ("a.xlsx", b"PK\3\4" + bytes(500), ("spreadsheet", "CSV")),
+    "xls": ("a.xls", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(500), ("spreadsheet", "CSV")),
+    "a killed recorder": ("a.bag.active", b"#ROSBAG V2.0\n" + bytes(500), ("rosbag reindex",)),
+    "MCAP": ("a.log", b"\x89MCAP0\r\n" + bytes(500), ("name it", ".mcap")),
+    "SQLite": ("a.sqlite", b"SQLite format 3\0" + bytes(500), ("name it", ".db3")),
+    "HDF5": ("a.dat", b"\x89HDF\r\n\x1a\n" + bytes(500), ("name it", ".h5")),
+    "Parquet": ("a.pq", b"PAR1\x15\4" + bytes(500), ("name it", ".parquet")),
+    "JSON": ("a.json", b'{"t": [1, 2', ("readable .json file",)),
+    "Parquet, cut": ("a.parquet", b"PAR1\x15\4" + bytes(500), ("readable .parquet file",)),
+    "pickled": ("a.npy", pickled({"t": 1}), ("readable .npy file", "Python objects")),
+}
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_a_file_of_another_kind_is_named_with_the_next_step(tmp_path, case):
+    name, content, words = OTHERS[case]
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
+    for line in (line_of(guess_map, [tmp_path / name]),
+                 line_of(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
+        assert all(word in line for word in (name, *words)), line
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_utf_16_without_a_mark_is_read(tmp_path, encoding):
+    (tmp_path / "a.csv").write_bytes(CSV.encode(encoding))
+    assert "gyro_x" in guess_map([tmp_path / "a.csv"]).text
+
+
+EMPTY = {
+    "blank lines": ("a.csv", CSV + "\n" * 300_000),
+    "blank lines of old": ("a.csv", CSV.replace("\n", "\r\n") + "\r" * 300_000),
+    "short lines": ("a.csv", ",".join(f"c{k}" for k in range(99)) + "\n1\n" * 20_000),
+    "empty records": ("a.jsonl", '{"t": 1}\n' + "{}\n" * 100_000),
+    "empty lists": ("a.json", '{"t": [1, 2], "x": [' + "[]," * 100_000 + "[]]}"),
+    "records of one reading": ("a.json", "[" + ",".join(['{"t":1}'] * 50_000) + "]"),
+    "records that share no field": (
+        "a.json", "[" + ",".join('{"' + f"k{k}" * 40 + '": 1}' for k in range(1000)) + "]"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", EMPTY)
+def test_a_text_that_is_mostly_empty_is_refused_before_it_is_read(tmp_path, monkeypatch, case):
+    monkeypatch.setattr(limits, "SMALL", 1e6)
+    name, text = EMPTY[case]
+    (tmp_path / name).write_bytes(text.encode())
+    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
+    line = line_of(read_recording, tmp_path / name, tmp_path / "map.toml")
+    assert all(word in line for word in (name, "times its size")), line
+
+
+def test_cells_of_numbers_are_within_the_limits_of_memory(tmp_path, monkeypatch):
+    """A cell is weighed by its time, not as memory."""
+    monkeypatch.setenv(limits.VARIABLE, "memory=1000")
+    (tmp_path / "a.csv").write_text(CSV)
+    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
+    assert len(read_recording(tmp_path / "a.csv", tmp_path / "map.toml").main["t"]) == 40
+
+
+def test_the_first_word_among_numbers_is_named(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t\n1\n" + "no\n" * 5)
+    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
+    assert "line 3: 'no' is not a number" in line_of(read_recording, path, tmp_path / "map.toml")
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,9 @@ from surefoot.sim.common.series import low_pass
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.advice import Changes
+from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.plausibility import RULES, check_log, rules_table
 from surefoot.sim.plausibility.axes import lag_of, match_axes
@@ -77,12 +79,25 @@ def test_rows_of_a_low_rate_are_plausible(log, rate):
     assert found_in(without(at_rate(log, rate), "ref_")) == []
 
 
+@pytest.mark.parametrize(("rate", "first"), [(8.0, 21), (8.0, 33), (10.0, 13), (12.5, 7)])
+def test_rows_of_a_low_rate_are_plausible_wherever_in_a_stride_they_are(log, rate, first):
+    assert found_in(at_rate(log.rows(np.arange(len(log.t)) >= first), rate)) == []
+
+
 @pytest.mark.parametrize("rate", [8.0, 10.0, 20.0, 25.0, 50.0])
 def test_an_imu_that_is_sampled_at_a_low_rate_is_noticed(log, rate):
     slow = at_rate(log, rate)
     rows = np.searchsorted(log.t, slow.t)
     (found,) = found_in(edited(slow, **{c: log.frame[c].to_numpy()[rows] for c in GYRO + ACCEL}))
     assert "sampled at the rows, not averaged" in found
+
+
+@pytest.mark.parametrize(("every", "first"), [(5, 1), (8, 2), (10, 5)])
+def test_an_imu_that_is_sampled_contradicts_no_reference(log, every, first):
+    """Samples miss the impacts between them, and change the velocity by others."""
+    rows = log.rows(np.arange(first, len(log.t), every))
+    seen = Poses(log.t[3::5], log.ref_p[3::5], log.ref_q[3::5])
+    assert not contradicted(rows.t, rows.gyro, rows.accel, seen).any()
 
 
 @pytest.mark.parametrize("kinds", [(), ("ref_", "dq_"), ("ref_", "q_", "dq_", "tau_")])
@@ -689,6 +704,35 @@ def test_a_hip_of_the_opposite_sign_shows_when_a_robot_walks_straight_ahead(ahea
     changed = times(-1.0, "q_", "dq_", "tau_", ends=f"{leg}_hip")(ahead)
     (found,) = check_log(without(changed, lacks), SPOT)
     assert found.changes == {"robot": {"joint_sign": {f"{leg}_hip": -1.0}}}
+
+
+WORLDS = {  # rotation to the recorded world -> rotation back to z up
+    "y up": (turned("x", -90), turned("x", 90)),
+    "y down": (turned("x", 90), turned("x", -90)),
+    "x up": (turned("y", 90), turned("y", -90)),
+    "z down": (NED, NED),
+}
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.4, -0.6])
+@pytest.mark.parametrize("world", WORLDS)
+def test_another_world_is_one_finding_on_another_clock_too(log, world, seconds):
+    R_WG, R_GW = WORLDS[world]
+    changed = attitude(lambda R: R_WG * R)(
+        vectors(ref_p=R_WG.apply(log.ref_p))(without(log, "ref_v"))
+    )
+    changed = late(seconds, "ref_")(changed) if seconds > 0.0 else changed
+    changed = (
+        late(-seconds, "gyro", "accel", "q_", "dq_", "tau_", "contact_")(changed)
+        if seconds < 0.0
+        else changed
+    )
+    found = check_log(changed, SPOT)[0]
+    advised = Rotation.from_quat(found.changes["reference"]["q_GW"], scalar_first=True)
+    assert (advised.inv() * R_GW).magnitude() < 1e-5
+    assert abs(found.changes["reference"].get("offset", 0.0) + 0.0) == pytest.approx(
+        abs(seconds), abs=0.01
+    )
 
 
 def pasted(log: Log, changes: Changes) -> Log:

@@ -13,7 +13,12 @@ from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.reference import interpolate_reference
-from surefoot.sim.importing.reference_check import check_reference, jumps, without_jumps
+from surefoot.sim.importing.reference_check import (
+    ReferenceCheck,
+    check_reference,
+    jumps,
+    without_jumps,
+)
 from surefoot.sim.importing.reference_noise import _transition, reference_noise
 from surefoot.sim.importing.report import reference_lines
 from surefoot.sim.log import Log, Meta
@@ -53,7 +58,7 @@ def test_frames_that_were_miscounted_are_found():
     found = check_reference(poses(t, 0.5 + FRAME * np.cumsum([first, *counted])))
     # Steps of four frames and more, taken for one less, are no longer told from speed.
     assert 0.1 < found.doubtful < 0.25
-    assert found.jumps == 0
+    assert found.others == ()
 
 
 def test_corrections_of_stamps_are_as_large_as_their_errors():
@@ -126,13 +131,33 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     p[800], q[800] = p[799], q[799]
     keep = np.abs(t - 9.0) > 0.04
     found = check_reference(Poses(t[keep], p[keep], q[keep]))
-    assert (found.jumps, found.held, found.gaps) == (3, 1, 1)
-    assert found.longest_gap == pytest.approx(0.1, abs=0.011)
+    assert "longest gap 90 ms, 1 over 50 ms" in found.samples
     assert "3 jumps of position or attitude, the largest by" in "".join(found.faults)
     assert "1 samples repeat the one before while the body moves" in "".join(found.faults)
     np.testing.assert_array_equal(np.flatnonzero(jumps(Poses(t, p, q))), [299, 599, 603])
     left = without_jumps(Poses(t, p, q))
     np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
+
+
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        (lambda t: t + 60.0 * (t > 4.0), "clock that was set"),
+        (lambda t: t + 0.5 * (t > 4.0), "leap from 4 to 4.51 s"),
+        (lambda t: 100.0 * t, "of frames"),
+    ],
+)
+def test_stamps_that_leap_while_the_body_goes_on_and_frames_are_named(stamps, said):
+    t = 0.01 * np.arange(1000)
+    true = poses(t)
+    (fault,) = check_reference(Poses(stamps(t).round(6), true.p, true.q)).others
+    assert said in fault
+
+
+def test_a_body_that_was_lost_for_a_while_is_no_clock():
+    t = 0.01 * np.arange(1000)
+    keep = (t < 4.0) | (t > 5.3)
+    assert check_reference(poses(t).rows(keep)).others == ()
 
 
 def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_removed():
@@ -156,13 +181,14 @@ def test_the_largest_jump_is_told_by_its_size_and_time():
     true = poses(t)
     spread = np.interp(np.arange(1000), [834, 837], [0.0, 0.1])
     p = true.p + np.column_stack([0.0 * t, spread, 0.03 * (t > 2.0)])
-    moved, after = size_and_time(check_reference(Poses(t + 70.0, p, true.q)).largest)
+    moved, after = size_and_time(check_reference(Poses(t + 70.0, p, true.q)))
     assert after == pytest.approx(8.36, abs=0.02)
     assert moved == pytest.approx(0.1, abs=0.005)
 
 
-def size_and_time(jump: str) -> tuple[float, float]:
-    """Displacement [m] and time since the first sample [s] in the words on a jump."""
+def size_and_time(found: ReferenceCheck) -> tuple[float, float]:
+    """Displacement [m] and time since the first sample [s] of the largest jump, of its words."""
+    (jump,) = [one for one in found.others if "jumps" in one]
     moved, after = re.findall(r"([\d.]+) mm .* ([\d.]+) s after the first sample", jump)[0]
     return 1e-3 * float(moved), float(after)
 
@@ -172,7 +198,7 @@ def test_a_jump_near_an_end_has_its_size_too(first):
     t = 0.01 * np.arange(1000)
     true = poses(t)
     p = true.p + np.column_stack([0.0 * t, 0.1 * (np.arange(1000) >= first), 0.0 * t])
-    moved, after = size_and_time(check_reference(Poses(t, p, true.q)).largest)
+    moved, after = size_and_time(check_reference(Poses(t, p, true.q)))
     assert after == pytest.approx(t[first], abs=0.011)
     assert moved == pytest.approx(0.1, abs=0.005)
 
@@ -183,8 +209,8 @@ def test_a_jump_of_a_body_that_speeds_up_has_its_size_too():
     p = 10.0 * t**2 + 0.1 * (np.arange(40) > 4)
     still = np.tile([1.0, 0.0, 0.0, 0.0], (40, 1))
     found = check_reference(Poses(t, np.column_stack([p, 0.0 * t, 0.0 * t]), still))
-    assert found.jumps == 1
-    assert size_and_time(found.largest)[0] == pytest.approx(0.1, abs=1e-9)
+    assert "1 jumps" in "".join(found.others)
+    assert size_and_time(found)[0] == pytest.approx(0.1, abs=1e-9)
 
 
 def test_a_blow_is_no_jump_at_any_rate():

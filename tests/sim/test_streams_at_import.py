@@ -6,9 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import surefoot.sim.importing.streams as streams_module
-from surefoot.sim.importing.streams import delay_between, held_streams, late_streams
+import surefoot.sim.plausibility.axes as axes_module
+from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.plausibility import check_log
+from surefoot.sim.plausibility.axes import delay_between
 
 T = np.arange(0.0, 8.0, 1 / 400)
 
@@ -32,9 +34,9 @@ def test_a_slower_sensor_is_found_with_its_rate(rate):
     rng = np.random.default_rng(0)
     slow = {f"gyro_{axis}": held(angle(T, rng), rate) for axis in "xyz"}
     fast = {f"accel_{axis}": angle(T, rng) for axis in "xyz"}
-    (found,) = held_streams(log_of(**slow, **fast))
-    assert found.columns == ("gyro_x", "gyro_y", "gyro_z")
-    assert found.rate == pytest.approx(rate, rel=0.02)
+    found = held_streams(log_of(**slow, **fast))
+    assert {kind: [*columns] for kind, columns in found.items()} == {"gyro": [*slow]}
+    assert np.median([*found["gyro"].values()]) == pytest.approx(rate, rel=0.02)
 
 
 def test_neither_whole_counts_nor_rest_are_held():
@@ -42,7 +44,7 @@ def test_neither_whole_counts_nor_rest_are_held():
     counted = np.round(angle(T) / 4e-4) * 4e-4
     still = np.where(T < 4.0, 0.0, angle(T, rng))
     resting = np.where(T < 4.0, 0.3, angle(T, rng))
-    assert held_streams(log_of(q_knee=counted, x_a=still, x_b=resting)) == ()
+    assert held_streams(log_of(q_knee=counted, x_a=still, x_b=resting)) == {}
 
 
 MILLIDEGREE = np.radians(1e-3)
@@ -67,13 +69,13 @@ def test_rounded_readings_are_of_no_slower_sensor(rate, amplitude, resolution, n
         size=len(t)
     )
     rounded = resolution * np.round(x / resolution)
-    assert held_streams(Log(pd.DataFrame({"t": t, "q_knee": rounded}), Meta(float(rate)))) == ()
+    assert held_streams(Log(pd.DataFrame({"t": t, "q_knee": rounded}), Meta(float(rate)))) == {}
 
 
 def test_rounded_readings_of_a_slower_sensor_are_found():
     step = 2.0 * np.pi / 16384
-    (found,) = held_streams(log_of(q_knee=held(step * np.round(angle(T) / step), 100.0)))
-    assert found.rate == pytest.approx(100.0, rel=0.1)
+    found = held_streams(log_of(q_knee=held(step * np.round(angle(T) / step), 100.0)))
+    assert found["q"]["q_knee"] == pytest.approx(100.0, rel=0.1)
 
 
 def test_an_hour_without_rows_is_not_filled_with_them():
@@ -81,7 +83,7 @@ def test_an_hour_without_rows_is_not_filled_with_them():
     early, now = angle(T), angle(T - 8e-3)
     stamps = T + 3600.0 * (T > 4.0)
     tracemalloc.start()
-    delay = delay_between(stamps, now[:, None], early[:, None])
+    delay = delay_between(stamps, now[:, None], early[:, None], 0.05)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert delay == pytest.approx(8e-3, abs=2e-4)
@@ -93,7 +95,7 @@ def test_pauses_of_half_a_minute_are_not_filled_either():
     early, now = angle(T), angle(T - 8e-3)
     stamps = T + 30.0 * np.floor(2.0 * T)
     tracemalloc.start()
-    delay = delay_between(stamps, now[:, None], early[:, None])
+    delay = delay_between(stamps, now[:, None], early[:, None], 0.05)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert delay == pytest.approx(8e-3, abs=1e-3)
@@ -102,33 +104,32 @@ def test_pauses_of_half_a_minute_are_not_filled_either():
 
 def test_a_peak_without_a_bend_lies_at_a_whole_row(monkeypatch):
     """What rounding has flattened says nothing of parts of a row."""
-    alike = iter([0.8, 0.9, np.nextafter(1.0, 0.0), 1.0, 1.0, *np.linspace(0.9, 0.0, 99)])
-    monkeypatch.setattr(streams_module, "_correlation", lambda a, b: next(alike))
-    rows = 400.0 * delay_between(T, angle(T)[:, None], angle(T)[:, None])
+    alike = iter([1.0, 0.8, 0.9, np.nextafter(1.0, 0.0), 1.0, 1.0, *np.linspace(0.9, 0.0, 99)])
+    monkeypatch.setattr(axes_module, "_standardised", lambda x: next(alike))
+    rows = 400.0 * delay_between(T, angle(T)[:, None], angle(T)[:, None], 0.05)
     assert rows == pytest.approx(np.rint(rows), abs=1e-6)
     assert rows < -10.0
 
 
-@pytest.mark.parametrize("late", [8e-3, -5e-3, 0.0])
+@pytest.mark.parametrize("late", [8e-3, -6e-3, 0.0])
 def test_rates_that_come_late_are_found(late):
     h = 1e-4
     rates = (angle(T - late + h) - angle(T - late - h)) / (2 * h)
-    found = late_streams(log_of(q_knee=angle(T), dq_knee=rates))
-    if late == 0.0:
-        assert found == ()
-    else:
-        assert found[0].delay == pytest.approx(late, abs=1e-4)
+    lines = [one.line for one in check_log(log_of(q_knee=angle(T), dq_knee=rates))]
+    said = f"{1e3 * abs(late):.1f} ms {'late' if late > 0.0 else 'early'}"
+    assert [said in line for line in lines] == [True] * bool(late)
 
 
 def test_what_is_not_alike_has_no_delay():
     rng = np.random.default_rng(2)
-    assert delay_between(T, rng.normal(size=(len(T), 1)), rng.normal(size=(len(T), 1))) == 0.0
+    a, b = rng.normal(size=(2, len(T), 1))
+    assert delay_between(T, a, b, 0.05) == 0.0
 
 
-@pytest.mark.parametrize(("late", "said"), [(1.9e-3, False), (2.1e-3, True), (-2.1e-3, True)])
-def test_two_milliseconds_and_more_are_reported(late, said):
-    found = late_streams(log_of(q_knee=angle(T), dq_knee=rate_of(T - late)))
-    assert bool(found) == said
+@pytest.mark.parametrize(("late", "said"), [(5.1e-3, False), (5.4e-3, True), (-5.4e-3, True)])
+def test_two_samples_and_more_than_averages_lag_are_reported(late, said):
+    found = check_log(log_of(q_knee=angle(T), dq_knee=rate_of(T - late)))
+    assert [one.rule for one in found] == ["late"] * said
 
 
 def rate_of(t):
