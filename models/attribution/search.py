@@ -209,6 +209,10 @@ def find_harmful_effect(known: RefinementData) -> tuple[Effect, str] | None:
     return min(shared, key=without), worse
 
 
+LINK = ("link_mass", "link_com", "link_inertia")
+"""What a load changes of the link that it is tied to."""
+
+
 def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
     """Number of effects, as counted against `most_effects`.
 
@@ -224,7 +228,7 @@ def _causes(explained: Sequence[Effect], cases: Sequence[LogUnderModel]) -> int:
         if is_sampling_lag(one, slowest):
             continue
         link = next((j for j in joints if one.target in (j, *(f"{j}_{a}" for a in AXES))), "")
-        causes.add(link if link and one.name.startswith("link_") else _key(one))
+        causes.add(link if one.name in LINK and link else _key(one))
     return len(causes)
 
 

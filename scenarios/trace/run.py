@@ -46,7 +46,7 @@ def trace(
     robot: Machine,
     out: Path | str,
     options: TraceOptions = TraceOptions(),
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] | None = None,
     force: bool = False,
 ) -> Trace:
     """Find which effect `robot` lacks as a model of the logs, and what adding it changes.
@@ -91,13 +91,14 @@ def trace_logs(
     logs: Sequence[Log],
     robot: Machine,
     options: TraceOptions = TraceOptions(),
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] | None = None,
 ) -> Trace:
     """`trace` without writing files. The robot may be a legged one, a machine on a fixed base, or
     one that is known by its feet alone.
     """
+    report = progress or (lambda share: None)
     settings, learnt = options.constants, options.learnt
-    found = diagnose(logs, robot, options, lambda share: progress(0.88 * share))
+    found = diagnose(logs, robot, options, lambda share: report(0.88 * share))
     cases = [run.case for run in found.runs]
     if found.attribution is not None and not cases:
         cases = logs_under_model(logs, robot, options.declared or (), settings)
@@ -109,7 +110,7 @@ def trace_logs(
         *_harm(filters, settings.harm_ratio),
         *(f"held out: {one}" for one in _harm(unseen_filters, settings.harm_ratio)),
     )
-    progress(1.0)
+    report(1.0)
     known = vars(replace(found, notes=found.notes + harm))
     return Trace(
         **known,

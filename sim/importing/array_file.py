@@ -8,7 +8,6 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -75,9 +74,10 @@ def read_hdf5(path: Path) -> RecordedTable:
         if objects and not found:
             name, node = next(iter(objects.items()))
             kind = np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
+            remedy = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
             raise SurefootError(
                 f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
-                f"arrays, of a timeseries t = {name}.Time; data = {name}.Data"
+                f"arrays{remedy if kind == 'timeseries' else ''}"
             )
         # A chunk is unpacked as a whole, however little of it the array has.
         held = [(np.prod(np.maximum(d.shape, d.chunks or 0)), d) for d in every.values() if d.shape]
@@ -201,8 +201,7 @@ def _arrays(found: Mapping[str, object]) -> dict[str, np.ndarray]:
             continue
         value: np.ndarray = np.asarray(content)
         if value.dtype.names:
-            inner: Any = value if value.ndim else value[()]
-            cells |= _arrays({f"{name}.{f}": np.asarray(inner[f]) for f in value.dtype.names})
+            cells |= _arrays({f"{name}.{f}": value[f] for f in value.dtype.names})
         elif value.dtype.kind == "O" and value.ndim == 0:
             cells |= _arrays({name: value.item()})
         elif value.dtype.kind == "M":

@@ -57,7 +57,7 @@ def encoding_of(path: Path) -> str:
         return "utf-16"
     # Without a byte order mark, by the zero half of its first eight letters.
     for half, encoding in enumerate(("utf-16-be", "utf-16-le")):
-        if begin and not any(begin[half:16:2]):
+        if begin[1:] and not any(begin[half:16:2]):
             return encoding
     try:
         with path.open(encoding="utf-8") as stream:
@@ -164,12 +164,11 @@ def _check_alone(path: Path) -> None:
                 rows, last = rows + 1, number
             elif _names_columns(line):
                 begin, rows = last if rows >= _TABLE else begin, 0
-            if begin and rows == _TABLE:
-                name = quote(path.name)
-                cut = (
-                    f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
-                )
-                raise SurefootError(f"{path}: has two tables; make a file of each: {cut}")
+            if not begin or rows != _TABLE:
+                continue
+            name = quote(path.name)
+            cut = f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
+            raise SurefootError(f"{path}: has two tables; make a file of each: {cut}")
 
 
 def _names_columns(line: str) -> bool:

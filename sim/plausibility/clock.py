@@ -80,8 +80,8 @@ def stamps(view: LogView) -> Iterator[Finding]:
         cause, leaps = "lost rows", set_forward(t, legs_moving(view.log.frame))
         if leaps.size:
             seen = f"leaps by {t[leaps[0]] - t[leaps[0] - 1]:.2f} s after {t[leaps[0] - 1]:.2f} s"
-            cause = "the clock was set: joints go on meanwhile; import what is before and the rest"
-        yield Finding(("t",), seen, f"{cause} separately" if leaps.size else cause)
+            cause = "the clock was set: joints go on meanwhile; import both parts separately"
+        yield Finding(("t",), seen, cause)
 
 
 def _leaps_from_row_to_row(view: LogView) -> bool:

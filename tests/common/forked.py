@@ -5,6 +5,7 @@ import os
 import resource
 import shutil
 import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,6 +67,8 @@ def run_forked(
             for number, (_, end) in enumerate(pipes, start=1):
                 os.dup2(end, number)
             sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+            # As the process's entry point does, which a fork does not pass.
+            warnings.simplefilter("ignore")
             _limit(memory)
             if longest is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (longest, longest))

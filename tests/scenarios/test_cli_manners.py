@@ -297,3 +297,16 @@ def test_a_flag_is_shown_without_its_default(command, capsys):
     assert not ended(f"{command} --help")
     text = capsys.readouterr().out
     assert [word for word in ("default: False", "default: True") if word in text] == []
+
+
+@pytest.mark.parametrize(("options", "seen"), [((), False), (("-W", "default"), True)])
+def test_warnings_of_libraries_do_not_reach_a_terminal(options, seen):
+    """MuJoCo and NumPy warn of what a command then refuses in a line of its own."""
+    script = (
+        "import warnings; from surefoot.scenarios.cli import main, start\n"
+        "main.main = lambda arguments: warnings.warn('of a library')\n"
+        "start.entry_point()"
+    )
+    arguments = [sys.executable, *options, "-c", script]
+    said = subprocess.run(arguments, capture_output=True, text=True, check=True).stderr
+    assert ("of a library" in said) == seen

@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guess import guess_map
-from surefoot.sim.importing.layout import layout_of
+from surefoot.sim.importing.layout import encoding_of, layout_of
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import JOINTS
 
@@ -165,3 +165,10 @@ def test_a_gyro_that_turns_slowly_has_the_unit_that_its_name_says(tmp_path):
     log, draft = imported(tmp_path, "run.csv")
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
     assert not [e.name for e in draft.main if e.doubt]
+
+
+@pytest.mark.parametrize("content", [b"a", b"7"])
+def test_one_letter_is_no_utf_16(tmp_path, content):
+    """Every other byte of one byte is none, and so not zero."""
+    (tmp_path / "one.csv").write_bytes(content)
+    assert encoding_of(tmp_path / "one.csv") == "utf-8-sig"
