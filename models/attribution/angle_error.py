@@ -14,17 +14,12 @@ import numpy as np
 from numpy.polynomial import Legendre
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.models.attribution.evidence import (
-    Evidence,
-    LogUnderModel,
-    joined_regressor,
-    wrt_columns,
-)
-from surefoot.models.attribution.fit import design, fit, loss, normal_equations
-from surefoot.models.attribution.search import Attribution
+from surefoot.models.attribution.design import design
+from surefoot.models.attribution.evidence import LogUnderModel, joined_regressor, wrt_columns
+from surefoot.models.attribution.explain import Explanation
+from surefoot.models.attribution.metric import Metric
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import FIT, SELECT, Split
-from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 
 ANGLE_CHANNELS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
@@ -47,74 +42,79 @@ class AngleError:
 
 
 def angle_errors(
-    cases: Sequence[LogUnderModel], result: Attribution, split: Split, rng: np.random.Generator
+    result: Explanation, cases: Sequence[LogUnderModel], settings: TraceSettings
 ) -> tuple[AngleError, ...]:
-    """Joints with an effect whose unseen blocks are explained better by a curve of the angle; the
-    curve that explains most comes first.
+    """Joints with an effect at which a curve of the angle explains more; the curve that explains
+    most comes first.
+
+    Args:
+        result: of the search.
+        cases: the logs, with their own zeros and clocks compensated.
+        settings: of the trace.
     """
-    s, found = cases[0].settings, [f.effect for f in result.found]
-    limbs = result.evidence.layout.limbs
+    found = [one.effect for one in result.found]
+    limbs = result.metric.known.layout.limbs
     kind = {joint: limbs.kind(i) for i, joint in enumerate(limbs.joints)}
     at = [e.target for e in found if e.target in kind and "leg_velocity" in e.channels]
     if not at or cases[0].fixed:
         return ()
-    keys = [(e.name, e.target) for e in found]
     joints = [joint for joint in kind if kind[joint] in {kind[one] for one in at}]
-    evidence = _with_curves(cases, result, joints)
-    robust, whole = result.robust_weights, design(evidence)
-    sigma = result.floor.effective_noise(robust.sigma, robust.alike)
-    data = normal_equations(whole, sigma, result.robust_weights.weight, split.part)
-    seen, unseen = data.rows(data.part == FIT), data.rows(data.part == SELECT)
-    plain = fit(seen, keys, errors=False).vector
-    bent = {j: fit(seen, [*keys, *_curves_of(evidence, j)], errors=False).vector for j in joints}
-    gains = {joint: loss(unseen, plain) - loss(unseen, bent[joint]) for joint in joints}
-    price = len(s.curve_degrees + s.loaded_degrees) * np.log(max(2, len(seen.G)))
+    metric = _with_curves(cases, found, result.metric, joints, settings)
+    gains = {joint: _gain(metric, joint, found) for joint in joints}
+    blocks = sum(np.ptp(case.log.t) for case in cases) / settings.block
+    price = len(settings.curve_degrees + settings.loaded_degrees) * np.log(max(2.0, blocks))
     out = []
     for joint in dict.fromkeys(at):
         alike = [one for one in kind if kind[one] == kind[joint]]
-        chance = max([float(gains[one].sum()) for one in alike if one not in at], default=0.0)
-        without = plain.copy()
-        for e in found:
-            if e.target == joint:
-                without[1 + evidence.keys.index((e.name, joint))] += e.value
-        explained = float(np.sum(loss(unseen, without) - loss(unseen, plain)))
-        gain = float(gains[joint].sum())
-        low = np.percentile(block_bootstrap_counts(len(unseen.G), rng) @ gains[joint], 2.5)
-        if low > 0 and gain > max(price, s.curve_others * chance, s.curve_worth * explained):
+        chance = max([gains[one] for one in alike if one not in at], default=0.0)
+        explained = 0.0
+        for e in (one for one in found if one.target == joint):
+            place = 1 + metric.known.keys.index((e.name, joint))
+            explained += e.value**2 * sum(G[place, place] for G in metric.grams)
+        gain = gains[joint]
+        if gain > max(price, settings.curve_others * chance, settings.curve_worth * explained):
             by_channel = {}
             for channel in ANGLE_CHANNELS:
-                weight = np.zeros_like(result.robust_weights.weight)
-                columns = evidence.layout.channels[channel]
-                weight[:, columns] = result.robust_weights.weight[:, columns]
-                own = normal_equations(whole, sigma, weight, split.part)
-                own = own.rows(own.part == SELECT)
-                by_channel[channel] = float(np.sum(loss(own, plain) - loss(own, bent[joint])))
+                root = np.zeros_like(metric.root)
+                columns = metric.known.layout.of(channel)
+                root[:, columns] = metric.root[:, columns]
+                by_channel[channel] = _gain(replace(metric, root=root), joint, found)
             channel = max(by_channel, key=lambda name: by_channel[name])
-            out.append((gain, AngleError(joint, channel, gain / (gain + max(explained, 0.0)))))
+            out.append((gain, AngleError(joint, channel, gain / (gain + explained))))
     return tuple(one for _, one in sorted(out, key=lambda pair: -pair[0]))
 
 
-def _curves_of(evidence: Evidence, joint: str) -> list[tuple[str, str]]:
-    return [key for key in evidence.keys if key[0] == f"curve {joint}"]
+def _gain(metric: Metric, joint: str, found: Sequence[Effect]) -> float:
+    """Squared residual that the curves of a joint's angle explain beside the effects found."""
+    keys, S = metric.known.keys, metric.S
+    at = [1 + keys.index((e.name, e.target)) for e in found if (e.name, e.target) in keys]
+    S = S - S[:, at] @ np.linalg.pinv(S[np.ix_(at, at)], hermitian=True) @ S[at]
+    own = [1 + i for i, key in enumerate(keys) if key[0] == f"curve {joint}"]
+    inverse = np.linalg.pinv(S[np.ix_(own, own)], hermitian=True, rcond=1e-9)
+    return float(S[own, 0] @ inverse @ S[own, 0])
 
 
 def _with_curves(
-    cases: Sequence[LogUnderModel], result: Attribution, joints: Sequence[str]
-) -> Evidence:
-    """Evidence of the effects found, extended by curves of the angles of these joints."""
-    effects = [f.effect for f in result.found]
-    known = result.evidence.only([(e.name, e.target) for e in effects])
-    settings = cases[0].settings
+    cases: Sequence[LogUnderModel],
+    effects: Sequence[Effect],
+    metric: Metric,
+    joints: Sequence[str],
+    settings: TraceSettings,
+) -> Metric:
+    """A metric whose candidates include curves of the angles of these joints."""
 
     def basis(log: Log) -> list[dict[str, np.ndarray]]:
         return [c for joint in joints for c in angle_error_basis(log, joint, settings)]
 
+    known = metric.known
     per_log = [wrt_columns(case, effects, basis) for case in cases]
     starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
     curves = tuple(joined_regressor(list(parts), starts) for parts in zip(*per_log, strict=True))
     each = len(curves) // len(joints)
     names = tuple((f"curve {j}", str(i)) for j in joints for i in range(each))
-    return replace(known, keys=(*known.keys, *names), X=(*known.X, *curves))
+    more = replace(known, keys=(*known.keys, *names), X=(*known.X, *curves))
+    places = metric.places + len(names) * (metric.places >= len(known.keys))
+    return replace(metric, data=design(more), places=places)
 
 
 def angle_error_basis(

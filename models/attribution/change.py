@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.found import Found, with_clipped_size
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
@@ -29,9 +29,9 @@ from surefoot.models.attribution.model_error import (
     run_evidence,
     run_residual,
     run_sums,
+    windows,
 )
 from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.refinement import with_clipped_size
 from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
@@ -306,7 +306,7 @@ def _compensated(case: LogUnderModel, key: Key, size: float) -> Evidence:
         known = linearise([case], (), [key], evaluation_channels=False)
     else:
         known = linearise([case], [effect(*key, size)], [key], evaluation_channels=False)
-    return averaged(known) if case.fixed else known
+    return averaged(known, windows(known)) if case.fixed else known
 
 
 def _explanations(new: _NewRuns) -> list[tuple[tuple[Key, ...], frozenset[str]]]:

@@ -84,16 +84,12 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
     if cases[0].fixed and sum(spans) < s.shortest_fixed_log:
         more = "several logs of one machine add up"
         return f"{_too_short(sum(spans), s.shortest_fixed_log)} {needed}; {more}"
-    if not cases[0].fixed and max(spans) < s.shortest_log:
-        return f"{_too_short(max(spans), s.shortest_log)} {needed}"
+    if not cases[0].fixed and sum(spans) < s.shortest_log:
+        return f"{_too_short(sum(spans), s.shortest_log)} {needed}"
     known = np.concatenate([bin_mean(case.motion)(case.motion.ok.astype(float)) for case in cases])
-    parts = (split.fit, split.select, split.report)
-    seconds = [BIN * float(known[part].sum()) for part in parts]
-    if min(seconds) < s.shortest_part:
-        fit, select, report = (f"{x:.1f} s" for x in seconds)
-        return (
-            f"too little reference: {fit} to fit on, {select} to choose on, {report} to report on"
-        )
+    fit, report = (BIN * float(known[part].sum()) for part in (split.fit, split.report))
+    if min(fit, report) < s.shortest_part:
+        return f"too little reference: {fit:.1f} s to fit on, {report:.1f} s to report on"
     return next((why for case in cases if not case.fixed and (why := _frozen(case.log))), "")
 
 

@@ -9,7 +9,23 @@ import numpy as np
 from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.change import find_change
 from surefoot.models.attribution.data import data_notes, dead_contacts, readings, untraceable_reason
-from surefoot.models.attribution.evidence import Key, LogUnderModel, linearise, log_under_model
+from surefoot.models.attribution.design import without_nuisance
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    linearise,
+    log_under_model,
+)
+from surefoot.models.attribution.explain import (
+    Candidate,
+    Explanation,
+    FittedRun,
+    Problem,
+    explain,
+    problem_of,
+    zeros_beside,
+)
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.friction import (
     FootFriction,
@@ -17,13 +33,8 @@ from surefoot.models.attribution.friction import (
     slip_effect,
     slip_notes,
 )
-from surefoot.models.attribution.held_out import HeldOutRuns, evaluate_held_out
-from surefoot.models.attribution.levels import (
-    ChannelLevel,
-    channel_gains,
-    channel_levels,
-    without_nuisance,
-)
+from surefoot.models.attribution.levels import ChannelLevel, block_gains, channel_levels
+from surefoot.models.attribution.metric import Metric
 from surefoot.models.attribution.model_error import (
     ModelError,
     model_error,
@@ -31,18 +42,15 @@ from surefoot.models.attribution.model_error import (
     run_evidence,
     run_sums,
 )
-from surefoot.models.attribution.noise_floor import noise_floor
+from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor, noise_floor_with
 from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
-from surefoot.models.attribution.refinement import RefinementData
-from surefoot.models.attribution.run_fit import FittedRun, fit_runs
-from surefoot.models.attribution.run_offsets import is_per_run, is_sampling_lag
-from surefoot.models.attribution.search import Attribution, attribute
-from surefoot.models.attribution.selection import Candidate
+from surefoot.models.attribution.robust_weights import RobustWeights
+from surefoot.models.attribution.run_offsets import is_sampling_lag
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import split_of
+from surefoot.models.attribution.split import Split, split_of
 from surefoot.models.attribution.sticking import sticks
 from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
-from surefoot.models.attribution.verdict import Findings, verdict_of
+from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
@@ -81,7 +89,7 @@ class Diagnosis:
 
     verdict: str
     reasons: tuple[str, ...] = ()
-    attribution: Attribution | None = None
+    attribution: Explanation | None = None
     found: tuple[Found, ...] = ()
     runs: tuple[FittedRun, ...] = ()
     channels: dict[str, ChannelLevel]
@@ -179,12 +187,12 @@ def diagnose(
     by the joints alone; the notes name what only a reference would show.
     """
     seed, declared = options.seed, options.declared
-    holdout, since = options.holdout, options.since
+    since = options.since
     check_seed(seed)
     # The logs under the declared model. Zeros and clocks of several logs belong to each log.
     model = declared or ()
     several = len(logs) > 1 or declared is not None
-    settings = replace(options.constants, per_run_offsets=several)
+    settings = options.constants
     cases = logs_under_model(logs, robot, model, settings)
     split = split_of(cases)
     cannot = untraceable_reason(cases, split)
@@ -197,53 +205,38 @@ def diagnose(
     # The noise floor, then the search for effects: once, or twice where the effects that were found
     # tell whether feet slide.
     friction = estimate_friction(cases, np.random.default_rng(seed))
-    slip, times = slip_effect(friction, settings), 0
-    while True:
-        times += 1
-        floor = noise_floor(cases, [one.effect for one in slip])
-        progress(0.4)
-        rng = np.random.default_rng(seed)
-        result = attribute(cases, floor, split, rng, lambda share: progress(0.4 + 0.5 * share))
-        slid = bool(slip)
-        if result.found and friction:
-            model_with = [*model, *(one.effect for one in result.found)]
-            explained = logs_under_model(logs, robot, model_with, settings)
-            friction = estimate_friction(explained, np.random.default_rng(seed))
-            slip = slip_effect(friction, settings)
-        if bool(slip) == slid or times == 2:
-            break
-    # Effects of single logs, apart from those of the machine, are fitted to each log.
+    slip = slip_effect(friction, settings)
+    result, floors = _explained(cases, split, slip, several, progress)
+    if result.found and friction:
+        model_with = [*model, *(one.effect for one in result.found)]
+        explained = logs_under_model(logs, robot, model_with, settings)
+        friction = estimate_friction(explained, np.random.default_rng(seed))
+        slides = slip_effect(friction, settings)
+        if bool(slides) != bool(slip):
+            result, floors = _explained(cases, split, slides, several, progress)
+        slip = slides
     lags = _sampling_lags(result.found, cases)
-    own = [f.effect for f in result.found if (several and is_per_run(f.effect.name)) or f in lags]
-    found = (*(f for f in result.found if f.effect not in own), *slip)
+    found = (*(f for f in result.found if f not in lags), *slip)
     effects = [one.effect for one in found]
-    weights = result.robust_weights
-    known = RefinementData(cases, result.floor, result.evidence, effects, weights, split.part)
-    runs = fit_runs(known, effects, own) if several or own else ()
+    runs = _with_lags(result.runs, lags)
     # Residuals before and after, and where outside forces act, which is left out of the verdict.
-    now, used = [run.case for run in runs] or cases, split.fit | split.select
-    before = linearise(now, (), ())
-    after = linearise(now, effects, ()) if own else result.evidence
-    left = without_nuisance(after, weights, used)
-    plainly = without_nuisance(before, weights, used)
-    pushes = outside_forces(now, left, after)
-    pushed = pushed_bins(now, after, pushes)
-    unpushed = np.where(pushed[:, None], 0.0, weights.weight)
+    sides = _residuals([run.case for run in runs], effects, result.metric, floors.last, split.fit)
+    pushes = outside_forces(sides.cases, sides.after, sides.evidence)
+    pushed = pushed_bins(sides.cases, sides.evidence, pushes)
+    rng = np.random.default_rng(seed)
     gone = [
-        f for f in found if pushes and not _still_explains(f.effect, effects, now, result, unpushed)
+        f for f in found if pushes and not _still_explains(f.effect, effects, sides, pushed, rng)
     ]
     found = tuple(f for f in found if f not in gone)
-    still = sticks(now, [*model, *effects], after.layout)
-    left, plainly = (np.where(still, np.nan, table) for table in (left, plainly))
+    sides = sides.without(sticks(sides.cases, [*model, *effects], sides.evidence.layout))
     # The verdict, on the part that no fit has seen and on held-out logs.
-    judge = split.report & ~pushed
-    channels = channel_levels(plainly[judge], left[judge], after, result.floor)
+    channels = sides.levels(split.report & ~pushed)
     held_out = None
-    if holdout:
-        unseen = logs_under_model(holdout, robot, model, settings)
-        held_out = evaluate_held_out(unseen, effects, own, result.floor, rng, model)
+    if options.holdout:
+        unseen = logs_under_model(options.holdout, robot, model, settings)
+        held_out = _held_out(unseen, effects, lags, floors, several, rng, model)
     progress(0.95)
-    curves = angle_errors(cases, result, split, rng)
+    curves = angle_errors(result, sides.cases, settings)
     verdict, reasons = verdict_of(
         Findings(
             found=found,
@@ -263,10 +256,13 @@ def diagnose(
     # The form of what no effect explains.
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
+        above = _above_floor(channels)
         unexplained = tuple(
             Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
             for one in curves
-        ) + sparse_regression(now, left, weights, _above_floor(channels), split.fit, split.select)
+        ) + sparse_regression(
+            sides.cases, sides.after, sides.weights, above, split.fit, split.report
+        )
     if declared is not None and verdict == "not_identifiable":
         # Without a significant effect, no change is reported; the reasons say so.
         found = ()
@@ -278,26 +274,230 @@ def diagnose(
         reasons=reasons,
         attribution=result,
         found=found,
-        runs=runs,
+        runs=runs if several or lags else (),
         channels=channels,
         held_out=held_out,
-        masked_share=weights.share,
+        masked_share=sides.weights.share,
         friction=friction,
-        floor=result.floor.source,
+        floor=floors.last.source,
         rivals=tuple(
             {"name": name, "target": target, "overlap": shared}
             for (name, target), shared in result.rivals
         ),
         notes=(
             *dead,
-            *data_notes(cases, floor),
+            *data_notes(cases, floors.plain),
             *slip_notes(friction, "leg_velocity" in channels, settings),
             *(f"excluded from the verdict: {words}" for words in excluded),
             *_result_notes(found, channels),
             *_lag_notes(lags),
         ),
         unexplained=unexplained,
-        model_error=_error_of(now, effects) if several else None,
+        model_error=_error_of(sides.cases, effects) if several else None,
+    )
+
+
+class _Floors:
+    """Noise floors of the declared model with effects that it has and compensates."""
+
+    def __init__(self, cases: Sequence[LogUnderModel], ground: Sequence[Effect]):
+        self.plain = self.last = noise_floor(cases, ground)
+
+    def of(self, effects: Sequence[Effect]) -> NoiseFloor:
+        """The floor with these effects; that of nearly the same sizes is kept."""
+        self.last = noise_floor_with(self.plain, effects, self.last)
+        return self.last
+
+    def error_of(self, effects: Sequence[Effect]) -> ModelError:
+        """Error of the model with these effects."""
+        return self.of(effects).error
+
+
+def _explained(
+    cases: Sequence[LogUnderModel],
+    split: Split,
+    slip: Sequence[Found],
+    several: bool,
+    progress: Callable[[float], None],
+) -> tuple[Explanation, _Floors]:
+    """The search for effects, and the floors that it was based on."""
+    floors = _Floors(cases, [one.effect for one in slip])
+    progress(0.4)
+
+    def harmful(metric: Metric, problem: Problem, effects: Sequence[Effect]):
+        floor = floors.of(effects)
+        return find_harmful_effect(problem.cases, effects, metric, floor, split)
+
+    problem = problem_of(cases, split.fit, several)
+    found = explain(problem, floors.error_of, harmful, lambda share: progress(0.4 + 0.5 * share))
+    floors.of([one.effect for one in found.found])
+    return found, floors
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of logs before and after effects are compensated.
+
+    Attributes:
+        cases: the logs, with their own zeros and clocks compensated.
+        evidence: with the effects compensated.
+        before: residual (M, W) without them and without nuisance parameters; NaN where masked.
+        after: the same with them.
+        weights: of the entries.
+        floor: noise floor of the model with the effects.
+    """
+
+    cases: Sequence[LogUnderModel]
+    evidence: Evidence
+    before: np.ndarray
+    after: np.ndarray
+    weights: RobustWeights
+    floor: NoiseFloor
+
+    def without(self, masked: np.ndarray) -> "Residuals":
+        """The residuals without the entries of a mask (M, W)."""
+        before, after = (np.where(masked, np.nan, one) for one in (self.before, self.after))
+        return replace(self, before=before, after=after)
+
+    def levels(self, judge: np.ndarray) -> dict[str, ChannelLevel]:
+        """Level of each channel over the bins of a mask (M,)."""
+        return channel_levels(self.before[judge], self.after[judge], self.evidence, self.floor)
+
+
+def _residuals(
+    cases: Sequence[LogUnderModel],
+    effects: Sequence[Effect],
+    metric: Metric,
+    floor: NoiseFloor,
+    use: np.ndarray,
+) -> Residuals:
+    """Residuals before and after these effects; nuisance parameters are fitted on the bins `use`
+    (M,).
+    """
+    before, after = linearise(cases, (), ()), linearise(cases, effects, ())
+    weights = metric.robust
+    there = np.isfinite(after.table)
+    if cases[0].fixed:
+        # The metric is of means over windows.
+        weights = replace(
+            weights, sigma=floor.sigma, weight=there.astype(float), masked=np.zeros((len(there), 0))
+        )
+    else:
+        # No fit uses the channels that are only evaluated.
+        weight, masked = weights.weight.copy(), weights.masked
+        for c in np.setdiff1d(np.arange(after.layout.width), after.layout.fitted):
+            leg = after.layout.columns[c].leg
+            off = masked.any(axis=1) if leg is None else masked[:, leg]
+            weight[:, c] = there[:, c] & ~(off & bool(after.layout.masked_by[c]))
+        weights = replace(weights, weight=weight)
+    left, plain = (
+        without_nuisance(one, weights.sigma, weights.weight, use) for one in (after, before)
+    )
+    return Residuals(cases, after, plain, left, weights, floor)
+
+
+def find_harmful_effect(
+    cases: Sequence[LogUnderModel],
+    effects: Sequence[Effect],
+    metric: Metric,
+    floor: NoiseFloor,
+    split: Split,
+) -> tuple[Effect, str] | None:
+    """The first channel that the effects make worse (`ChannelLevel.worse`), and the effect whose
+    removal improves it most; None where there is no such channel.
+
+    Args:
+        cases: the logs, with their own zeros and clocks compensated.
+        effects: found.
+        metric: with them compensated.
+        floor: noise floor of the model with them.
+        split: of the logs.
+    """
+    if not effects:
+        return None
+    sides = _residuals(cases, effects, metric, floor, split.fit)
+    levels = sides.levels(split.report)
+    worse = next((name for name, level in levels.items() if level.worse), None)
+    if worse is None:
+        return None
+
+    def without(one: Effect) -> float:
+        others = [e for e in effects if e != one]
+        left = _residuals(cases, others, metric, floor, split.fit).after[split.report]
+        return float(np.nanmean(left[:, sides.evidence.layout.of(worse)] ** 2))
+
+    return min(effects, key=without), worse
+
+
+def _held_out(
+    cases: Sequence[LogUnderModel],
+    effects: Sequence[Effect],
+    lags: Sequence[Found],
+    floors: _Floors,
+    several: bool,
+    rng: np.random.Generator,
+    declared: Sequence[Effect],
+) -> HeldOutRuns:
+    """Evaluate effects on held-out logs, fitting only each log's own zeros and biases."""
+    runs, worsened, sides = [], [], []
+    floor = floors.last
+    for number, case in enumerate(cases, 1):
+        every = np.ones(len(case.motion.t), dtype=bool)
+        fitted, metric = zeros_beside(
+            problem_of([case], every, several), lambda _: floor.error, effects
+        )
+        run = _with_lags(fitted, lags)[0]
+        runs.append(run)
+        one = _residuals([run.case], effects, metric, floor, every)
+        one = one.without(sticks([run.case], [*declared, *effects], one.evidence.layout))
+        sides.append(one)
+        for this in effects:
+            others = [e for e in effects if e != this]
+            less = _residuals([run.case], others, metric, floor, every).after
+            if worse := _made_worse(less, one, rng):
+                worsened.append(
+                    f"held-out run {number}: {this.name} {this.target} makes {worse} worse"
+                )
+    before, after = (
+        np.concatenate([getattr(one, side) for one in sides]) for side in ("before", "after")
+    )
+    levels = channel_levels(before, after, sides[-1].evidence, floor)
+    return HeldOutRuns(levels, tuple(runs), tuple(worsened))
+
+
+def _made_worse(without: np.ndarray, known: Residuals, rng: np.random.Generator) -> str:
+    """The channel that an effect changes most, if the effect makes it worse; else "".
+
+    Judged by the weighted squared residual of blocks, with a 95 % bootstrap interval.
+
+    Args:
+        without: residual (M, W) with all effects but this one compensated.
+        known: with all effects compensated.
+        rng: of the block bootstrap.
+    """
+    weights = known.weights
+    gains = block_gains(without, known.after, known.evidence, weights.sigma, weights.weight)
+    if not gains:
+        return ""
+    most = max(gains, key=lambda name: abs(gains[name].sum()))
+    high = np.percentile(block_bootstrap_counts(len(gains[most]), rng) @ gains[most], 97.5)
+    return most if high < 0 else ""
+
+
+def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[FittedRun, ...]:
+    """Each log with these lags compensated as well."""
+    if not lags:
+        return tuple(runs)
+    effects = tuple(one.effect for one in lags)
+    return tuple(
+        FittedRun(
+            log_under_model(
+                *compensate_all(effects, run.case.log, run.case.robot), run.case.settings
+            ),
+            (*run.zeros, *lags),
+            (*run.compensated, *effects),
+        )
+        for run in runs
     )
 
 
@@ -337,29 +537,20 @@ def _above_floor(channels: dict[str, ChannelLevel]) -> list[str]:
 def _still_explains(
     one: Effect,
     effects: Sequence[Effect],
-    cases: Sequence[LogUnderModel],
-    result: Attribution,
-    weight: np.ndarray,
+    sides: Residuals,
+    pushed: np.ndarray,
+    rng: np.random.Generator,
 ) -> bool:
-    """Whether an effect still explains anything on the bins whose `weight` is not zero.
-
-    Args:
-        one: the effect.
-        effects: all effects found.
-        cases: the logs under the declared model.
-        result: of the search.
-        weight: (M, W) of the bins.
-    """
+    """Whether an effect still explains anything outside the bins of a mask `pushed` (M,)."""
     if not type(one).is_compensated():
         return True
-    without, known = (
-        linearise(cases, these, ()) for these in ([e for e in effects if e != one], effects)
-    )
-    sigma = result.floor.effective_noise(result.robust_weights.sigma)
-    gains = channel_gains(without, known, weight, sigma)
-    blocks = sum(gains[name] for name in one.channels_of(one.target) if name in gains)
-    # Blocks that are masked entirely gain nothing. The seed is fixed for reproducibility.
-    drawn = block_bootstrap_counts(np.size(blocks), np.random.default_rng(0)) @ np.ravel(blocks)
+    others = linearise(sides.cases, [e for e in effects if e != one], ())
+    weights, used = sides.weights, ~pushed
+    less = without_nuisance(others, weights.sigma, weights.weight, used)
+    weight = np.where(used[:, None], weights.weight, 0.0)
+    gains = block_gains(less, sides.after, sides.evidence, weights.sigma, weight)
+    blocks = np.concatenate([gains[name] for name in one.channels_of(one.target) if name in gains])
+    drawn = block_bootstrap_counts(len(blocks), rng) @ blocks if len(blocks) else np.zeros(1)
     return bool(np.percentile(drawn, 2.5) > 0)
 
 
@@ -450,7 +641,7 @@ def _candidate(c: Candidate) -> dict[str, Any]:
         "name": name,
         "target": target,
         "value": c.size,
-        "floor": c.floor,
+        "floor": c.least,
         "gain": c.share,
         "earned": c.earned,
     }

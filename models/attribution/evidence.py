@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from surefoot.models.attribution.run_offsets import deviations, is_per_run
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
@@ -40,7 +39,6 @@ from surefoot.models.residuals.residual import (
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import changed_columns, with_columns
-from surefoot.sim.effects.joint import TorqueScale
 from surefoot.sim.log import Log, MemoisedLog
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot.machine import Machine
@@ -65,13 +63,11 @@ class Evidence:
         table: residuals (M, W), NaN where a bin has none.
         keys: the C candidates.
         X: regressor of each candidate.
-        Z: regressors of the B nuisance parameters: turn-on biases of each log's IMU, the ground
-            plane of each log, and deviations of a candidate's size between logs.
-        limits: bounds of the nuisance parameters, +-(B,).
-        described_by: for each of Z, the candidate that describes the same error without a bound, if
-            any.
-        deviation_of: for each of Z, the candidate it is fitted along with, as a deviation of that
-            candidate's size between logs, if any.
+        Z: regressors of the B nuisance parameters: turn-on biases of each log's IMU, and the ground
+            plane of each log.
+        deviations: prior standard deviations of the nuisance parameters (B,), infinite where free.
+        bias_of: for each of Z that is a turn-on bias, the candidate that describes the same error
+            without a bound, else None.
         settings: of the trace.
         groups: candidates whose regressor is the sum of those of other candidates.
         reading_scale: factors of the columns of each log (`_reading_scale`).
@@ -84,9 +80,8 @@ class Evidence:
     keys: tuple[Key, ...]
     X: tuple[Regressor, ...]
     Z: tuple[Regressor, ...]
-    limits: np.ndarray
-    described_by: tuple[Key | None, ...]
-    deviation_of: tuple[Key | None, ...] = ()
+    deviations: np.ndarray
+    bias_of: tuple[Key | None, ...]
     settings: TraceSettings = DEFAULT
     groups: frozenset[Key] = frozenset()
     reading_scale: tuple[tuple[float, ...], ...] = ()
@@ -94,8 +89,7 @@ class Evidence:
     @cached_property
     def single(self) -> np.ndarray:
         """Mask (C + B,) of the candidates and nuisance parameters that are no sum of others."""
-        along = self.deviation_of or (None,) * len(self.Z)
-        return np.array([key not in self.groups for key in (*self.keys, *along)])
+        return np.array([key not in self.groups for key in (*self.keys, *(None,) * len(self.Z))])
 
     def only(self, keys: Sequence[Key]) -> "Evidence":
         """The evidence restricted to these candidates."""
@@ -206,23 +200,15 @@ def linearise(
         )
         return replace(before, table=np.concatenate(tables), X=X)
     X = tuple(joined_regressor([p.regressor(key) for p in parts], starts) for key in keys)
-    Z, limits, described_by = [], [], []
+    Z, deviations, bias_of = [], [], []
     for i, part in enumerate(parts):
-        for one, limit, key in part.nuisance_regressors():
+        for one, deviation, key in part.nuisance_regressors():
             whole = np.zeros((starts[-1], len(one.columns)))
             whole[starts[i] : starts[i + 1]] = one.values
             Z.append(Regressor(one.columns, whole))
-            limits.append(limit)
-            described_by.append(key)
+            deviations.append(deviation)
+            bias_of.append(key)
     log = np.repeat(np.arange(len(parts)), np.diff(starts))
-    deviation_of: list[Key | None] = [None] * len(Z)
-    for key, one in zip(keys, X, strict=True):
-        if is_per_run(key[0]):
-            own = deviations(one, log)
-            Z += own
-            limits += [np.inf] * len(own)
-            described_by += [None] * len(own)
-            deviation_of += [key] * len(own)
     return Evidence(
         layout=parts[0].parts.layout,
         t=np.concatenate([p.parts.t for p in parts]),
@@ -231,9 +217,8 @@ def linearise(
         keys=tuple(keys),
         X=X,
         Z=tuple(Z),
-        limits=np.array(limits),
-        described_by=tuple(described_by),
-        deviation_of=tuple(deviation_of),
+        deviations=np.array(deviations),
+        bias_of=tuple(bias_of),
         settings=cases[0].settings,
         reading_scale=reading_scale,
         groups=frozenset(
@@ -266,20 +251,28 @@ def table_of(
 
 
 def _reading_scale(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
-    """Factors (W,) of the columns that bring torque residuals back to the scale of the readings.
+    """Factors (W,) of the columns that bring residuals back to the scale of the readings.
 
-    Compensating a torque scale divides the residual by it, noise included, so that the largest
-    scale would leave the least; with masses that shrink as well, next to nothing. Only for fixed
-    bases, whose noise floor is the noise of the readings.
+    Compensating a scale of a reading divides its residual by it, noise included, so that the
+    largest scale would leave the least; with masses that shrink as well, next to nothing.
     """
     layout = layout_for(case.robot.limbs)
     factor = np.ones(layout.width)
     for one in chosen:
-        if case.fixed and isinstance(one, TorqueScale):
-            joints = one.members(case.robot.limbs)
-            scaled = {f"{column}_{joint}" for column in ("torque", "command") for joint in joints}
+        columns = _SCALED.get(one.name, ())
+        if columns:
+            parts = one.members(case.robot.limbs)
+            scaled = {f"{column}_{part}" for column in columns for part in parts}
             factor[[name in scaled for name in layout.names]] *= 1.0 + one.value
     return factor
+
+
+_SCALED = {
+    "torque_scale": ("torque", "command"),
+    "gyro_scale": ("gyro",),
+    "accel_scale": ("accel",),
+}
+"""Effect that scales a reading -> columns of the residual that have its unit, by its parts."""
 
 
 def _parts(
@@ -435,20 +428,19 @@ class _Linear:
         return (residual(log, robot, motion, again).table - self.parts.table) / step
 
     def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:
-        """Nuisance parameters of the log: regressor, bound, and the candidate with the same
-        meaning.
+        """Nuisance parameters of the log: regressor, prior standard deviation, and the candidate
+        with the same meaning.
         """
         out: list[tuple[Regressor, float, Key | None]] = []
         parts, sensors = self.parts, Sensors()
         if not self.case.fixed and self.case.log.has("imu"):
             deviations = {"gyro": sensors.gyro_turn_on, "accel": sensors.accel_turn_on}
-            most = self.case.settings.turn_on_limit
             for axis, name in enumerate("xyz"):
                 for kind, turn_on in deviations.items():
                     ones = {axis: np.ones(len(parts.t))}
                     unit = {kind: ones} | ({"omega": ones} if kind == "gyro" else {})
                     one = sparse(wrt_readings(parts, self.jacobians, unit), parts.table)
-                    out.append((one, most * turn_on, (f"{kind}_bias", name)))
+                    out.append((one, turn_on, (f"{kind}_bias", name)))
         for name, columns in parts.layout.channels.items():
             for values in channels()[name].nuisance_regressors(parts.inputs):
                 which = parts.layout.of(name)

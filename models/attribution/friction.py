@@ -120,7 +120,7 @@ def slip_effect(friction: FootFriction | None, settings: TraceSettings) -> tuple
     """The effect `foot_slip`, where friction is lower everywhere than on a dry floor."""
     if friction is None or friction.limit is None or not friction.everywhere:
         return ()
-    dry, (low, high) = settings.floor_friction, friction.interval
+    dry, (low, high) = settings.dry_friction, friction.interval
     if high >= settings.dry_friction_share * dry or not friction.consistent(settings):
         return ()
     lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / dry, 0.0, 0.95)))
@@ -140,7 +140,7 @@ def slip_notes(
     if friction is None:
         lacking = "foot_slip: not identifiable without torques, IMU, contacts and a reference"
         return (lacking,) if walks else ()
-    dry, many = settings.floor_friction, f"{friction.slides} slides under load"
+    dry, many = settings.dry_friction, f"{friction.slides} slides under load"
     if friction.limit is None:
         # The friction of a foot that sticks is at least what it uses.
         share = max(0.0, 1.0 - friction.held / dry)

@@ -4,16 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import Evidence
-from surefoot.models.attribution.fit import (
-    design,
-    fit,
-    loss,
-    normal_equations,
-    total_normal_equations,
-)
 from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
-from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.registry import channels
 
@@ -94,7 +87,6 @@ def channel_levels(
         floor: noise floor of the model with the effects.
     """
     floors = [_settled(one) for one in floor.walks]
-    ahead = [_end_of_walk(one) for one in floor.walks] if floor.evenness else floors
     levels = {}
     for name, columns in known.layout.channels.items():
         if not np.isfinite(before[:, columns]).any():
@@ -103,7 +95,7 @@ def channel_levels(
         least = channel.least_noise if channel.on_level_ground else 0.0
         level = [
             max(trimmed_rms(part[:, columns]), least)
-            for part in (ahead if channel.on_level_ground else floors)
+            for part in floors
             if np.isfinite(part[:, columns]).any()
         ]
         own = float(np.sqrt(np.mean(np.square(level)))) if level else None
@@ -122,8 +114,7 @@ def channel_levels(
             # 1/sqrt(n).
             count = np.isfinite(after[:, columns]).sum()
             most = own * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
-        if floor.run_variation:
-            most = max(most, floor.run_variation.highest_residual.get(name, 0.0))
+        most = max(most, floor.levels.get(name, 0.0))
         both = np.isfinite(before[:, columns]) & np.isfinite(after[:, columns])
         same = (
             [trimmed_rms(part[:, columns][both]) for part in (before, after)]
@@ -154,55 +145,37 @@ def _by_chance(before: np.ndarray, after: np.ndarray) -> bool:
     return bool(np.mean(more) <= 2.0 * np.std(more) / np.sqrt(len(more))) if len(more) else True
 
 
-def without_nuisance(evidence: Evidence, weights: RobustWeights, use: np.ndarray) -> np.ndarray:
-    """Residual table (M, W) less the nuisance parameters as fitted on `use`; NaN where masked."""
-    data = design(evidence.only(()))
-    sums = total_normal_equations(data, weights.sigma, weights.weight * use[:, None])
-    vector = fit(sums, (), errors=False).vector
-    left = np.where(data.there, data.y - data.explained(-vector[1:]), np.nan)
-    return np.where(weights.weight > 0, left, np.nan)
-
-
-def channel_gains(
-    without: Evidence, known: Evidence, weight: np.ndarray, sigma: np.ndarray
+def block_gains(
+    before: np.ndarray, after: np.ndarray, known: Evidence, sigma: np.ndarray, weight: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Reduction of each block's weighted squared error (K,) from `without` to `known`, by channel.
-
-    In units of the noise.
+    """Reduction of each block's weighted squared residual (K,) by channel, in units of the noise.
 
     Args:
-        without: evidence with some effects compensated.
-        known: evidence with more of them compensated.
-        weight: (M, W) of the bins.
-        sigma: (W,) effective noise of each column (`NoiseFloor.effective_noise`).
+        before: residual (M, W) without nuisance parameters; NaN where there is none.
+        after: the same with more effects compensated.
+        known: evidence whose columns and bins these are.
+        sigma: noise of the columns (W,).
+        weight: of the entries (M, W).
     """
-    tables = design(without), design(known)
-    both = tables[0].there & tables[1].there
+    stretch = np.floor((known.t - known.t.min()) / known.settings.block).astype(int)
+    number = known.log * (stretch.max() + 1) + stretch
+    gain = np.nan_to_num(weight * (before**2 - after**2)) / sigma**2
+    both = np.isfinite(before) & np.isfinite(after) & (weight > 0.0)
     gains = {}
     for name, columns in known.layout.channels.items():
-        own = np.zeros_like(weight)
-        own[:, columns] = (weight * both)[:, columns]
-        if own.any():
-            sums = [normal_equations(table, sigma, own) for table in tables]
-            left = [loss(one, fit(one, (), errors=False).vector) for one in sums]
-            gains[name] = left[0] - left[1]
+        blocks = np.unique(number[both[:, columns].any(axis=1)])
+        if len(blocks):
+            each = np.bincount(number, gain[:, columns].sum(axis=1), minlength=number.max() + 1)
+            gains[name] = each[blocks]
     return gains
 
 
 def _settled(one: FloorWalk) -> np.ndarray:
     """Residual (M, W) of a walk without its first steps; all of a short one."""
     t, settling = one.evidence.t, one.evidence.settings.settling
-    left = without_nuisance(one.evidence, one.robust_weights, np.ones(len(t), dtype=bool))
+    weights, every = one.robust_weights, np.ones(len(t), dtype=bool)
+    left = without_nuisance(one.evidence, weights.sigma, weights.weight, every)
     return left[t > t[0] + settling] if t[-1] - t[0] > 2.0 * settling else left
-
-
-def _end_of_walk(one: FloorWalk) -> np.ndarray:
-    """Residual at the end of a walk, on ground that the plane fitted to its beginning has not
-    seen.
-    """
-    t = one.evidence.t
-    use = t < t[0] + (1.0 - one.evidence.settings.extrapolated_share) * (t[-1] - t[0])
-    return without_nuisance(one.evidence, one.robust_weights, use)[~use]
 
 
 def scatter_of_rms(square: np.ndarray, count: int) -> float:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from surefoot.models.attribution.design import design, nuisance_precision, scaled_inverse
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -26,7 +27,6 @@ from surefoot.models.attribution.evidence import (
     linearise,
     wrt_columns,
 )
-from surefoot.models.attribution.fit import design, total_normal_equations
 from surefoot.models.attribution.priors import plausible_size
 from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.sensor_noise import data_sheet_noise
@@ -43,25 +43,39 @@ WHOLE = 0.8
 """Share of its bins that a window has at least."""
 ZERO = "encoder_offset"
 """The effect that every run has at a size of its own."""
-NO_TERMS = frozenset({ZERO, "torque_scale", "gyro_scale", "accel_scale", "gyro_bias", "accel_bias"})
-"""Effects that are no error of a model: zeros and biases belong to a run, and a scale together with
-all masses explains any torque.
+NO_TERMS = frozenset({"torque_scale", "gyro_scale", "accel_scale", "gyro_bias", "accel_bias"})
+"""Effects that are no error of a model: biases belong to a run, and a scale together with all
+masses explains any torque.
 """
+EXACT = frozenset(
+    {
+        *("clock_scale", "imu_delay", "joint_delay", "rate_delay", "torque_delay"),
+        *("command_delay", "reference_delay", "gyro_g_sensitivity"),
+        *("gyro_scale", "accel_scale", "gyro_bias", "accel_bias"),
+    }
+)
+"""The same for simulated walks, whose sensors and clocks are as declared."""
 ANGLE_ERROR = "angle_error"
 """Name of what a sensor may add to its joint's angle (`angle_errors`)."""
 FEWEST_RUNS = 3
 """Runs needed to estimate how they differ."""
+LEAST_NOISE = 0.3
+"""Share of the noise by data sheets that a bin has at least."""
 NOTHING = 1e-9
 """Mean square of the relative residual per unit up to which a size shows in nothing but rounding:
 the mass of a link that turns about a vertical axis.
 """
-FREE = 1e-9
-"""Precision of a nuisance parameter without a bound."""
-_START = (0.5, 0.1, 0.3)
+_START = (1.0, 0.02, 0.3)
 """Initial a, b, and noise relative to the residual."""
 _ROUNDS = 100
 """Most rounds of the expectation maximisation."""
-_SETTLED = 3e-3
+_FEWEST = 4
+"""Fewest rounds: the noise settles first."""
+_AHEAD = 3.0
+"""Multiple of the step of b, which converges slowly (over-relaxation)."""
+_LEAST = 1e-9
+"""Share of a group's squared residual below which what is left is rounding."""
+_SETTLED = 0.02
 """Relative change of a and b in a round at which it has converged."""
 
 
@@ -77,6 +91,9 @@ class RunSums:
         nuisance: precision of the nuisance parameters (B,).
         rates: joint -> largest difference between the slope of its angle and its rate, averaged
             over a window [rad/s]; of a machine on a fixed base.
+        per_run: names of the effects that every run has at a size of its own.
+        no_terms: names of the effects that are no error of the model.
+        least: lower bound of each group's noise (G,), None without.
     """
 
     keys: tuple[Key, ...]
@@ -85,6 +102,9 @@ class RunSums:
     count: np.ndarray
     nuisance: np.ndarray
     rates: dict[str, float]
+    per_run: frozenset[str] = frozenset({ZERO})
+    no_terms: frozenset[str] = NO_TERMS
+    least: np.ndarray | None = None
 
     def whitened(self, noise: np.ndarray) -> np.ndarray:
         """Gram matrix of all rows in units of each group's noise (G,)."""
@@ -148,60 +168,85 @@ def run_evidence(case: LogUnderModel, effects: Sequence[Effect] = ()) -> RunEvid
         errors = angle_errors(case.log, limbs)
         more = wrt_columns(case, effects, lambda log: [*errors.values()])
         known = replace(known, keys=(*known.keys, *errors), X=(*known.X, *more))
-    known = averaged(known)
+    known = averaged(known, windows(known))
     of_rates = known.layout.of("joint_rate")
     apart = np.nanmax(np.abs(known.table[:, of_rates]), axis=0, initial=0.0)
     rates = {known.layout.columns[c].group: float(x) for c, x in zip(of_rates, apart, strict=True)}
     return RunEvidence(case, known, np.isfinite(known.table).astype(float), rates)
 
 
-def run_sums(run: RunEvidence) -> RunSums:
-    """Sums of one run over each group of columns.
+def run_sums(
+    run: RunEvidence,
+    per_run: frozenset[str] = frozenset({ZERO}),
+    no_terms: frozenset[str] = NO_TERMS,
+) -> RunSums:
+    """Sums of one run over each group of columns; `per_run` and `no_terms` as of `RunSums`.
 
     Of a machine on a fixed base these are its torques; of a walk all but the command's.
     """
     known, layout = run.known, run.known.layout
     table = design(known)
     used = layout.of("joint_torque") if run.case.fixed else layout.fitted
-    used = used[~np.isin(used, layout.of("command"))]
-    groups, sums, count = [], [], []
+    groups, sums, count, kept = [], [], [], []
+    sheet = data_sheet_noise(run.case.log.rate, layout)
     channel_of = {c: name for name, at in layout.channels.items() for c in range(at.start, at.stop)}
     for columns in layout.alike:
         own = np.zeros_like(run.weight)
         here = [c for c in columns if c in used]
         own[:, here] = run.weight[:, here]
         if own.any():
+            kept.append(here)
             groups.append((channel_of[here[0]], layout.columns[here[0]].kind))
-            sums.append(total_normal_equations(table, np.ones(layout.width), own).G[0])
+            sums.append(table.gram(table.y, np.sqrt(own), here))
             count.append(np.count_nonzero(own))
-    limits = known.limits / known.settings.turn_on_limit
     return RunSums(
         keys=known.keys,
         groups=tuple(groups),
         sums=np.array(sums),
         count=np.array(count, float),
-        nuisance=np.where(np.isfinite(limits), np.maximum(limits, 1e-12) ** -2.0, FREE),
+        nuisance=nuisance_precision(known),
         rates=run.rates,
+        per_run=per_run,
+        no_terms=no_terms,
+        least=None
+        if run.case.fixed
+        else np.array([LEAST_NOISE * min(sheet[c] for c in columns) for columns in kept]),
     )
 
 
-def averaged(known: Evidence) -> Evidence:
-    """An evidence whose rows are means over windows."""
-    weights = window_weights(known.t)
+def windows(known: Evidence) -> list[np.ndarray]:
+    """Windows (N, M) over the bins of each log (`window_weights`)."""
+    return [window_weights(known.t[known.log == i]) for i in range(known.log.max(initial=0) + 1)]
+
+
+def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
+    """An evidence whose rows are means over windows (`windows`)."""
+    log = known.log
+
+    def mean(one: Regressor) -> Regressor:
+        parts = [w @ one.values[log == i] for i, w in enumerate(weights)]
+        return Regressor(one.columns, np.concatenate(parts))
+
     return replace(
         known,
-        t=weights @ known.t,
-        log=np.zeros(len(weights), int),
-        table=_means(weights, known.table),
-        X=tuple(Regressor(one.columns, weights @ one.values) for one in known.X),
-        Z=tuple(Regressor(one.columns, weights @ one.values) for one in known.Z),
+        t=np.concatenate([w @ known.t[log == i] for i, w in enumerate(weights)]),
+        log=np.repeat(np.arange(len(weights)), [len(w) for w in weights]),
+        table=means(weights, log, known.table),
+        X=tuple(mean(one) for one in known.X),
+        Z=tuple(mean(one) for one in known.Z),
     )
 
 
-def _means(weights: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Means (N, W) of a table (M, W) over windows; NaN in those that are not known throughout."""
-    partly = (weights > 0.0).astype(float) @ np.isnan(table)
-    return np.where(partly > 0.0, np.nan, weights @ np.nan_to_num(table))
+def means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Means of a table (M, W) over the windows of each log; NaN in those that are not known
+    throughout.
+    """
+    out = []
+    for i, w in enumerate(weights):
+        own = table[log == i]
+        partly = (w > 0.0).astype(float) @ np.isnan(own)
+        out.append(np.where(partly > 0.0, np.nan, w @ np.nan_to_num(own)))
+    return np.concatenate(out)
 
 
 def window_weights(t: np.ndarray) -> np.ndarray:
@@ -209,6 +254,8 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     none over a gap.
     """
     # The first and the last bin have no neighbour for the slope of a rate.
+    if len(t) < 3:
+        return np.zeros((0, len(t)))
     middles = np.arange(t[1] + 0.5 * WINDOW, t[-2] - 0.5 * WINDOW, 0.5 * WINDOW)
     x = (t - middles[:, None]) / WINDOW
     w = np.where(np.abs(x) < 0.5, 1.0 + np.cos(2.0 * np.pi * x), 0.0)
@@ -247,15 +294,20 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
     terms = [
         key
         for key, one in zip(keys, strength, strict=True)
-        if _is_term(key, limbs) and one > NOTHING
+        if _is_term(key, runs[0].no_terms | runs[0].per_run, limbs) and one > NOTHING
     ]
-    D = 1.0 / strength[[keys.index(key) for key in terms]]
+    # No term is larger than the same effect of a machine.
+    most = np.array([plausible_size(*key, limbs) / 1.96 for key in terms])
+    D = 1.0 / (strength[[keys.index(key) for key in terms]] + most**-2.0)
     parts = [_Part.of(run, terms, limbs) for run in runs]
     a, b, noise = _START[0], _START[1], _START[2] * scale
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         posterior = _posterior(parts, (a, b, noise), D)
-        settled = abs(np.log([posterior.a / a, posterior.b / b])).max() < _SETTLED
-        a, b, noise = posterior.a, posterior.b, posterior.noise
+        step = np.log([posterior.a / a, posterior.b / b])
+        settled = np.abs(step).max() < _SETTLED and round_ >= _FEWEST
+        a, b, noise = posterior.a, b * np.exp(np.clip(_AHEAD * step[1], -1.0, 1.0)), posterior.noise
+        if runs[0].least is not None:
+            noise = np.maximum(noise, runs[0].least)
         if settled:
             break
     covariance = 0.5 * (posterior.covariance + posterior.covariance.T)
@@ -317,14 +369,14 @@ def _posterior(
     for run in runs:
         n = run.right.shape[1]
         G, right = (information @ run.gram).reshape(n, n), information @ run.right
-        inverse = np.linalg.inv(G + np.diag(np.append(weak, run.own)))
+        inverse = scaled_inverse(G + np.diag(np.append(weak, run.own)))
         left = G[:, :C]
         precision = precision + G[:C, :C] - left.T @ inverse @ left
         score = score + right[:C] - left.T @ inverse @ right
         solved.append((inverse, right))
-    covariance = np.linalg.inv(precision)
+    covariance = scaled_inverse(precision)
     mean = covariance @ score
-    between, square = 0.0, np.zeros(len(noise))
+    between, square, total = 0.0, np.zeros(len(noise)), sum(run.square for run in runs)
     for run, (inverse, right) in zip(runs, solved, strict=True):
         # Sizes of the run given the common ones, and their derivative with respect to these.
         pull = inverse[:, :C] * weak
@@ -337,22 +389,22 @@ def _posterior(
     return _Posterior(
         mean=mean,
         covariance=covariance,
-        a=float(np.sqrt(np.mean((mean**2 + np.diag(covariance)) / D))),
+        a=min(float(np.sqrt(np.mean((mean**2 + np.diag(covariance)) / D))), 1.0),
         b=float(np.sqrt(between / (C * len(runs)))),
-        noise=np.sqrt(square / sum(run.count for run in runs)),
+        noise=np.sqrt(np.maximum(square, _LEAST * total) / sum(run.count for run in runs)),
     )
 
 
 def own_places(run: RunSums) -> list[int]:
     """Rows in the sums of what belongs to the run: zeros, biases and other nuisance parameters."""
-    zeros = [key for key in run.keys if key[0] == ZERO]
+    zeros = [key for key in run.keys if key[0] in run.per_run]
     first = 1 + len(run.keys)
     return [*run.places(zeros), *range(first, first + len(run.nuisance))]
 
 
 def own_precision(run: RunSums, limbs: Limbs) -> np.ndarray:
     """Prior precision of each of `own_places`."""
-    zeros = [key for key in run.keys if key[0] == ZERO]
+    zeros = [key for key in run.keys if key[0] in run.per_run]
     return np.append([(plausible_size(*key, limbs) / 1.96) ** -2.0 for key in zeros], run.nuisance)
 
 
@@ -411,7 +463,7 @@ def run_residual(
     fitted = covariance @ about[use] @ found
     found[use] -= fitted
     found[terms] -= known.mean
-    zeros = [key for key in run.keys if key[0] == ZERO]
+    zeros = [key for key in run.keys if key[0] in run.per_run]
     at = slice(len(terms), len(terms) + len(zeros))
     sized = zip(fitted[at], np.sqrt(np.diag(covariance)[at]), strict=True)
 
@@ -426,7 +478,10 @@ def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> Mo
     """The error with the variance by which each effect's apparent size differs between runs beyond
     its error, such as that of a delay, which is no term.
     """
-    keys = [key for key in runs[0].keys if key[0] not in (ZERO, ANGLE_ERROR)]
+    other = {ANGLE_ERROR, *runs[0].per_run}
+    if runs[0].no_terms == EXACT:
+        other |= EXACT
+    keys = [key for key in runs[0].keys if key[0] not in other]
     place, square = runs[0].places(keys), np.zeros(len(keys))
     for run in runs:
         S = against_unchanged(run, known, limbs)
@@ -445,9 +500,9 @@ def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> Mo
     )
 
 
-def _is_term(key: Key, limbs: Limbs) -> bool:
+def _is_term(key: Key, no_terms: frozenset[str], limbs: Limbs) -> bool:
     name, target = key
-    if name in NO_TERMS or name == ANGLE_ERROR:
+    if name in no_terms or name == ANGLE_ERROR:
         return False
     return target in known_effects()[name].single_targets(limbs)
 

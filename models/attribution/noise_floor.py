@@ -11,24 +11,38 @@ from pathlib import Path
 
 import numpy as np
 
+from surefoot.models.attribution.design import design
 from surefoot.models.attribution.evidence import (
     Evidence,
-    Key,
     LogUnderModel,
     all_keys,
     linearise,
     log_under_model,
+    table_of,
 )
-from surefoot.models.attribution.fit import NormalEquations, design, fit, total_normal_equations
+from surefoot.models.attribution.model_error import (
+    EXACT,
+    ModelError,
+    RunEvidence,
+    RunSums,
+    means,
+    model_error,
+    run_sums,
+    window_weights,
+)
 from surefoot.models.attribution.reference_sampling import (
     ReferenceSampling,
     reference_sampling,
     resample_reference,
 )
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.sensor_noise import apparent_sizes, data_sheet_noise, reading_noise
+from surefoot.models.attribution.sensor_noise import (
+    apparent_sizes,
+    data_sheet_noise,
+    noise_again,
+    noise_level,
+)
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.whiteness import variance_inflation
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
@@ -37,7 +51,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
-from surefoot.sim.robot.limbs import QUADRUPED, Limbs
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
@@ -53,14 +67,12 @@ class FloorWalk:
     Attributes:
         evidence: of the walk.
         robust_weights: of its bins.
-        normal_equations: of its blocks.
-        variance_inflation: of each column (W,), see `models.attribution.whiteness`.
+        sums: of its residual and all candidates.
     """
 
     evidence: Evidence
     robust_weights: RobustWeights
-    normal_equations: NormalEquations
-    variance_inflation: np.ndarray = field(default_factory=lambda: np.ones(1))
+    sums: RunSums
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,7 @@ class FloorPlan:
         sampling: sampling and noise of the reference, if measured.
         settings: of the trace.
         ground: effects of the ground, which no model can compensate.
+        effects: that the robot has, compensated by its model.
     """
 
     file: Path
@@ -84,38 +97,20 @@ class FloorPlan:
     sampling: ReferenceSampling | None
     settings: TraceSettings
     ground: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...] = ()
 
 
-@dataclass(frozen=True)
-class RunVariation:
-    """Variation between machines without an effect.
-
-    Attributes:
-        runs: number of machines' walks.
-        size_spread: candidate -> standard deviation of its size in a new run [its unit].
-        highest_residual: channel -> upper limit of the residual's root mean square [its unit]: the
-            largest of the runs plus their range.
-    """
-
-    runs: int
-    size_spread: Mapping[Key, float]
-    highest_residual: Mapping[str, float]
-
-
-POINT_FEET = RunVariation(
-    runs=21,
-    size_spread={
-        ("joint_delay", "all"): 0.6e-3,
-        ("clock_scale", "joints"): 6e-5,
-        ("clock_scale", "feet"): 5e-5,
-        ("contact_delay", "touchdown"): 3e-3,
-        ("contact_delay", "liftoff"): 6e-3,
-    },
-    highest_residual={"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 11e-3},
-)
+POINT_FEET_SIZES = {
+    ("joint_delay", "all"): 0.6e-3,
+    ("clock_scale", "joints"): 6e-5,
+    ("clock_scale", "feet"): 5e-5,
+    ("contact_delay", "touchdown"): 3e-3,
+    ("contact_delay", "liftoff"): 6e-3,
+}
+POINT_FEET_LEVELS = {"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 11e-3}
 """What rolling and creeping feet leave where a log gives them and they are taken for points.
 
-From simulated walks of seven robots without an effect (spot_class, v60_class, go1, go2, aliengo,
+From 21 simulated walks of seven robots without an effect (spot_class, v60_class, go1, go2, aliengo,
 mini_cheetah, b2), each at 0.6, 1 and 1.3 times 0.5 m/s times its leg length over that of
 spot_class. Root mean squares of the sizes that effects seem to have; the largest residuals, which
 hardly depend on robot or speed, and a tenth more.
@@ -130,125 +125,24 @@ class NoiseFloor:
         sigma: noise of each column of the residual table (W,), in its unit.
         walks: the simulated walks.
         source: of the floor, in words.
+        error: of the model; that of a machine on a fixed base for means over windows.
         plan: what was simulated.
         readings: the logs, where the noise of their own readings is the floor.
-        run_variation: variation between runs of the same machine, where known.
-        of_noise: candidate -> apparent size that the noise of the readings alone gives it.
+        levels: channel -> upper limit of its residual where no walk of the machine shows it.
     """
 
     sigma: np.ndarray
     walks: tuple[FloorWalk, ...]
     source: str
+    error: ModelError
     plan: FloorPlan | None = None
     readings: tuple[LogUnderModel, ...] = ()
-    run_variation: RunVariation | None = None
-    of_noise: Mapping[Key, float] = field(default_factory=dict)
-    _known: dict = field(default_factory=dict, compare=False, repr=False)
+    levels: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def evenness(self) -> float:
         """Standard deviation of the ground from a plane [m]: of the walks', or by the maps."""
         return self.plan.evenness if self.plan else _evenness(self.readings)
-
-    def effective_noise(self, sigma: np.ndarray, alike: np.ndarray | float = 1.0) -> np.ndarray:
-        """Effective noise (W,) of columns with noise sigma (W,), larger where it is not white.
-
-        The sum of two parts: that of the declared model, inflated by its correlation with the
-        candidates, and the excess of the log over it, of which `alike` (W,) successive entries
-        count as one independent value.
-        """
-        if not (self.walks or self._by_feet):
-            return sigma
-        least = np.minimum(self.sigma, sigma) ** 2
-        faked = 1.0
-        if self.walks:
-            faked = np.mean([one.variance_inflation for one in self.walks], axis=0)
-        return np.sqrt(least * faked + (sigma**2 - least) * alike)
-
-    def sizes(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
-        """Mean and spread of the apparent size of `key`, fitted along with `chosen`, without the
-        effect.
-
-        Compliant, creeping contacts resemble some effects a little, in the same way on every walk.
-        Without walks, the noise of the readings gives some effects a size (`apparent_sizes`).
-        """
-        mean, spread = self._of_walks(chosen, key)
-        differ = self.run_variation.size_spread.get(key, 0.0) if self.run_variation else 0.0
-        return mean, float(np.hypot(spread, differ))
-
-    def _of_walks(self, chosen: Sequence[Key], key: Key) -> tuple[float, float]:
-        if key not in self._keys:
-            return self.of_noise.get(key, 0.0), 0.0
-        limbs = self.walks[0].evidence.layout.limbs
-        alike = [k for k in self._keys if k[0] == key[0] and _part(k, limbs) == _part(key, limbs)]
-        free = self.walks[0].normal_equations
-        if key in free.described_by:
-            # A turn-on bias is redrawn at every start; `fit` adds that to the covariance.
-            return 0.0, 0.0
-        own = self._sizes(chosen, key)
-        mean, count = float(np.mean(own)), len(own)
-        if count < 2:
-            return mean, 0.0
-        # A few walks are a small sample; include the variance of the same part on other legs.
-        spreads = [np.var(self._sizes(chosen, k), ddof=1) for k in alike if k not in chosen]
-        spread = float(np.sqrt(max(np.var(own, ddof=1), np.mean(spreads)) * (1 + 1 / count)))
-        # Only a mean that is significant over the walks is a property of the contacts.
-        return (mean if abs(mean) > 2.0 * spread / np.sqrt(count) else 0.0), spread
-
-    def size_uncertainty(self, key: Key, offset: float) -> float:
-        """Standard deviation of the apparent size `offset` that `key` has without the effect.
-
-        Taken from the channels in which the effect shows if all of them declare it, else a share of
-        the offset.
-        """
-        if not self.walks:
-            # Noise is not quite normal and white, so its share is no better known.
-            return self._settings.apparent_size_uncertainty * abs(offset)
-        kind = known_effects()[key[0]]
-        shows_in = [channels()[name] for name in kind.channels_of(key[1]) if name in channels()]
-        known = [c.level_spread[key[1]] for c in shows_in if key[1] in c.level_spread]
-        if known and len(known) == len(shows_in):
-            return max(known)
-        return self._settings.apparent_size_uncertainty * abs(offset)
-
-    @property
-    def _by_feet(self) -> bool:
-        """Whether the logs are of a machine that is known by its feet alone."""
-        return bool(self.readings) and self.readings[0].by_feet
-
-    @property
-    def _settings(self) -> TraceSettings:
-        if self.walks:
-            return self.walks[0].evidence.settings
-        return self.readings[0].settings if self.readings else DEFAULT
-
-    @property
-    def _keys(self) -> tuple[Key, ...]:
-        return self.walks[0].normal_equations.keys if self.walks else ()
-
-    def _sizes(self, chosen: Sequence[Key], key: Key) -> np.ndarray:
-        """Apparent size of `key` (R,), fitted along with `chosen`, on each walk that has all of
-        them.
-        """
-        asked = (tuple(chosen), key)
-        if asked not in self._known:
-            keys = [*chosen, key]
-            knowing = [one for one in self.walks if set(keys) <= set(one.normal_equations.keys)]
-            sizes = [fit(one.normal_equations, keys, errors=False).sizes[-1] for one in knowing]
-            self._known[asked] = np.array(sizes or [0.0])
-        return self._known[asked]
-
-
-def _part(key: Key, limbs: Limbs) -> str:
-    """What a target shares with its counterparts on other legs: 'of a calf' for 'FL_calf'."""
-    name, target = key
-    if target in limbs.joints:
-        return f"of a {limbs.kind(limbs.joints.index(target))}"
-    if target in limbs.legs:
-        return "of a leg"
-    if known_effects()[name].targets == "leg_axis":
-        return f"of a {target.rsplit('_', 1)[-1]}"
-    return target
 
 
 def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
@@ -266,17 +160,14 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     """
     first = cases[0]
     if first.fixed:
-        source = "the differences between successive readings"
-        sigma = _of_readings(cases)
-        known = apparent_sizes(cases, sigma)
-        return NoiseFloor(sigma, (), source, readings=tuple(cases), of_noise=known)
+        return _floor_of_readings(cases, (), "the differences between successive readings")
     if first.by_feet:
-        source = (
+        return _floor_of_readings(
+            cases,
+            (),
             "the noise of the readings, and what point feet leave on simulated walks of other "
-            "robots, since there is no model of this one"
+            "robots, since there is no model of this one",
         )
-        readings = tuple(cases)
-        return NoiseFloor(_of_readings(cases), (), source, None, readings, POINT_FEET)
     known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
     walks = first.robot.limbs == QUADRUPED
     evenness = _evenness(cases)
@@ -291,25 +182,31 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
         settings=first.settings,
         ground=tuple(ground),
     )
-    floor = _floor(plan, ())
-    if floor.walks:
+    if (floor := _floor(plan)) is not None:
         return floor
-    sigma = data_sheet_noise(first.log.rate, layout_for(first.robot.limbs), evenness)
-    return NoiseFloor(sigma, (), "data sheets of the declared sensors")
+    layout = layout_for(first.robot.limbs)
+    sigma = data_sheet_noise(first.log.rate, layout, evenness)
+    return NoiseFloor(sigma, (), "data sheets of the declared sensors", _no_error(sigma, layout))
 
 
-def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor:
+def noise_floor_with(
+    floor: NoiseFloor, effects: Sequence[Effect], near: NoiseFloor | None = None
+) -> NoiseFloor:
     """The noise floor of a robot with these effects, compensated by its model.
 
     An effect on the body changes how the feet land, and compensating some effects loses
     information; either changes the residual. The floor is unchanged for all other effects, and
     where the robot falls. On a fixed base the floor is the noise of the readings as the
     compensation propagates it.
+
+    Args:
+        floor: of the declared model.
+        effects: that the robot has.
+        near: a floor of the same effects, which is kept where their sizes are about the same.
     """
     if floor.readings:
-        return replace(floor, sigma=_of_readings(floor.readings, effects))
+        return _floor_of_readings(floor.readings, effects, floor.source)
     limbs = floor.walks[0].evidence.layout.limbs if floor.walks else None
-    # Rounded to two digits, so that nearly equal sizes share one simulated walk.
     bounds = [type(e).interior_bounds(e.target, limbs) for e in effects]
     telling = tuple(
         replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *within)))
@@ -318,8 +215,18 @@ def noise_floor_with(floor: NoiseFloor, effects: Sequence[Effect]) -> NoiseFloor
     )
     if not telling or floor.plan is None or not floor.walks:
         return floor
-    other = _floor(floor.plan, telling)
-    return replace(other, run_variation=floor.run_variation) if other.walks else floor
+    if near is not None and near.plan is not None and _about_same(near.plan.effects, telling):
+        return near
+    return _floor(replace(floor.plan, effects=telling)) or floor
+
+
+def _about_same(known: Sequence[Effect], effects: Sequence[Effect]) -> bool:
+    """Whether these effects are the known ones, each within a fifth of its size."""
+    sizes = {(one.name, one.target): one.value for one in known}
+    return len(known) == len(effects) and all(
+        abs(one.value - sizes.get((one.name, one.target), np.inf)) < 0.2 * abs(one.value)
+        for one in effects
+    )
 
 
 def is_compensated_approximately(one: Effect) -> bool:
@@ -333,34 +240,75 @@ def is_compensated_approximately(one: Effect) -> bool:
     return on_body or kind.alter_ground is not Effect.alter_ground or kind.is_lossy(one.target)
 
 
-def _floor(plan: FloorPlan, effects: tuple[Effect, ...]) -> NoiseFloor:
+@lru_cache(maxsize=16)
+def _floor(plan: FloorPlan) -> NoiseFloor | None:
+    """The floor by simulated walks; None where the robot completes none."""
     known = tuple(known_effects())
-    seed = plan.settings.floor_seed
+    seed, friction = plan.settings.floor_seed, plan.settings.floor_friction
     # Without the other courses, so that a walk is cached once for all logs that contain it.
     alone = replace(plan, courses=())
     walks = [
-        _floor_walk(alone, one, seed + i, effects, known) for i, one in enumerate(plan.courses)
+        _floor_walk(alone, one, seed + i, friction[i % len(friction)], known)
+        for i, one in enumerate(plan.courses)
     ]
     completed = tuple(one for one in walks if one is not None)
     if not completed:
-        return NoiseFloor(np.zeros(0), (), "")
+        return None
+    layout = completed[0].evidence.layout
     sigma = np.sqrt(np.mean([one.robust_weights.sigma**2 for one in completed], axis=0))
-    sigma = np.maximum(sigma, _least_noise(completed[0].evidence.layout))
+    sigma = np.maximum(sigma, _least_noise(layout))
     source = f"{len(completed)} simulated walks of the declared model along the log's own course"
     if plan.sampling:
         source += ", with a reference as coarse as the log's"
-    return NoiseFloor(sigma, completed, source, plan)
+    error = model_error([one.sums for one in completed], layout.limbs) or _no_error(sigma, layout)
+    return NoiseFloor(sigma, completed, source, error, plan)
 
 
-def _of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
-    """Noise (W,) of a bin from that of the readings, with the effects compensated, and from uneven
-    ground.
-    """
+def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
+    """A model without errors beyond noise sigma (W,) of the columns."""
+    noise = {}
+    for name, columns in layout.channels.items():
+        for c in range(columns.start, columns.stop):
+            noise[name, layout.columns[c].kind] = float(sigma[c])
+    return ModelError(0, (), np.zeros(0), np.zeros((0, 0)), noise, {})
+
+
+def _floor_of_readings(
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect], source: str
+) -> NoiseFloor:
+    """The floor by the noise of the readings, with the effects compensated."""
     layout = layout_for(cases[0].robot.limbs)
-    sigma = np.maximum(reading_noise(cases, effects), _least_noise(layout))
+    sigma, change = _of_readings(cases, effects)
+    if cases[0].by_feet:
+        sizes = np.array([*POINT_FEET_SIZES.values()])
+        error = _no_error(sigma, layout)
+        error = replace(
+            error, keys=tuple(POINT_FEET_SIZES), mean=0.0 * sizes, covariance=np.diag(sizes**2)
+        )
+        return NoiseFloor(sigma, (), source, error, readings=tuple(cases), levels=POINT_FEET_LEVELS)
+    log = np.repeat(np.arange(len(cases)), [len(one) for one in change])
+    weights = [window_weights(case.motion.t) for case in cases]
+    level = noise_level([means(weights, log, np.concatenate(change))])
+    error = _no_error(np.maximum(level, _least_noise(layout)), layout)
+    known = apparent_sizes(cases, sigma)
+    seen = {key: size for key, size in known.items() if size}
+    sizes = np.array([*seen.values()])
+    doubt = cases[0].settings.apparent_size_uncertainty
+    error = replace(error, keys=tuple(seen), mean=sizes, covariance=np.diag((doubt * sizes) ** 2))
+    return NoiseFloor(sigma, (), source, error, readings=tuple(cases))
+
+
+def _of_readings(
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect]
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Noise (W,) of a bin from that of the readings, with the effects compensated, and from uneven
+    ground; and how as much noise again changes the residual of each case (M, W).
+    """
+    layout, change = layout_for(cases[0].robot.limbs), noise_again(cases, effects)
+    sigma = np.maximum(noise_level(change), _least_noise(layout))
     heights = layout.of("foot_height")
     sigma[heights] = np.hypot(sigma[heights], _evenness(cases))
-    return sigma
+    return sigma, change
 
 
 def _evenness(cases: Sequence[LogUnderModel]) -> float:
@@ -407,15 +355,15 @@ def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twis
 
 @lru_cache(maxsize=16)
 def _floor_walk(
-    plan: FloorPlan, course: Twists, seed: int, effects: tuple[Effect, ...], known: tuple[str, ...]
+    plan: FloorPlan, course: Twists, seed: int, friction: float, known: tuple[str, ...]
 ) -> FloorWalk | None:
     """One walk, fitted with the `known` effects; None where the robot falls at every speed.
 
     Args:
-        plan: robot file, groups of columns and settings.
+        plan: robot file, groups of columns, effects and settings.
         course: (forward, lateral, yaw rate) of each segment [m/s, m/s, rad/s]; empty for standing.
         seed: of the walk.
-        effects: with which the walk is simulated.
+        friction: coefficient of friction of the ground.
         known: names of the effects that the fit may use.
     """
     robot, s = declared(plan.file), plan.settings
@@ -425,9 +373,11 @@ def _floor_walk(
             for forward, lateral, turn in course or ((0.0, 0.0, 0.0),)
         )
         stand = s.floor_stand if course else s.floor_seconds
-        scenario = Scenario("floor", segments, ground_of(segments, plan.evenness, s), stand=stand)
+        scenario = Scenario(
+            "floor", segments, ground_of(segments, plan.evenness, friction), stand=stand
+        )
         try:
-            log = walk(scenario, robot, seed, (*plan.ground, *effects), declared=False)
+            log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
         if not course:
@@ -436,28 +386,26 @@ def _floor_walk(
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))
         case = log_under_model(log, robot, s)
-        data = design(linearise([case], effects, all_keys(case)))
+        known_of_it = linearise([case], plan.effects, all_keys(case), evaluation_channels=False)
+        known_of_it = replace(known_of_it, table=table_of(case, plan.effects))
         # The same minimum noise as for the log, so that channels have the same relative weight.
-        weights = robust_weights(data, _least_noise(data.evidence.layout))
-        beyond = variance_inflation(data, weights)
-        sums = total_normal_equations(data, weights.sigma * np.sqrt(beyond), weights.weight)
+        weights = robust_weights(design(known_of_it), _least_noise(known_of_it.layout))
+        sums = run_sums(RunEvidence(case, known_of_it, weights.weight, {}), frozenset(), EXACT)
         # The candidates' regressors are no longer needed.
-        return FloorWalk(data.evidence.only(()), weights, sums, beyond)
+        return FloorWalk(known_of_it.only(()), weights, sums)
     return None
 
 
-def ground_of(
-    segments: Sequence[Segment], evenness: float, settings: TraceSettings = DEFAULT
-) -> Ground:
+def ground_of(segments: Sequence[Segment], evenness: float, friction: float) -> Ground:
     """Ground whose height deviates from a plane by `evenness` [m, standard deviation].
 
     The bumps of a rough strip have a standard deviation of a quarter of their height.
     """
     if not evenness:
-        return Ground(settings.floor_friction)
+        return Ground(friction)
     far = float(np.ceil(2 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in segments)))
     bumps = Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness)
-    return Ground(settings.floor_friction, strips=(bumps,))
+    return Ground(friction, strips=(bumps,))
 
 
 def _with_groups(log: Log, groups: Groups) -> Log:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.attribution.fit import Design, add_block
+from surefoot.models.attribution.design import Design, add_block
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.layout import Layout
 

@@ -5,20 +5,12 @@ lengths, masses and friction belong to the machine. Over several logs, such a ca
 with a size for each.
 """
 
-import numpy as np
-
-from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect
 
 PER_RUN_EFFECTS = frozenset(
     {"encoder_offset", "torque_bias", "gyro_bias", "accel_bias", "reference_delay", "clock_scale"}
 )
 """Effects whose size differs between runs."""
-
-
-def is_per_run(name: str) -> bool:
-    """Whether the effect of this name has a different size in every run."""
-    return name in PER_RUN_EFFECTS
 
 
 SAMPLING_LAGS = frozenset({"rate_delay", "torque_delay"})
@@ -36,14 +28,3 @@ def is_sampling_lag(one: Effect, rate: float) -> bool:
     angles (semi-implicit Euler) has rates half a step before them.
     """
     return one.name in SAMPLING_LAGS and abs(one.value) * rate <= WITHIN_ROW
-
-
-def deviations(one: Regressor, log: np.ndarray) -> list[Regressor]:
-    """Regressors of the deviations of a candidate's size between L logs.
-
-    L - 1 regressors, whose deviations sum to zero over the logs. log (M,): index of each bin's log;
-    `one`: regressor of the shared size.
-    """
-    last = int(log.max(initial=0))
-    shares = ((log == i).astype(float) - (log == last) for i in range(last))
-    return [Regressor(one.columns, one.values * share[:, None]) for share in shares]

@@ -12,12 +12,12 @@ class TraceSettings:
     """
 
     report_share: float = 0.35
-    """Share of each log, at its end, that no fit and no selection uses."""
+    """Share of each log, at its end, that filters run over."""
     split_block: float = 4.0
-    """Length of the alternating blocks that fit and select [s]: a few strides."""
+    """Length of the blocks of which two are fitted on and the third reports [s]: a few strides."""
     split_gap: float = 0.2
     """Gap between these blocks [s], longer than residuals are correlated."""
-    fewest_split_blocks: int = 6
+    fewest_split_blocks: int = 9
     """Minimum number of blocks per log; in a short log, blocks and gaps are shortened."""
     shortest_part: float = 0.5
     """Minimum length of a part of the split [s], in residuals with a reference."""
@@ -40,8 +40,6 @@ class TraceSettings:
     """Length of the blocks of the bootstrap [s]: residuals of one step correlate with the next
     step's, those of blocks of this length hardly.
     """
-    turn_on_limit: float = 4.5
-    """Standard deviations of the declared turn-on bias beyond which a bias is an effect."""
     difference_step: float = 1e-3
     """Relative step of the finite differences of channels without a chain rule."""
 
@@ -105,8 +103,10 @@ class TraceSettings:
     """Number of simulated walks for the noise floor."""
     floor_seconds: float = 12.0
     """Length of each of them [s]."""
-    floor_friction: float = 0.8
-    """Coefficient of friction of their ground."""
+    floor_friction: tuple[float, ...] = (0.5, 0.7, 0.9, 1.1)
+    """Coefficients of friction of their ground: feet creep more where it is low."""
+    dry_friction: float = 0.8
+    """Coefficient of friction of a dry floor."""
     floor_stand: float = 0.5
     """Time that they stand before walking [s]."""
     floor_seed: int = 20_011
@@ -120,59 +120,10 @@ class TraceSettings:
     coarse_samples: int = 100
     """Samples of a reference needed to estimate its noise."""
 
-    per_run_offsets: bool = False
-    """Whether zeros and clocks belong to each run: with several runs or with declared effects."""
-    least_size_ratio: float = 5.0
-    """Least ratio of an effect's size to its spread on walks without it."""
-    always_present_factor: float = 0.5
-    """Factor on that for effects that every machine has and the model lacks, such as the radius of
-    a foot. These need not reach `least_added_share` either.
-    """
     apparent_size_uncertainty: float = 0.7
     """Relative uncertainty of the apparent size on such walks: on slippery ground, the contacts
     imitated a delay of the joints four times as long as on the floor's.
     """
-    least_added_share: float = 0.02
-    """Share that a further effect must add to what is explained of its channels; less may be the
-    error of the other effects.
-    """
-    clear_ratio: float = 20.0
-    """Ratio of a size to its spread from which an effect of a `large_share` may add less than
-    `least_added_share`: beside a very large effect, even a large one is relatively small.
-    """
-    large_share: float = 0.2
-    """Share of the remaining error from which an effect is large."""
-    most_effects: int = 4
-    """Maximum number of effects of a trace."""
-    twin_overlap: float = 0.95
-    """Cosine of two regressors from which they are nearly collinear."""
-    identical_overlap: float = 0.99999
-    """Cosine from which two regressors are the same but for nuisance parameters, such as a bias
-    that is fitted beside only one of them.
-    """
-    settling_rounds: int = 3
-    """Maximum iterations of sizes and weights."""
-    settling_tolerance: float = 0.01
-    """Relative change of the sizes at which these have converged."""
-
-    newton_steps: int = 10
-    """Maximum Gauss-Newton steps; noise in a derivative makes each fall short."""
-    newton_tolerance: float = 1e-3
-    """Relative change of the sizes at which Gauss-Newton has converged."""
-    relinearise_share: float = 0.1
-    """Relative change of a size from which derivatives are recomputed."""
-    near_best_share: float = 0.3
-    """Share of the best gain from which a candidate may turn out better than in the linear fit."""
-    contenders: int = 5
-    """Candidates refined on the true residual in each round."""
-    positive_evidence: float = 2.0
-    """Difference of -2 log p that counts as positive evidence (Kass and Raftery 1995)."""
-    least_own_share: float = 0.5
-    """Share of a candidate's gain below which the remainder, beside another candidate, means that
-    both explain the same.
-    """
-    contender_size_ratio: float = 2.0
-    """Least ratio of size to spread of a contender that earned no place."""
 
     settling: float = 4.0
     """Beginning of the floor's walks that does not count for levels [s]: feet are steadier in the
@@ -190,8 +141,6 @@ class TraceSettings:
     """Ratio to the floor from which the remaining residual of a channel makes all sizes
     uncertain.
     """
-    extrapolated_share: float = 0.35
-    """Share of a floor's walk, at its end, on which residuals on uneven ground are evaluated."""
     harm_ratio: float = 1.05
     """Ratio of a filter's error, after to before, from which compensation makes it worse."""
 

@@ -5,13 +5,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.models.attribution.explain import FittedRun
 from surefoot.models.attribution.found import Found
-from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
 from surefoot.models.attribution.priors import prior_of
 from surefoot.sim.effects import Effect
 from surefoot.sim.robot.limbs import Limbs
+
+
+@dataclass(frozen=True)
+class HeldOutRuns:
+    """Result on held-out logs.
+
+    Attributes:
+        channels: residual of each channel over all logs.
+        runs: effects of each log's own.
+        worsened: a sentence for each effect that makes its own channel worse on a log.
+    """
+
+    channels: dict[str, ChannelLevel]
+    runs: tuple[FittedRun, ...]
+    worsened: tuple[str, ...]
 
 
 @dataclass(frozen=True)

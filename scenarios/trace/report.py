@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.found import Found
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.selection import Candidate
 from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
@@ -93,20 +92,20 @@ def sections(found: Trace) -> list[Section]:
     pictures = []
     for k, candidates in enumerate(one for one in rounds if one):
         figure = candidate_gains(
-            {f"{c.key[0]} {c.key[1]}": _gain(c) for c in candidates},
-            chosen if k < len(chosen) else (),
-            title=f"Round {k + 1}: share of the residual explained on held-out blocks",
+            {f"{c.key[0]} {c.key[1]}": c.share for c in candidates},
+            chosen,
+            title=f"Round {k + 1}: share of the residual that each candidate explains",
         )
-        before = "along with the effects found in earlier rounds" if k else "alone"
+        before = "beside the effects found in earlier rounds" if k else "alone"
         caption = (
-            f"Candidates fitted {before}. Lines are 95 % intervals of a bootstrap over blocks; "
-            "where blocks differ, they may extend beyond 100 %."
+            f"Candidates {before}, to first order; what the model's own error explains is left out."
         )
         pictures.append(Picture(figure, caption))
     if pictures:
         words = (
-            "Each candidate is fitted on some blocks of the log and judged on others. In each "
-            "round the best one that is significant is added to the model."
+            "The evidence of each candidate and of each pair is that of the residual beside what "
+            "walks of the model leave. In each round the best of those that earn a place is added, "
+            "after its size is refined on the true residual."
         )
         parts.append(Section("Candidates", words, pictures=tuple(pictures)))
     parts += _filters(
@@ -194,12 +193,6 @@ def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
     ]
 
 
-def _gain(candidate: Candidate) -> tuple[float, float, float]:
-    """Share of the residual that a candidate explains, with its interval."""
-    scale = candidate.share / candidate.gain if candidate.gain else 0.0
-    return candidate.share, candidate.interval[0] * scale, candidate.interval[1] * scale
-
-
 _COLUMNS = 4
 _BARS = 15
 """Number of candidates shown; the axis states that of all."""
@@ -236,33 +229,31 @@ def residuals(levels: Mapping[str, ChannelLevel]) -> Figure:
 
 
 def candidate_gains(
-    gains: Mapping[str, tuple[float, float, float]],
+    gains: Mapping[str, float],
     chosen: Collection[str] = (),
     title: str = "What each candidate effect, alone, would explain of the residual",
 ) -> Figure:
-    """Bars of the held-out gain of each candidate, the best first, with the chosen ones in colour.
+    """Bars of the gain of each candidate, the best first, with the chosen ones in colour.
 
     Args:
-        gains: effect -> gain (1 explains all, below 0 makes it worse), and the ends of its
-            interval.
+        gains: effect -> gain (1 explains all).
         chosen: the effects that were added to the model.
         title: above the figure.
     """
-    order = sorted(gains, key=lambda name: -gains[name][0])
+    order = sorted(gains, key=lambda name: -gains[name])
     shown = order[:_BARS]
     figure, ax = single_axes(7.5, 0.32 * len(shown) + 1.6)
     places = np.arange(len(shown))[::-1]
     for place, name in zip(places, shown, strict=True):
-        gain, low, high = (100 * share for share in gains[name])
+        gain = 100 * gains[name]
         ax.barh(place, gain, 0.65, color=AFTER if name in chosen else BEFORE)
-        ax.plot([low, high], [place, place], color=INK, linewidth=1.2, marker="|")
-        end = (max(gain, high, 0.0), place)
+        end = (max(gain, 0.0), place)
         text = ax.annotate(f"{gain:.1f} %", end, (5, 0), textcoords="offset points")
         text.set(va="center", fontsize=8)
     ax.set_yticks(places, [name.replace("_", " ") for name in shown])
     ax.axvline(0, color=INK, linewidth=0.8)
     more = f" (best {_BARS} of {len(order)} candidates)" if len(order) > _BARS else ""
-    ax.set_xlabel(f"share of the residual explained on held-out data [%]{more}")
+    ax.set_xlabel(f"share of the residual explained [%]{more}")
     ax.margins(x=0.12)
     ax.grid(False, axis="y")
     set_title(ax, title)

@@ -87,7 +87,7 @@ def beyond_bounds(found: Trace) -> list[str]:
     if found.verdict != "none_of_these" or found.attribution is None:
         return []
     last = found.attribution.rounds[-1] if found.attribution.rounds else ()
-    out = [c for c in last if c.at_bound and c.share > _MUCH and c.interval[0] > 0.0]
+    out = [c for c in last if c.at_bound and c.share > _MUCH]
     lines = []
     for one in sorted(out, key=lambda c: -c.share)[:2]:
         kind = known_effects()[one.key[0]]

@@ -83,11 +83,11 @@ def size_over_floor(found: Diagnosis, one: Effect) -> float | None:
     zero for an effect that is no candidate and leaves no channel above its noise floor.
     """
     if one.name == "foot_slip" and found.friction is not None:
-        return one.value / max(1.0 - found.friction.held / DEFAULT.floor_friction, 1e-3)
+        return one.value / max(1.0 - found.friction.held / DEFAULT.dry_friction, 1e-3)
     rounds = found.attribution.rounds if found.attribution else ()
     for c in rounds[0] if rounds else ():
         if c.key == (one.name, one.target):
-            least = 4.0 * float(np.hypot(c.floor, c.error))
+            least = c.least
             return abs(one.value) / least if np.isfinite(least) and least > 0 else 0.0
     shown = any(not replace(c, after=c.before).at_floor for c in found.channels.values())
     return None if shown else 0.0

@@ -56,6 +56,6 @@ def made_of(t, table, X, Z):
         keys=KEYS,
         X=tuple(sparse(X[..., i], table) for i in range(X.shape[2])),
         Z=tuple(sparse(Z[..., i], table) for i in range(Z.shape[2])),
-        limits=np.full(6, 1.0),
-        described_by=(None,) * 6,
+        deviations=np.full(6, 0.2),
+        bias_of=(None,) * 6,
     )

@@ -1,0 +1,134 @@
+"""An evidence sorted by column, and sums of products over its rows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from surefoot.models.attribution.evidence import Evidence
+from surefoot.sim.common.kernels import kernel
+
+FREE = 1e-9
+"""Precision of a nuisance parameter without a prior."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """An evidence sorted by column of the table.
+
+    Attributes:
+        evidence: the evidence.
+        y: residuals (M, W), zero where missing.
+        there: where the table has a value (M, W).
+        which: per column, indices (k,) of the candidates and nuisance parameters that affect it.
+        rows: per column, indices (n,) of the bins with a value.
+        X: per column, their regressors (n, k).
+    """
+
+    evidence: Evidence
+    y: np.ndarray
+    there: np.ndarray
+    which: tuple[np.ndarray, ...]
+    rows: tuple[np.ndarray, ...]
+    X: tuple[np.ndarray, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of candidates and nuisance parameters."""
+        return len(self.evidence.X) + len(self.evidence.Z)
+
+    @cached_property
+    def singles(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """X (n, k) and `which` (k,) of each column without groups, which are sums of their
+        members.
+        """
+        single = self.evidence.single
+        own = (single[which] for which in self.which)
+        return tuple(
+            (X, which) if one.all() else (np.ascontiguousarray(X[:, one]), which[one])
+            for X, which, one in zip(self.X, self.which, own, strict=True)
+        )
+
+    def explained(self, sizes: np.ndarray) -> np.ndarray:
+        """X sizes (M, W), for sizes (C + B,) of the candidates and nuisance parameters."""
+        out = np.zeros_like(self.y)
+        for column, (rows, X, which) in enumerate(zip(self.rows, self.X, self.which, strict=True)):
+            out[rows, column] = X @ sizes[which]
+        return out
+
+    def gram(self, y: np.ndarray, root: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+        """Products (P, P), P = 1 + C + B, of y (M, W), candidates and nuisance parameters over the
+        entries of some columns, each multiplied by its root (M, W).
+        """
+        G = np.zeros((1 + self.size, 1 + self.size))
+        for c in columns:
+            rows, scale = self.rows[c], root[self.rows[c], c]
+            used = np.flatnonzero(scale)
+            if len(used):
+                A = np.column_stack([y[rows, c], self.X[c]])[used] * scale[used, None]
+                add_block(G, np.append(0, 1 + self.which[c]), A.T @ A)
+        return G
+
+
+def design(evidence: Evidence) -> Design:
+    """Sort an evidence by column."""
+    there = np.isfinite(evidence.table)
+    which: list[list[int]] = [[] for _ in range(evidence.layout.width)]
+    X: list[list[np.ndarray]] = [[] for _ in range(evidence.layout.width)]
+    for i, one in enumerate((*evidence.X, *evidence.Z)):
+        for n, column in enumerate(one.columns):
+            which[column].append(i)
+            X[column].append(one.values[:, n])
+    rows = [np.flatnonzero(column) for column in there.T]
+    stacked = [
+        np.column_stack([one[here] for one in x]) if x else np.zeros((len(here), 0))
+        for x, here in zip(X, rows, strict=True)
+    ]
+    return Design(
+        evidence,
+        np.where(there, evidence.table, 0.0),
+        there,
+        tuple(np.array(w, dtype=int) for w in which),
+        tuple(rows),
+        tuple(stacked),
+    )
+
+
+@kernel
+def add_block(sums, place, block):
+    """Add a block (k, k) to the rows and columns `place` (k,) of sums (P, P)."""
+    for i in range(len(place)):
+        for j in range(len(place)):
+            sums[place[i], place[j]] += block[i, j]
+
+
+def scaled_inverse(A: np.ndarray) -> np.ndarray:
+    """Inverse of a positive definite matrix whose entries differ by orders of magnitude."""
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = np.linalg.inv(A / scale / scale[:, None] + 1e-12 * np.eye(len(A)))
+    return inverse / scale / scale[:, None]
+
+
+def nuisance_precision(evidence: Evidence) -> np.ndarray:
+    """Prior precision (B,) of the nuisance parameters."""
+    return np.maximum(np.maximum(evidence.deviations, 1e-12) ** -2.0, FREE)
+
+
+def without_nuisance(
+    evidence: Evidence, sigma: np.ndarray, weight: np.ndarray, use: np.ndarray
+) -> np.ndarray:
+    """Residual table (M, W) less the nuisance parameters; NaN where an entry has no weight.
+
+    Args:
+        evidence: with the effects compensated.
+        sigma: noise of the columns (W,).
+        weight: of the entries (M, W).
+        use: mask (M,) of the bins that the nuisance parameters are fitted on.
+    """
+    data = design(evidence.only(()))
+    root = np.sqrt(weight * use[:, None]) / sigma
+    G = data.gram(data.y, root, evidence.layout.fitted)
+    sizes = scaled_inverse(G[1:, 1:] + np.diag(nuisance_precision(evidence))) @ G[1:, 0]
+    left = np.where(data.there, data.y - data.explained(sizes), np.nan)
+    return np.where(weight > 0, left, np.nan)

@@ -1,0 +1,727 @@
+"""Search for the effects that explain logs: sets of candidates, compared by their evidence.
+
+Near the effects found so far, the residual is linear in the sizes of all candidates. The evidence
+(marginal likelihood) of every single candidate and of every pair then follows from products under
+the covariance of a machine that lacks nothing (`metric`). The best few are refined on the true
+residual and compared there, until none earns its place (MacKay, Neural Computation 4, 1992).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
+
+import numpy as np
+from scipy.special import stdtrit
+
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    all_keys,
+    linearise,
+    log_under_model,
+    table_of,
+)
+from surefoot.models.attribution.found import Found, with_clipped_size
+from surefoot.models.attribution.metric import Metric, metric_of
+from surefoot.models.attribution.model_error import ModelError, averaged, windows
+from surefoot.models.attribution.priors import plausible_size, prior_penalty
+from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
+from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.jacobians import Regressor
+from surefoot.models.residuals.registry import channels
+from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
+from surefoot.sim.robot.limbs import Limbs
+
+NAMED = 2.0 * np.log(1e3)
+"""Twice the logarithm of the odds from which an effect is named, and up to which another one
+explains the logs as well: a thousand to one.
+"""
+CHANCE = 0.005
+"""Probability by which Student's t of as many runs, less one, exceeds the least excess on one side:
+how runs differ is known no better than that.
+"""
+TWIN_OVERLAP = 0.95
+"""Cosine of two regressors from which they are nearly collinear."""
+SINGLES, PAIRS = 3, 1
+"""Single candidates and pairs that are refined in each round."""
+NEAR = 0.5
+"""Share of the best evidence from which a candidate may turn out better in the refinement."""
+MOST_EFFECTS = 6
+"""Most effects of a trace."""
+STEPS = 10
+"""Most Gauss-Newton steps of a refinement; noise in a derivative makes each fall short."""
+SETTLED = 0.02
+"""Standard deviations by which sizes move once they have settled."""
+MOVED = 0.1
+"""Relative change of a size from which derivatives are computed again."""
+SHIFTS = ("joint_delay", "rate_delay", "torque_delay", "imu_delay", "reference_delay")
+"""Effects that are undone by interpolation of noisy streams."""
+EXACT = 1e-3
+"""Share of an effect's plausible size to which any model is exact."""
+ZERO_MOVED = 2.0
+"""Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
+ZERO_ROUNDS = 4
+"""Most times that the zeros of the logs are fitted beside the same effects."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate beside the effects found before it, to first order.
+
+    Attributes:
+        key: name and target.
+        size: its size [its unit].
+        deviation: standard deviation of the size [its unit].
+        share: of the squared residual that it explains.
+        least: size from which it would have been named [its unit].
+        at_bound: whether the size is at or beyond its bounds.
+        earned: whether it earns a place.
+    """
+
+    key: Key
+    size: float
+    deviation: float
+    share: float
+    least: float
+    at_bound: bool
+    earned: bool
+
+
+@dataclass(frozen=True)
+class FittedRun:
+    """Effects of one log's own.
+
+    Attributes:
+        case: the log with `compensated` compensated.
+        zeros: all of them, with 95 % intervals.
+        compensated: those compensated; the others are turn-on biases, which every fit and filter
+            estimates.
+    """
+
+    case: LogUnderModel
+    zeros: tuple[Found, ...]
+    compensated: tuple[Effect, ...]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Result of the search.
+
+    Attributes:
+        found: effects, strongest first.
+        rounds: candidates of each round.
+        rivals: key and overlap of the candidates that explain the logs as well as an effect found.
+        harmful: effects that were dropped, and the channel that each made worse.
+        runs: each log with its own effects.
+        metric: linearised at the effects.
+    """
+
+    found: tuple[Found, ...]
+    rounds: tuple[tuple[Candidate, ...], ...]
+    rivals: tuple[tuple[Key, float], ...]
+    harmful: tuple[tuple[Effect, str], ...]
+    runs: tuple[FittedRun, ...]
+    metric: Metric
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Logs to explain, and what is known of the C candidates before they are seen.
+
+    Attributes:
+        cases: the logs under the declared model.
+        use: mask (M,) of the bins that are used.
+        several: whether zeros, biases and clocks belong to each log.
+        keys: the candidates.
+        prior: standard deviations of their sizes (C,).
+        price: evidence that each must exceed (C,).
+        certain: whether every machine has it and the model lacks it (C,).
+        unknown: standard deviation of the size that it seems to have, beyond what walks of the
+            model show (C,).
+        shift: mean time by which it shifts noisy streams [s per unit] (C,).
+    """
+
+    cases: Sequence[LogUnderModel]
+    use: np.ndarray
+    several: bool
+    keys: tuple[Key, ...]
+    prior: np.ndarray
+    price: np.ndarray
+    certain: np.ndarray
+    unknown: np.ndarray
+    shift: np.ndarray
+
+    @property
+    def limbs(self) -> Limbs:
+        """Limbs of the machine."""
+        return self.cases[0].robot.limbs
+
+    @property
+    def per_run(self) -> frozenset[str]:
+        """Names of the effects that each log has at a size of its own."""
+        return PER_RUN_EFFECTS if self.several else frozenset()
+
+    def at(self, keys: Sequence[Key]) -> np.ndarray:
+        """Places of these candidates (k,)."""
+        return np.array([self.keys.index(key) for key in keys], int)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Effects whose sizes are refined.
+
+    Attributes:
+        effects: the k effects.
+        misfit: squared residual that they leave, in units of its covariance.
+        cost: the misfit, and what the sizes cost: -2 log of their posterior odds, but for the
+            price of choosing them.
+        metric: under which they are refined.
+        precision: of the prior of their sizes (k,).
+        table: residual (M, W) with them compensated.
+        X: their regressors.
+    """
+
+    effects: tuple[Effect, ...]
+    misfit: float
+    cost: float
+    metric: Metric
+    precision: np.ndarray
+    table: np.ndarray
+    X: tuple[Regressor, ...]
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Their names and targets."""
+        return tuple((one.name, one.target) for one in self.effects)
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Their sizes (k,)."""
+        return np.array([one.value for one in self.effects])
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the sizes (k, k), with the error of the model."""
+        return self._covariance(())
+
+    @cached_property
+    def of_noise(self) -> np.ndarray:
+        """The same by noise alone."""
+        return self._covariance(None)
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def _covariance(self, without: tuple[()] | None) -> np.ndarray:
+        S = self.metric.products(self.table, self.X, without)[1:, 1:]
+        return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
+
+
+def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -> Problem:
+    """Logs to explain.
+
+    Args:
+        cases: the logs under the declared model.
+        use: mask (M,) of the bins that may be used.
+        several: whether zeros, biases and clocks belong to each log.
+    """
+    machine, kinds = cases[0].robot, known_effects()
+    limbs = machine.limbs
+    span = max(float(np.ptp(case.log.t)) for case in cases)
+    per_run = PER_RUN_EFFECTS if several else frozenset()
+    keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
+    certain = np.array(
+        [not machine.fixed and kinds[name].is_always_present(at, machine) for name, at in keys]
+    )
+    of_choice = NAMED + 2.0 * np.log(len(keys))
+    # What belongs to each log is no effect of the machine.
+    price = [
+        np.inf
+        if key[0] in per_run
+        else prior_penalty(*key, 0.0, limbs) + (0.0 if sure else of_choice)
+        for key, sure in zip(keys, certain, strict=True)
+    ]
+    return Problem(
+        cases=cases,
+        use=use,
+        several=several,
+        keys=keys,
+        prior=np.array([plausible_size(*key, limbs) / 1.96 for key in keys]),
+        price=np.array(price),
+        certain=certain,
+        unknown=np.array([_unknown_size(key, limbs) for key in keys]),
+        shift=np.array(
+            [0.25 * span if name == "clock_scale" else float(name in SHIFTS) for name, _ in keys]
+        ),
+    )
+
+
+def _unknown_size(key: Key, limbs: Limbs) -> float:
+    """Standard deviation of the size that an effect seems to have without being there."""
+    name, target = key
+    shows_in = [channels()[c] for c in known_effects()[name].channels_of(target) if c in channels()]
+    levels = [channel.level_spread.get(target, 0.0) for channel in shows_in]
+    return max(EXACT * plausible_size(name, target, limbs), *levels, 0.0)
+
+
+def explain(
+    problem: Problem,
+    error_of: Callable[[Sequence[Effect]], ModelError],
+    harmful: Callable[[Metric, Problem, Sequence[Effect]], tuple[Effect, str] | None],
+    progress: Callable[[float], None] = lambda share: None,
+) -> Explanation:
+    """Add the best candidate or pair until none earns its place, then replace what another explains
+    better.
+
+    A candidate earns its place if the evidence for it exceeds its price, and its size the least
+    excess over its standard deviation. Effects that every machine has are chosen first. Whenever
+    one is added, those that no longer earn theirs are dropped. Finally those are dropped that make
+    a channel worse on bins that no fit has seen.
+
+    Args:
+        problem: the logs.
+        error_of: error of the declared model with these effects, which it has and compensates.
+        harmful: an effect of these that makes a channel worse, and the channel; None if none does.
+        progress: called with the share done, from 0 to 1.
+    """
+    state, chosen = _settled(_State.of(problem, error_of), ())
+    rounds: list[tuple[Candidate, ...]] = []
+    rivals: tuple[tuple[Key, float], ...] = ()
+    tried = {frozenset(chosen.keys)}
+    while True:
+        progress(min(len(rounds) / (MOST_EFFECTS + 1), 1.0))
+        beside = _beside(state, chosen)
+        rounds.append(_as_candidates(state, beside))
+        better = _extended(state, chosen, beside) if len(chosen.keys) < MOST_EFFECTS else None
+        if better is None:
+            better, rivals = _replaced(state, chosen)
+        if better is None:
+            break
+        state, chosen = _settled(state, better.effects)
+        if frozenset(chosen.keys) in tried:
+            break
+        tried.add(frozenset(chosen.keys))
+    harm: list[tuple[Effect, str]] = []
+    while one := harmful(state.metric, state.problem, chosen.effects):
+        harm.append(one)
+        state, chosen = _settled(state, [e for e in chosen.effects if e != one[0]])
+    return Explanation(
+        found=_with_intervals(state, chosen),
+        rounds=tuple(rounds),
+        rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
+        harmful=tuple(harm),
+        runs=_fitted_runs(state),
+        metric=state.metric,
+    )
+
+
+def zeros_beside(
+    problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError], effects: Sequence[Effect]
+) -> tuple[tuple[FittedRun, ...], Metric]:
+    """Each log's own zeros, biases and clocks beside given effects, and the metric with them."""
+    state = _State.of(problem, error_of).at(effects)
+    state = _with_zeros(state, effects)
+    return _fitted_runs(state), state.metric
+
+
+@dataclass(frozen=True)
+class _State:
+    """The search at some effects.
+
+    Attributes:
+        declared: the logs under the declared model.
+        problem: the logs, with their own zeros and clocks compensated.
+        zeros: those of each log.
+        error_of: as of `explain`.
+        effects: that are compensated.
+        error: of the model with the effects.
+        metric: linearised at the effects.
+    """
+
+    declared: Sequence[LogUnderModel]
+    problem: Problem
+    zeros: tuple[tuple[Effect, ...], ...]
+    error_of: Callable[[Sequence[Effect]], ModelError]
+    effects: tuple[Effect, ...]
+    error: ModelError
+    metric: Metric
+
+    @staticmethod
+    def of(problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError]) -> "_State":
+        error, none = error_of(()), tuple(() for _ in problem.cases)
+        return _State(
+            problem.cases, problem, none, error_of, (), error, _metric(problem, (), None, error)
+        )
+
+    def at(self, effects: Sequence[Effect]) -> "_State":
+        """The search at other effects, with each log's zeros as they are."""
+        error = self.error_of(effects)
+        # Other effects change the derivatives with respect to all candidates.
+        same = {(e.name, e.target) for e in effects} <= {(e.name, e.target) for e in self.effects}
+        before = self.metric.known if same and not self.problem.cases[0].fixed else None
+        metric = _metric(self.problem, effects, before, error)
+        return replace(self, effects=tuple(effects), error=error, metric=metric)
+
+    @property
+    def least_excess(self) -> float:
+        """Standard deviations that few walks of the model hardly exceed."""
+        return float(stdtrit(self.error.runs - 1, 1.0 - CHANCE)) if self.error.runs > 1 else 0.0
+
+    def doubt(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+        """Standard deviations of the sizes of some candidates (k,), beyond those by noise and model
+        error (k,).
+
+        Interpolation by a share f of a row lowers the variance of the mean of n rows by 2 f / n. A
+        shift by x then seems to explain 2 x E / BIN of E entries, and is biased by E / BIN times
+        its variance, which counts as two standard deviations.
+        """
+        known = np.where(np.isfinite(deviations), deviations, 0.0)
+        seems = 0.5 * self.problem.shift[at] * self.metric.entries[at] / BIN * known**2
+        return np.hypot(self.problem.unknown[at], seems)
+
+    def earned(self, keys: Sequence[Key], sizes: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+        """By how much the evidence for sizes with these standard deviations exceeds its price (k,);
+        negative also where a size does not reach the least excess or is at its bound.
+        """
+        at = self.problem.at(keys)
+        variance = np.hypot(deviations, self.doubt(at, deviations)) ** 2
+        prior = self.problem.prior[at] ** 2
+        with np.errstate(invalid="ignore"):
+            evidence = (
+                sizes**2 / variance - sizes**2 / (variance + prior) - np.log1p(prior / variance)
+            )
+            evidence = np.where(np.isfinite(variance), evidence, -np.inf) - self.problem.price[at]
+            excess = np.abs(sizes) / np.sqrt(variance)
+        least = self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
+        kinds, limbs = known_effects(), self.problem.limbs
+        bounds = [kinds[name].interior_bounds(target, limbs) for name, target in keys]
+        inside = np.array(
+            [low < x < high for x, (low, high) in zip(sizes, bounds, strict=True)], bool
+        )
+        return np.where((excess > least) & inside, evidence, np.minimum(evidence, -1.0))
+
+
+def _metric(
+    problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
+) -> Metric:
+    """Metric at these effects; derivatives of an evidence `before` may be reused."""
+    known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
+    use = problem.use
+    if problem.cases[0].fixed:
+        weights = windows(known)
+        use = np.concatenate([one @ use[known.log == i] for i, one in enumerate(weights)]) > 0.999
+        known = averaged(known, weights)
+    return metric_of(problem.cases, known, error, use, problem.per_run)
+
+
+def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
+    """Fit each log's zeros and the sizes of effects in turn; drop what does not earn its place."""
+    while True:
+        if tuple(effects) != state.effects:
+            state = state.at(effects)
+        state = _with_zeros(state, effects)
+        chosen = _refined(state, effects)
+        earned = state.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        worst = int(np.argmin(earned)) if len(earned) else -1
+        if worst < 0 or earned[worst] > 0.0:
+            return state, chosen
+        effects = (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
+
+
+def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
+    """Compensate each log's zeros and clocks that are far from where they are now.
+
+    Biases need no compensation, since the residual is linear in them.
+    """
+    problem, kinds = state.problem, known_effects()
+    keys = [
+        key
+        for key in problem.keys
+        if key[0] in problem.per_run - {"gyro_bias", "accel_bias"}
+        and key[1] in kinds[key[0]].single_targets(problem.limbs)
+    ]
+    for _ in range(ZERO_ROUNDS if keys else 0):
+        zeros = []
+        for known, fitted in zip(state.zeros, state.metric.zeros(keys), strict=True):
+            sizes = {(e.name, e.target): e.value for e in known}
+            for key, (size, deviation) in zip(keys, fitted, strict=True):
+                if abs(size) > ZERO_MOVED * deviation:
+                    sizes[key] = sizes.get(key, 0.0) + size
+            zeros.append(
+                tuple(
+                    with_clipped_size(effect(*k, 0.0), x, problem.limbs) for k, x in sizes.items()
+                )
+            )
+        if tuple(zeros) == state.zeros:
+            break
+        cases = [
+            log_under_model(*compensate_all(these, case.log, case.robot), case.settings)
+            for these, case in zip(zeros, state.declared, strict=True)
+        ]
+        problem = replace(problem, cases=cases)
+        metric = _metric(problem, effects, None, state.error)
+        state = replace(state, problem=problem, zeros=tuple(zeros), metric=metric)
+    return state
+
+
+def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
+    """Refine the sizes of effects on the true residual, by Gauss-Newton steps."""
+    problem, metric, limbs = state.problem, state.metric, state.problem.limbs
+    effects = tuple(with_clipped_size(one, one.value, limbs) for one in start)
+    keys = [(one.name, one.target) for one in effects]
+    precision, fixed = problem.prior[problem.at(keys)] ** -2.0, problem.cases[0].fixed
+    # Size at which each derivative was taken, and the derivative.
+    known = {(e.name, e.target): e.value for e in state.effects if not fixed}
+    derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
+    best = None
+    for _ in range(STEPS):
+        stale = [
+            key
+            for key, one in zip(keys, effects, strict=True)
+            if key not in derived or abs(derived[key][0] - one.value) > MOVED * abs(one.value)
+        ]
+        if stale or fixed:
+            evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
+            evidence = averaged(evidence, windows(evidence)) if fixed else evidence
+            table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
+            derived |= {
+                key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
+            }
+        else:
+            tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
+            table = np.concatenate(tables)
+        X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
+        S = metric.products(table, X, keys)
+        A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)
+        volume = np.linalg.slogdet(A / scale / scale[:, None])[1]
+        cost = float(S[0, 0] + precision @ sizes**2 + volume)
+        if best is None or cost < best.cost:
+            best = Chosen(effects, float(S[0, 0]), cost, metric, precision, table, X)
+        inverse = np.linalg.pinv(A, hermitian=True)
+        moved = sizes + inverse @ (S[1:, 0] - precision * sizes)
+        effects = tuple(
+            with_clipped_size(one, x, limbs) for one, x in zip(effects, moved, strict=True)
+        )
+        change = np.array([one.value for one in effects]) - sizes
+        if np.all(np.abs(change) <= SETTLED * np.sqrt(np.diag(inverse))):
+            break
+    assert best is not None
+    return best
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """Evidence of the C candidates beside the effects found, to first order.
+
+    Attributes:
+        S: products (1 + C, 1 + C) without what the effects found explain.
+        evidence: of each, less its price (C,).
+        sizes: (C,).
+        deviations: standard deviations of the sizes (C,), infinite where nothing shows.
+    """
+
+    S: np.ndarray
+    evidence: np.ndarray
+    sizes: np.ndarray
+    deviations: np.ndarray
+
+
+def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Beside:
+    """Candidates beside the effects found, or `instead_of` one of them."""
+    problem, S = state.problem, state.metric.S
+    at = 1 + problem.at(chosen.keys)
+    if instead_of is not None:
+        # Its own part is back in the residual.
+        turned = np.eye(len(S))
+        turned[at[instead_of], 0] = chosen.sizes[instead_of]
+        S, at = turned.T @ S @ turned, np.delete(at, instead_of)
+    if len(at):
+        A = S[np.ix_(at, at)] + np.diag(problem.prior[at - 1] ** -2.0)
+        S = S - S[:, at] @ np.linalg.solve(A, S[at])
+    precision, d, b = problem.prior**-2.0, np.diag(S)[1:], S[1:, 0]
+    whole = sum(np.diag(G) for G in state.metric.grams)[1 : len(S)]
+    seen = d > 1e-9 * np.maximum(whole, 1.0)
+    seen[at - 1] = False
+    d = np.where(seen, d, 1.0)
+    evidence = b**2 / (d + precision) - np.log1p(d / precision) - problem.price
+    return _Beside(
+        S=S,
+        evidence=np.where(seen, evidence, -np.inf),
+        sizes=np.where(seen, b / (d + precision), 0.0),
+        deviations=np.where(seen, d**-0.5, np.inf),
+    )
+
+
+def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
+    """The effects with the candidate or pair added that leaves the least cost, if it earns its
+    place; else None.
+    """
+    tried = []
+    for keys, sizes in _proposals(state, beside):
+        new = [effect(*key, 0.0) for key in keys]
+        new = [
+            with_clipped_size(one, x, state.problem.limbs)
+            for one, x in zip(new, sizes, strict=True)
+        ]
+        one = _refined(state, [*chosen.effects, *new])
+        gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
+        sized, deviations = one.sizes[-len(keys) :], one.deviations[-len(keys) :]
+        if gained > 0.0 and np.all(state.earned(keys, sized, deviations) > 0.0):
+            tried.append((gained, one))
+    return max(tried, key=lambda pair: pair[0])[1] if tried else None
+
+
+def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.ndarray]]:
+    """Candidates and pairs that might be the best, with their sizes to first order."""
+    problem, keys = state.problem, state.problem.keys
+    earned = state.earned(keys, beside.sizes, beside.deviations)
+    able = (beside.evidence > 0.0) & (earned > 0.0)
+    if (first := able & problem.certain).any():
+        # Others would absorb what every machine has.
+        able = first
+    order = [int(i) for i in np.argsort(-beside.evidence)]
+    best = float(np.max(beside.evidence, where=able, initial=0.0))
+    near = (i for i in order if able[i] and beside.evidence[i] > NEAR * best)
+    for i in islice(_distinct(near, problem), SINGLES):
+        yield [keys[i]], beside.sizes[[i]]
+    pairs = np.triu(_of_pairs(problem, beside), 1)
+    ends = np.argpartition(-pairs, PAIRS, axis=None)[:PAIRS]
+    for flat in sorted(ends, key=lambda flat: -pairs.flat[flat]):
+        pair = np.array(np.unravel_index(flat, pairs.shape))
+        if pairs[tuple(pair)] > max(best, 0.0):
+            A = beside.S[np.ix_(1 + pair, 1 + pair)] + np.diag(problem.prior[pair] ** -2.0)
+            yield [keys[i] for i in pair], np.linalg.solve(A, beside.S[1 + pair, 0])
+
+
+def _distinct(order: Iterator[int], problem: Problem) -> Iterator[int]:
+    """Candidates in this order without those that share parts with one of the same name before."""
+    taken: set[tuple[str, str]] = set()
+    for i in order:
+        name, target = problem.keys[i]
+        parts = {(name, part) for part in known_effects()[name].members_of(target, problem.limbs)}
+        if not parts & taken:
+            taken |= parts
+            yield i
+
+
+def _of_pairs(problem: Problem, beside: _Beside) -> np.ndarray:
+    """Evidence (C, C) of pairs of candidates, less their prices; zero where there is none."""
+    precision = problem.prior**-2.0
+    c, b = beside.S[1:, 1:], beside.S[1:, 0]
+    d = np.diag(c) + precision
+    whole = d[:, None] * d
+    determinant = np.maximum(whole - c**2, 1e-12 * whole)
+    gain = (b[:, None] ** 2 * d - 2.0 * b[:, None] * b * c + b**2 * d[:, None]) / determinant
+    shrink = np.log(determinant / (precision[:, None] * precision))
+    evidence = gain - shrink - problem.price[:, None] - problem.price
+    seen = np.isfinite(beside.deviations) & np.isfinite(problem.price)
+    known = seen[:, None] & seen & (np.abs(c) < 0.999 * np.sqrt(whole))
+    return np.where(known, evidence, 0.0)
+
+
+def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple[Key, float], ...]]:
+    """The effects with one replaced by a candidate that explains the logs better, if there is one;
+    else the rivals that explain them as well.
+    """
+    problem, rivals = state.problem, []
+    price = float(np.sum(problem.price[problem.at(chosen.keys)]))
+    for place, (key, size) in enumerate(zip(chosen.keys, chosen.sizes, strict=True)):
+        beside = _beside(state, chosen, instead_of=place)
+        own = int(problem.at([key])[0])
+        S = beside.S[1:, 1:]
+        with np.errstate(invalid="ignore"):
+            overlap = np.abs(S[own]) / np.sqrt(S[own, own] * np.diag(S))
+        gains = beside.S[1:, 0] ** 2 / np.where(np.isfinite(beside.deviations), np.diag(S), np.inf)
+        alike = (overlap > TWIN_OVERLAP) & (gains > gains[own] - NAMED)
+        earned = state.earned(problem.keys, beside.sizes, beside.deviations)
+        able = (earned > 0.0) & ((beside.evidence > beside.evidence[own]) | alike)
+        able[problem.at(chosen.keys)] = False
+        able &= np.isfinite(beside.evidence)
+        order = (int(i) for i in np.argsort(-beside.evidence) if able[i])
+        for i in islice(_distinct(order, problem), SINGLES):
+            other = with_clipped_size(effect(*problem.keys[i], 0.0), beside.sizes[i], problem.limbs)
+            one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
+            costs = price - problem.price[own] + problem.price[i] - price
+            earned = state.earned(one.keys, one.sizes, one.deviations)
+            if not np.all(earned > 0.0):
+                continue
+            if one.cost + costs < chosen.cost:
+                return one, ()
+            if alike[i] and one.misfit < chosen.misfit + NAMED and problem.keys[i][0] != key[0]:
+                rivals.append((problem.keys[i], float(overlap[i])))
+    return None, tuple(rivals)
+
+
+def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
+    """Every candidate of a round, those that earn a place first, by evidence."""
+    problem, limbs = state.problem, state.problem.limbs
+    earned = state.earned(problem.keys, beside.sizes, beside.deviations)
+    total = max(float(beside.S[0, 0]), 1e-300)
+    gains = beside.sizes * beside.S[1:, 0]
+    every = np.arange(len(problem.keys))
+    deviations = np.hypot(beside.deviations, state.doubt(every, beside.deviations))
+    ratio = (problem.prior / deviations) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        enough = np.sqrt((problem.price + np.log1p(ratio)) * (1.0 + ratio) / ratio)
+    least = np.maximum(enough, state.least_excess) * deviations
+    out = []
+    for i in np.argsort(-beside.evidence):
+        low, high = known_effects()[problem.keys[i][0]].interior_bounds(problem.keys[i][1], limbs)
+        if problem.keys[i][0] not in problem.per_run and np.isfinite(beside.deviations[i]):
+            out.append(
+                Candidate(
+                    key=problem.keys[i],
+                    size=float(beside.sizes[i]),
+                    deviation=float(deviations[i]),
+                    share=float(gains[i]) / total,
+                    least=float(least[i]),
+                    at_bound=bool(not low < beside.sizes[i] < high),
+                    earned=bool(earned[i] > 0.0 and beside.evidence[i] > 0.0),
+                )
+            )
+    return tuple(sorted(out, key=lambda one: not one.earned))
+
+
+def _with_intervals(state: _State, chosen: Chosen) -> tuple[Found, ...]:
+    """Effects, strongest first, with 95 % intervals."""
+    at = state.problem.at(chosen.keys)
+    noise, both = np.diag(chosen.of_noise), np.diag(chosen.covariance)
+    runs = state.error.runs
+    of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
+    square = 1.96**2 * (noise + state.doubt(at, np.sqrt(both)) ** 2)
+    half = np.sqrt(square + of_model * np.maximum(both - noise, 0.0))
+    found = [
+        (abs(one.value) / np.sqrt(variance), Found(one, (one.value - h, one.value + h)))
+        for one, h, variance in zip(chosen.effects, half, both, strict=True)
+    ]
+    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+
+
+def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
+    """Each log's own zeros, biases and clocks."""
+    problem, kinds = state.problem, known_effects()
+    keys = [
+        key
+        for key in problem.keys
+        if key[0] in problem.per_run and key[1] in kinds[key[0]].single_targets(problem.limbs)
+    ]
+    fits = state.metric.zeros(keys) if keys else [[] for _ in problem.cases]
+    runs = []
+    for case, zeros, fitted in zip(problem.cases, state.zeros, fits, strict=True):
+        known = {(e.name, e.target): e.value for e in zeros}
+        found = []
+        for key, (size, deviation) in zip(keys, fitted, strict=True):
+            one = with_clipped_size(
+                effect(*key, 0.0),
+                known.get(key, 0.0) + (0.0 if key in known else size),
+                problem.limbs,
+            )
+            half = 1.96 * deviation
+            if key in known or key[0] in ("gyro_bias", "accel_bias"):
+                found.append(Found(one, (one.value - half, one.value + half)))
+        runs.append(FittedRun(case, tuple(found), zeros))
+    return tuple(runs)

@@ -1,0 +1,234 @@
+"""Products of residuals and candidates under the covariance of a machine without the candidates.
+
+The covariance of the residual of one log is diag(noise^2 / weight) + F C F^T. The columns of F are
+the terms of the model's error, what belongs to the log (its zeros, if there are several), and its
+nuisance parameters, whose covariance is C. Products a^T V^-1 b follow by the matrix inversion lemma.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from surefoot.models.attribution.design import Design, design, nuisance_precision, scaled_inverse
+from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel
+from surefoot.models.attribution.model_error import ModelError
+from surefoot.models.attribution.priors import plausible_size
+from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
+from surefoot.models.residuals.command import commanded_torque
+from surefoot.models.residuals.jacobians import Regressor
+from surefoot.models.residuals.layout import Layout
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Covariance of the residuals of R logs, linearised at the effects found.
+
+    Attributes:
+        data: residual and candidates.
+        robust: weights and noise.
+        root: square root of each entry's weight, divided by its noise (M, W); zero where it is not
+            used.
+        expected: mean error of the model (M, W).
+        places: of the columns of F among candidates and nuisance parameters (f,).
+        precision: inverse of C (f, f).
+        terms: whether a column of F is a term of the model's error or a zero (f,).
+    """
+
+    data: Design
+    robust: RobustWeights
+    root: np.ndarray
+    expected: np.ndarray
+    places: np.ndarray
+    precision: np.ndarray
+    terms: np.ndarray
+
+    @property
+    def known(self) -> Evidence:
+        """The evidence that it is of."""
+        return self.data.evidence
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """The columns of the table with any entry that is used."""
+        return np.flatnonzero(self.root.any(axis=0))
+
+    @cached_property
+    def entries(self) -> np.ndarray:
+        """Number of entries that each candidate shows in, by their weights (C,)."""
+        used = np.sum(self.root**2, axis=0) / np.maximum(np.max(self.root**2, axis=0), 1e-300)
+        return np.array([used[one.columns].sum() for one in self.known.X], float)
+
+    @cached_property
+    def grams(self) -> list[np.ndarray]:
+        """Products (1 + C + B, 1 + C + B) of residual, candidates and nuisance parameters of each
+        log, in units of the noise.
+        """
+        y, log = self.data.y - self.expected, self.known.log
+        return [
+            self.data.gram(y, self.root * (log == run)[:, None], self.columns)
+            for run in range(log.max(initial=0) + 1)
+        ]
+
+    @cached_property
+    def S(self) -> np.ndarray:
+        """a^T V^-1 b (1 + C, 1 + C) of residual and candidates, over all logs."""
+        first, at, total = 1 + len(self.known.keys), 1 + self.places, 0.0
+        for G, inverse in zip(self.grams, self._inverses, strict=True):
+            cross = G[at, :first]
+            total = total + G[:first, :first] - cross.T @ inverse @ cross
+        return np.asarray(total)
+
+    @cached_property
+    def _inverses(self) -> list[np.ndarray]:
+        """Inverse of F^T D^-1 F + C^-1 of each log."""
+        at = np.ix_(1 + self.places, 1 + self.places)
+        return [scaled_inverse(G[at] + self.precision) for G in self.grams]
+
+    def zeros(self, keys: Sequence[Key]) -> list[list[tuple[float, float]]]:
+        """Size and standard deviation of these candidates, which belong to a log, in each log."""
+        which = [list(self.places).index(self.known.keys.index(key)) for key in keys]
+        out = []
+        for G, inverse in zip(self.grams, self._inverses, strict=True):
+            sizes = inverse @ G[1 + self.places, 0]
+            out.append([(float(sizes[i]), float(np.sqrt(inverse[i, i]))) for i in which])
+        return out
+
+    def products(
+        self, table: np.ndarray, X: Sequence[Regressor], without: Collection[Key] | None = ()
+    ) -> np.ndarray:
+        """a^T V^-1 b (1 + k, 1 + k) of another residual table (M, W) and its regressors.
+
+        An entry that the table lacks counts as noise.
+
+        Args:
+            table: as of the evidence.
+            X: the k regressors.
+            without: candidates that are no terms of the model's error here; None for all terms.
+        """
+        lost = np.isnan(table) & (self.root > 0.0)
+        root = np.where(lost, 0.0, self.root)
+        y = np.where(np.isfinite(table), table, 0.0) - self.expected
+        used = np.zeros((1 + len(X), *y.shape))
+        used[0] = y * root
+        for place, one in enumerate(X, 1):
+            used[place][:, one.columns] = one.values * root[:, one.columns]
+        if without is None:
+            kept = ~self.terms
+        else:
+            kept = ~np.isin(self.places, [self.known.keys.index(key) for key in without])
+        row = np.full(self.data.size, -1)
+        row[self.places[kept]] = np.arange(np.count_nonzero(kept))
+        total = np.zeros((1 + len(X), 1 + len(X)))
+        total[0, 0] = float(np.sum(self.robust.weight[lost]))
+        for run, (G, inverse) in enumerate(zip(self.grams, self._inverses, strict=True)):
+            own = self.known.log == run
+            cross = np.zeros((np.count_nonzero(kept), 1 + len(X)))
+            for c in self.columns:
+                rows = self.data.rows[c]
+                mine = own[rows]
+                rows, at = rows[mine], row[self.data.which[c]]
+                F = self.data.X[c][mine][:, at >= 0] * root[rows, c][:, None]
+                cross[at[at >= 0]] += F.T @ used[:, rows, c].T
+            if not kept.all():
+                at = 1 + self.places[kept]
+                inverse = scaled_inverse(G[np.ix_(at, at)] + self.precision[np.ix_(kept, kept)])
+            flat = used[:, own][:, :, self.columns].reshape(1 + len(X), -1)
+            total += flat @ flat.T - cross.T @ inverse @ cross
+        return total
+
+
+def metric_of(
+    cases: Sequence[LogUnderModel],
+    known: Evidence,
+    error: ModelError,
+    use: np.ndarray,
+    per_run: Collection[str] = (),
+) -> Metric:
+    """The metric of an evidence.
+
+    Args:
+        cases: the logs.
+        known: evidence with the effects found so far compensated.
+        error: of the declared model.
+        use: mask (M,) of the bins that are used.
+        per_run: names of the effects that every log has at a size of its own.
+    """
+    data, layout, limbs = design(known), known.layout, cases[0].robot.limbs
+    floor = noise_of(error, layout)
+    robust = robust_weights(data, floor)
+    # What exceeds the floor is no white noise.
+    excess = np.maximum(robust.sigma**2 - floor**2, 0.0) * robust.alike
+    sigma = np.sqrt(floor**2 + excess)
+    weight = robust.weight * use[:, None] * interpolation_weights(cases, known, sigma)
+    root = np.zeros_like(weight)
+    root[:, layout.fitted] = np.sqrt(weight[:, layout.fitted]) / sigma[layout.fitted]
+    shared = [i for i, key in enumerate(error.keys) if key in known.keys and key[0] not in per_run]
+    terms = [known.keys.index(error.keys[i]) for i in shared]
+    own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
+    free = [i for i, key in enumerate(known.bias_of) if key is None or key[0] not in per_run]
+    sizes = np.zeros(data.size)
+    sizes[terms] = error.mean[shared]
+    within = [(plausible_size(*known.keys[i], limbs) / 1.96) ** -2.0 for i in own]
+    return Metric(
+        data=data,
+        robust=robust,
+        root=root,
+        expected=data.explained(sizes),
+        places=np.array([*terms, *own, *(len(known.keys) + i for i in free)], int),
+        precision=block_diag(
+            scaled_inverse(error.covariance[np.ix_(shared, shared)]),
+            np.diag(within),
+            np.diag(nuisance_precision(known)[free]),
+        ),
+        terms=np.arange(len(terms) + len(own) + len(free)) < len(terms),
+    )
+
+
+def noise_of(error: ModelError, layout: Layout) -> np.ndarray:
+    """Noise (W,) of the columns, by a model's error."""
+    kinds = [
+        (name, layout.columns[c].kind)
+        for name, at in layout.channels.items()
+        for c in range(at.start, at.stop)
+    ]
+    return np.array([error.noise.get(kind, 1e-12) for kind in kinds])
+
+
+def interpolation_weights(
+    cases: Sequence[LogUnderModel], known: Evidence, sigma: np.ndarray
+) -> np.ndarray:
+    """Weights (M, W) in 0..1 for the interpolation error of streams that are shifted in time.
+
+    Linear interpolation between rows errs by up to an eighth of the second difference, and as much
+    again when the shift is undone; at touchdown that is far more than the noise. Compensating a
+    delay of the other stream instead causes the error only once, which would bias the choice. The
+    second differences come from the IMU's readings, since a reference may have been smoothed, and
+    from commanded torques, which are free of noise. Unlike noise, the error differs between
+    candidates, so a bin in which it dominates is practically dropped.
+    """
+    weight, begin = np.ones_like(known.table), 0
+    if cases[0].fixed:
+        return weight
+    imu = known.layout.of("imu_gyro", "imu_accel")
+    command = known.layout.of("command")
+    for case in cases:
+        log, first, count = case.log, case.motion.first, case.motion.count[:, None]
+        rows = begin + np.arange(len(first))
+        begin += len(first)
+        moved = []
+        if log.has("imu"):
+            moved.append((imu, np.hstack([log.gyro, log.accel])))
+        if (asked := commanded_torque(log)) is not None:
+            moved.append((command, asked))
+        for columns, x in moved:
+            if not len(columns):
+                continue
+            lost = np.zeros_like(x)
+            lost[1:-1] = 2 / 8 * (x[2:] - 2.0 * x[1:-1] + x[:-2])
+            square = np.add.reduceat(lost**2, first, axis=0) / count**2
+            noise = sigma[columns] ** 2
+            weight[np.ix_(rows, columns)] = (noise / (noise + square)) ** 2
+    return weight

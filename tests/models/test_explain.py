@@ -1,0 +1,126 @@
+"""The search on walks with a known effect: the right one of two that look alike, and no other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
+from surefoot.models.attribution.explain import explain, problem_of, zeros_beside
+from surefoot.models.attribution.metric import interpolation_weights
+from surefoot.models.attribution.noise_floor import noise_floor, noise_floor_with
+from surefoot.models.attribution.split import split_of
+from surefoot.sim.effects import effect
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
+
+SPOT = Robot.load("spot_class")
+SCENARIO = Scenario("short", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
+
+
+def case_with(*effects, seed=3):
+    return log_under_model(walk(SCENARIO, SPOT, seed, effects, declared=False), SPOT)
+
+
+@pytest.fixture(scope="module")
+def floor():
+    return noise_floor([case_with()])
+
+
+def explained(case, floor):
+    problem = problem_of([case], split_of([case]).fit, several=False)
+    return explain(problem, lambda effects: noise_floor_with(floor, effects).error, lambda *_: None)
+
+
+def names(found):
+    return [(one.effect.name, one.effect.target) for one in found.found]
+
+
+# Half a step between two rows: there most is lost by moving a stream.
+@pytest.mark.parametrize("late", ["imu_delay", "reference_delay"])
+@pytest.mark.parametrize("delay", [0.001, 0.01])
+def test_of_two_streams_the_late_one_is_named(floor, late, delay):
+    found = explained(case_with(effect(late, "all", delay)), floor)
+    assert names(found) == [(late, "all")]
+    # Interpolation draws a delay towards the middle between rows: here by a tenth of one at most.
+    assert found.found[0].effect.value == pytest.approx(delay, abs=2e-4)
+    assert not found.rivals
+
+
+@pytest.mark.parametrize("time", [0.001, 0.004])
+def test_a_filtered_imu_is_no_late_one(floor, time):
+    """Filtered rates are late in the legs' velocities too, which know of the filter."""
+    found = explained(case_with(effect("imu_lowpass", "all", time)), floor)
+    assert names(found) == [("imu_lowpass", "all")]
+    assert found.found[0].effect.value == pytest.approx(time, rel=0.15)
+
+
+def test_nothing_is_found_on_a_walk_of_the_model(floor):
+    found = explained(case_with(seed=8), floor)
+    assert not found.found
+    assert not any(one.earned for one in found.rounds[0])
+    assert all(one.least > 0.0 for one in found.rounds[0])
+
+
+def test_two_effects_of_one_joint_are_both_found(floor):
+    truth = effect("viscous_friction", "FL_calf", 0.8), effect("armature", "FL_calf", 0.02)
+    found = explained(case_with(*truth), floor)
+    assert {*names(found)} == {("viscous_friction", "FL_calf"), ("armature", "FL_calf")}
+    for one in found.found:
+        low, high = one.interval
+        size = next(e.value for e in truth if e.name == one.effect.name)
+        assert low < size < high
+
+
+@pytest.mark.long
+def test_what_two_effects_explain_alike_has_a_rival(floor):
+    """A robot that stands does not tell the offset of a gyro from its answer to gravity."""
+    log = walk(
+        Scenario("stand", (Segment(0.5),), Ground(0.8), stand=20.0),
+        SPOT,
+        3,
+        (effect("gyro_bias", "z", 0.05),),
+        declared=False,
+    )
+    still = replace(log, frame=log.frame[log.t - log.t[0] < 19.5])
+    case = log_under_model(still, SPOT)
+    found = explained(case, noise_floor([case]))
+    assert names(found) == [("gyro_bias", "z")]
+    assert ("gyro_g_sensitivity", "z") in [key for key, _ in found.rivals]
+
+
+@pytest.mark.long
+def test_zeros_of_each_log_are_no_effects(floor):
+    zeros = (0.01, -0.015)
+    cases = [
+        case_with(effect("encoder_offset", "FL_thigh", zero), seed=k)
+        for k, zero in enumerate(zeros)
+    ]
+    problem = problem_of(cases, split_of(cases).fit, several=True)
+    found = explain(problem, lambda _: floor.error, lambda *_: None)
+    assert not found.found
+    alone = problem_of(cases[:1], np.ones(len(cases[0].motion.t), bool), several=True)
+    runs, _ = zeros_beside(alone, lambda _: floor.error, ())
+    for run, zero in zip((*found.runs, *runs), (*zeros, zeros[0]), strict=True):
+        one = next(z for z in run.zeros if z.effect.target == "FL_thigh")
+        assert one.effect.name == "encoder_offset"
+        assert one.effect.value == pytest.approx(zero, abs=1e-3)
+        assert one.effect in run.compensated
+
+
+def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floor):
+    case = case_with()
+    known = linearise([case], (), all_keys(case))
+    weight = interpolation_weights([case], known, floor.sigma)
+    command = known.layout.of("command")
+    others = np.setdiff1d(np.arange(6, weight.shape[1]), command)
+    assert np.all(weight[:, others] == 1.0)
+    # The robot stands before it walks.
+    assert weight[:10, command].min() > 0.9
+    assert weight[:, command].min() < 0.1
+    quiet = (case.motion.standing.all(axis=1)).astype(float)
+    bins = np.add.reduceat(quiet, case.motion.first) == case.motion.count
+    assert np.median(weight[bins, :6]) > 0.4
+    assert weight[:, 3:6].min() < 0.02
