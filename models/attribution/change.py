@@ -7,7 +7,7 @@ changes of a link, or an error of the sensor of a joint's angle. No change of th
 where an error of a sensor explains the runs about as well.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,19 +16,14 @@ from scipy.special import stdtrit
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.found import Found, with_clipped_size
 from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.metric import Metric, groups_of, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
     NOTHING,
     ZERO,
     ModelError,
-    RunEvidence,
-    RunResidual,
-    RunSums,
-    against_unchanged,
     averaged,
-    run_evidence,
-    run_residual,
-    run_sums,
+    evidence_of,
     windows,
 )
 from surefoot.models.attribution.priors import plausible_size
@@ -147,100 +142,145 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
 
     Raises LogError where the runs have other readings than those that the model's error is of.
     """
-    limbs = cases[0].robot.limbs
-    runs = [run_evidence(case) for case in cases]
-    sums = [run_sums(run) for run in runs]
-    for case, run in zip(cases, sums, strict=True):
-        lacking = {*known.noise} - {*run.groups}
-        if lacking or {*known.keys} - {*run.keys}:
-            names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"
-            raise LogError(
-                f"{case.log.name}: its readings differ from those of the runs that the declared "
-                f"effects were found in ({names})"
-            )
-    found = _best(runs, sums, known, limbs)
-    sizes = {(one.effect.name, one.effect.target): one.effect.value for one in found.found}
-    residuals = [run_residual(run, known, limbs, sizes) for run in sums]
-    return replace(
-        found,
-        channels=_levels(runs[0], sums, residuals, known),
-        zeros=tuple(
-            tuple(
-                Found(with_clipped_size(effect(*key, 0.0), x, limbs), (x - 1.96 * e, x + 1.96 * e))
-                for key, (x, e) in one.zeros.items()
-            )
-            for one in residuals
-        ),
-    )
+    evidence, rates = evidence_of(cases)
+    shown = {*groups_of(evidence.layout, np.isfinite(evidence.table).any(axis=0))}
+    lacking = {*known.noise} - shown
+    if lacking or {*known.keys} - {*evidence.keys}:
+        names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"
+        raise LogError(
+            f"{cases[0].log.name}: its readings differ from those of the runs that the declared "
+            f"effects were found in ({names})"
+        )
+    found, new = _best(cases, evidence, rates, known)
+    return replace(found, channels=_levels(new, found.found), zeros=_zeros(new, found.found))
 
 
-def _levels(
-    first: RunEvidence,
-    runs: Sequence[RunSums],
-    residuals: Sequence[RunResidual],
-    known: ModelError,
-) -> dict[str, ChannelLevel]:
+@dataclass(frozen=True)
+class _NewRuns:
+    """New runs, and the metric of what they are if nothing changed."""
+
+    cases: Sequence[LogUnderModel]
+    known: ModelError
+    metric: Metric
+    limbs: Limbs
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The candidates."""
+        return self.metric.known.keys
+
+    def sizes(self, found: Sequence[Found]) -> np.ndarray:
+        """Sizes of all candidates with these effects (C,)."""
+        sizes = np.zeros(len(self.keys))
+        for one in found:
+            sizes[self.keys.index((one.effect.name, one.effect.target))] = one.effect.value
+        return sizes
+
+    def clipped(self, key: Key, size: float) -> float:
+        """A size that the effect may have: nothing loses more mass than it has."""
+        name, target = key
+        low, high = known_effects()[name].interior_bounds(target, self.limbs)
+        machine = self.cases[0].robot
+        if name == "link_mass" and target in self.limbs.joints and machine.dynamics is not None:
+            model = machine.dynamics.model
+            joint = machine.joint_names[self.limbs.joints.index(target)]
+            low = max(low, -float(model.body_mass[model.joint(joint).bodyid[0]]))
+        return float(np.clip(size, low, high))
+
+    def overlap(self, one: Key, other: Key) -> float:
+        """Cosine (0 to 1) between the regressors of two candidates."""
+        S = self.metric.S
+        i, j = (1 + self.keys.index(key) for key in (one, other))
+        return float(abs(S[i, j]) / np.sqrt(S[i, i] * S[j, j]))
+
+    def at(self, key: Key, size: float) -> np.ndarray:
+        """Products (2, 2) of the true residual with this size compensated and of its derivative; a
+        zero may be beyond its bounds.
+        """
+        cases, chosen = self.cases, [effect(*key, size)] if key[0] != ZERO else []
+        if key[0] == ZERO:
+            column = f"q_{key[1]}"
+            logs = [c.log.with_columns({column: c.log.columns[column] - size}) for c in cases]
+            cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
+        evidence = linearise(cases, chosen, [key], evaluation_channels=False)
+        if cases[0].fixed:
+            evidence = averaged(evidence, windows(evidence))
+        return self.metric.products(evidence.table, evidence.X)
+
+
+def _levels(new: _NewRuns, found: Sequence[Found]) -> dict[str, ChannelLevel]:
     """Residual of each channel over all runs."""
-    layout, out = first.known.layout, {}
-    for channel in dict.fromkeys(channel for channel, _ in known.noise):
-        sides = []
-        for of_run in (
-            lambda one: one.before,
-            lambda one: one.after,
-            lambda one: known.noise,
-        ):
-            square = [
-                (number, of_run(one)[group])
-                for run, one in zip(runs, residuals, strict=True)
-                for group, number in zip(run.groups, run.count, strict=True)
-                if group[0] == channel
-            ]
-            weights, levels = np.array(square).T
-            sides.append(float(np.sqrt(np.average(levels**2, weights=weights))))
+    metric, layout, out = new.metric, new.metric.known.layout, {}
+    sizes = new.sizes(found)
+    before, after = metric.left(0.0 * sizes, terms=False), metric.left(sizes)
+    noise = np.broadcast_to(noise_of(new.known, layout), before.shape)
+    for channel in dict.fromkeys(channel for channel, _ in new.known.noise):
+        columns = np.intersect1d(layout.of(channel), metric.columns)
+        there = metric.root[:, columns] > 0.0
+        sides = [
+            float(np.sqrt(np.mean(one[:, columns][there] ** 2))) for one in (before, after, noise)
+        ]
         units = dict.fromkeys(c.unit for c in layout.columns[layout.channels[channel]])
         out[channel] = ChannelLevel(*sides, unit=" and ".join(units))
     return out
 
 
+def _zeros(new: _NewRuns, found: Sequence[Found]) -> tuple[tuple[Found, ...], ...]:
+    """Zeros of each run beside the change."""
+    keys = [key for key in new.keys if key[0] == ZERO and new.metric.belongs_to_log(key)]
+    return tuple(
+        tuple(
+            Found(with_clipped_size(effect(*key, 0.0), x, new.limbs), (x - 1.96 * e, x + 1.96 * e))
+            for key, (x, e) in zip(keys, zeros, strict=True)
+        )
+        for zeros in new.metric.zeros(keys, new.sizes(found))
+    )
+
+
 def _best(
-    runs: Sequence[RunEvidence], sums: Sequence[RunSums], known: ModelError, limbs: Limbs
-) -> Change:
-    """The change that the runs tell, without residuals."""
-    entries = float(sum(run.count.sum() for run in sums))
+    cases: Sequence[LogUnderModel],
+    evidence: Evidence,
+    rates: Sequence[Mapping[str, float]],
+    known: ModelError,
+) -> tuple[Change, _NewRuns]:
+    """The change that the runs tell, without residuals, and the runs."""
+    limbs, every = cases[0].robot.limbs, np.ones(len(evidence.t), dtype=bool)
     for _ in range(_ROUNDS):
-        S = sum(against_unchanged(run, known, limbs) for run in sums)
-        new = _NewRuns(runs, known, sums[0].keys, S, limbs)
+        metric = metric_of(cases, evidence, known, every, {ZERO}, not cases[0].fixed)
+        new = _NewRuns(cases, known, metric, limbs)
         first = _ranked(new)
         # What the best explanation leaves is noise that the unchanged runs did not have.
-        left = np.sqrt((S[0, 0] - first[0].gain) / entries)
+        entries = np.count_nonzero(metric.root)
+        left = np.sqrt((metric.S[0, 0] - first[0].gain) / entries)
         if left < _AS_UNCHANGED:
             break
         known = replace(known, noise={group: left * x for group, x in known.noise.items()})
     least = {one.keys[0]: _least(one, new) for one in first if len(one.keys) == 1}
-    if contradicted := _contradicted(sums, known):
-        return Change("not_identifiable", contradicted, (), (), least)
+    if contradicted := _contradicted(rates, known):
+        return Change("not_identifiable", contradicted, (), (), least), new
     # Of explanations that are about as good, the one of the fewest parts and sizes.
     as_good = [one for one in first if one.evidence > first[0].evidence - AS_LIKELY]
     alike = [one for one in as_good if one.of_sensor == first[0].of_sensor]
     inside = [one for one in alike if one.part <= first[0].part]
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
     if best.evidence < NAMED or best.excess < _least_excess(known):
-        return Change("unchanged", (), (), (), least)
+        return Change("unchanged", (), (), (), least), new
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
         for one in _distinct([one for one in as_good if one is not best], best)
     )
     if _is_lost_zero(best.keys) and not _within_bounds(best, limbs):
-        return Change("not_identifiable", (_words(best),), (), rivals, least)
+        return Change("not_identifiable", (_words(best),), (), rivals, least), new
     sensors = [one for one in (best, *rivals) if one.of_sensor]
     if sensors and not (best.of_sensor and len(best.keys) == 1):
         reasons = tuple(f"{_words(one)} explains these runs as well" for one in (*sensors, *rivals))
-        return Change("not_identifiable", tuple(dict.fromkeys(reasons)), (), rivals, least)
+        reasons = tuple(dict.fromkeys(reasons))
+        return Change("not_identifiable", reasons, (), rivals, least), new
     verdict = "confounded" if rivals else "attributed"
-    return Change(verdict, (), _found(best, limbs), rivals, least)
+    return Change(verdict, (), _found(best, limbs), rivals, least), new
 
 
-def _ranked(new: "_NewRuns") -> list[Explanation]:
+def _ranked(new: _NewRuns) -> list[Explanation]:
     """Every explanation, the one with the greatest evidence first."""
     tried = [_explained(keys, part, new) for keys, part in _explanations(new)]
     first = sorted((one for one in tried if one is not None), key=lambda one: -one.evidence)
@@ -252,61 +292,6 @@ def _ranked(new: "_NewRuns") -> list[Explanation]:
     near += [one for one in single if _is_lost_zero(one.keys) and one.part <= first[0].part]
     refined = {one.keys: _refined(one, new) for one in near}
     return sorted((refined.get(one.keys, one) for one in first), key=lambda one: -one.evidence)
-
-
-@dataclass(frozen=True)
-class _NewRuns:
-    """New runs, and a' V^-1 b (1 + P, 1 + P) of their residual and of the P candidates `keys`, V
-    the covariance that they have if nothing changed.
-    """
-
-    runs: Sequence[RunEvidence]
-    known: ModelError
-    keys: tuple[Key, ...]
-    S: np.ndarray
-    limbs: Limbs
-
-    def clipped(self, key: Key, size: float) -> float:
-        """A size that the effect may have: nothing loses more mass than it has."""
-        name, target = key
-        low, high = known_effects()[name].interior_bounds(target, self.limbs)
-        machine = self.runs[0].case.robot
-        if name == "link_mass" and target in self.limbs.joints and machine.dynamics is not None:
-            model = machine.dynamics.model
-            joint = machine.joint_names[self.limbs.joints.index(target)]
-            low = max(low, -float(model.body_mass[model.joint(joint).bodyid[0]]))
-        return float(np.clip(size, low, high))
-
-    def overlap(self, one: Key, other: Key) -> float:
-        """Cosine (0 to 1) between the regressors of two candidates."""
-        i, j = (1 + self.keys.index(key) for key in (one, other))
-        return float(abs(self.S[i, j]) / np.sqrt(self.S[i, i] * self.S[j, j]))
-
-    def at(self, key: Key, size: float) -> np.ndarray:
-        """The same (2, 2) for one candidate, of the true residual with this size compensated."""
-        total = np.zeros((2, 2))
-        needed = dict.fromkeys([*self.known.keys, *(k for k in self.keys if k[0] == ZERO), key])
-        for run in self.runs:
-            known = run.only([one for one in needed if one in run.known.keys])
-            other = _compensated(run.case, key, size)
-            X = dict(zip(known.known.keys, known.known.X, strict=True)) | {key: other.X[0]}
-            evidence = replace(known.known, table=other.table, X=tuple(X.values()))
-            sums = run_sums(replace(known, known=evidence))
-            place = [0, *sums.places([key])]
-            total += against_unchanged(sums, self.known, self.limbs)[np.ix_(place, place)]
-        return total
-
-
-def _compensated(case: LogUnderModel, key: Key, size: float) -> Evidence:
-    """Evidence of a run with one effect compensated; a zero may be beyond its bounds."""
-    if key[0] == ZERO:
-        column = f"q_{key[1]}"
-        log = case.log.with_columns({column: case.log.columns[column] - size})
-        case = replace(case, log=MemoisedLog.of(log))
-        known = linearise([case], (), [key], evaluation_channels=False)
-    else:
-        known = linearise([case], [effect(*key, size)], [key], evaluation_channels=False)
-    return averaged(known, windows(known)) if case.fixed else known
 
 
 def _explanations(new: _NewRuns) -> list[tuple[tuple[Key, ...], frozenset[str]]]:
@@ -345,11 +330,12 @@ def _prior(key: Key, limbs: Limbs) -> float:
 def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Explanation | None:
     """An explanation with its sizes, to first order; None where the runs do not show it."""
     place = [1 + new.keys.index(key) for key in keys]
-    A = new.S[np.ix_(place, place)]
+    S = new.metric.S
+    A = S[np.ix_(place, place)]
     if np.diag(A).min() < NOTHING:
         return None
     covariance = np.linalg.pinv(A, hermitian=True)
-    alone = covariance @ new.S[place, 0]
+    alone = covariance @ S[place, 0]
     prior = np.array([_prior(key, new.limbs) for key in keys])
     if _is_lost_zero(keys):
         prior = np.maximum(prior, np.abs(alone))
@@ -362,7 +348,7 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Ex
         + np.linalg.slogdet(covariance)[1]
     )
     sizes = prior**2 * np.linalg.solve(both, alone)
-    gain = float(alone @ new.S[place, 0])
+    gain = float(alone @ S[place, 0])
     return Explanation(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence), gain)
 
 
@@ -385,7 +371,7 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
             size = new.clipped(key, size)
         S = new.at(key, size)
         variance = 1.0 / S[1, 1]
-        gain = float(new.S[0, 0] - S[0, 0])
+        gain = float(new.metric.S[0, 0] - S[0, 0])
         evidence = gain - (size / prior) ** 2 - np.log1p(prior**2 / variance)
         if evidence > best.evidence:
             known = np.array([size]), np.sqrt([variance])
@@ -409,9 +395,9 @@ def _least_excess(known: ModelError) -> float:
     return float(stdtrit(known.runs - 1, 1.0 - CHANCE))
 
 
-def _contradicted(runs: Sequence[RunSums], known: ModelError) -> tuple[str, ...]:
+def _contradicted(rates: Sequence[Mapping[str, float]], known: ModelError) -> tuple[str, ...]:
     """A sentence for each joint whose angle and rate contradict each other."""
-    most = {joint: max(run.rates[joint] for run in runs) for joint in runs[0].rates}
+    most = {joint: max(run[joint] for run in rates) for joint in rates[0]}
     return tuple(
         f"q_{joint} and dq_{joint} contradict each other: by up to {apart:.2g} rad/s, "
         f"{known.rates[joint]:.2g} in the unchanged runs"

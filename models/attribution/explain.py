@@ -28,6 +28,7 @@ from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError, averaged, windows
 from surefoot.models.attribution.priors import plausible_size, prior_penalty
 from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
+from surefoot.models.attribution.sticking import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
@@ -42,6 +43,8 @@ CHANCE = 0.005
 """Probability by which Student's t of as many runs, less one, exceeds the least excess on one side:
 how runs differ is known no better than that.
 """
+LEAST_EXCESS = 6.0
+"""The same where nothing but the noise of readings is known."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 3, 1
@@ -60,7 +63,7 @@ SHIFTS = ("joint_delay", "rate_delay", "torque_delay", "imu_delay", "reference_d
 """Effects that are undone by interpolation of noisy streams."""
 EXACT = 1e-3
 """Share of an effect's plausible size to which any model is exact."""
-ZERO_MOVED = 2.0
+ZERO_MOVED = 4.0
 """Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
 ZERO_ROUNDS = 4
 """Most times that the zeros of the logs are fitted beside the same effects."""
@@ -369,7 +372,8 @@ class _State:
     @property
     def least_excess(self) -> float:
         """Standard deviations that few walks of the model hardly exceed."""
-        return float(stdtrit(self.error.runs - 1, 1.0 - CHANCE)) if self.error.runs > 1 else 0.0
+        runs = self.error.runs
+        return float(stdtrit(runs - 1, 1.0 - CHANCE)) if runs > 1 else LEAST_EXCESS
 
     def doubt(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """Standard deviations of the sizes of some candidates (k,), beyond those by noise and model
@@ -414,8 +418,14 @@ def _metric(
     if problem.cases[0].fixed:
         weights = windows(known)
         use = np.concatenate([one @ use[known.log == i] for i, one in enumerate(weights)]) > 0.999
-        known = averaged(known, weights)
+        known = averaged(_moving(problem, known, effects), weights)
     return metric_of(problem.cases, known, error, use, problem.per_run)
+
+
+def _moving(problem: Problem, known: Evidence, effects: Sequence[Effect]) -> Evidence:
+    """An evidence of machines on a fixed base without the entries in which a joint may stick."""
+    still = sticks(problem.cases, effects, known.layout)
+    return replace(known, table=np.where(still, np.nan, known.table))
 
 
 def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
@@ -444,12 +454,13 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
         if key[0] in problem.per_run - {"gyro_bias", "accel_bias"}
         and key[1] in kinds[key[0]].single_targets(problem.limbs)
     ]
+    doubt = problem.unknown[problem.at(keys)]
     for _ in range(ZERO_ROUNDS if keys else 0):
         zeros = []
         for known, fitted in zip(state.zeros, state.metric.zeros(keys), strict=True):
             sizes = {(e.name, e.target): e.value for e in known}
-            for key, (size, deviation) in zip(keys, fitted, strict=True):
-                if abs(size) > ZERO_MOVED * deviation:
+            for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
+                if abs(size) > ZERO_MOVED * np.hypot(deviation, more):
                     sizes[key] = sizes.get(key, 0.0) + size
             zeros.append(
                 tuple(
@@ -486,7 +497,9 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         ]
         if stale or fixed:
             evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
-            evidence = averaged(evidence, windows(evidence)) if fixed else evidence
+            if fixed:
+                evidence = _moving(problem, evidence, state.effects)
+                evidence = averaged(evidence, windows(evidence))
             table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
             derived |= {
                 key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
@@ -628,8 +641,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
     else the rivals that explain them as well.
     """
     problem, rivals = state.problem, []
-    price = float(np.sum(problem.price[problem.at(chosen.keys)]))
-    for place, (key, size) in enumerate(zip(chosen.keys, chosen.sizes, strict=True)):
+    for place, key in enumerate(chosen.keys):
         beside = _beside(state, chosen, instead_of=place)
         own = int(problem.at([key])[0])
         S = beside.S[1:, 1:]
@@ -645,7 +657,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
         for i in islice(_distinct(order, problem), SINGLES):
             other = with_clipped_size(effect(*problem.keys[i], 0.0), beside.sizes[i], problem.limbs)
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
-            costs = price - problem.price[own] + problem.price[i] - price
+            costs = problem.price[i] - problem.price[own]
             earned = state.earned(one.keys, one.sizes, one.deviations)
             if not np.all(earned > 0.0):
                 continue

@@ -2,11 +2,12 @@
 
 The covariance of the residual of one log is diag(noise^2 / weight) + F C F^T. The columns of F are
 the terms of the model's error, what belongs to the log (its zeros, if there are several), and its
-nuisance parameters, whose covariance is C. Products a^T V^-1 b follow by the matrix inversion lemma.
+nuisance parameters, whose covariance is C. Products a^T V^-1 b follow by the matrix inversion
+lemma.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -87,13 +88,43 @@ class Metric:
         at = np.ix_(1 + self.places, 1 + self.places)
         return [scaled_inverse(G[at] + self.precision) for G in self.grams]
 
-    def zeros(self, keys: Sequence[Key]) -> list[list[tuple[float, float]]]:
-        """Size and standard deviation of these candidates, which belong to a log, in each log."""
+    def zeros(
+        self, keys: Sequence[Key], sizes: np.ndarray | None = None
+    ) -> list[list[tuple[float, float]]]:
+        """Size and standard deviation of these candidates, which belong to a log, in each log,
+        beside effects of given sizes (C,).
+        """
         which = [list(self.places).index(self.known.keys.index(key)) for key in keys]
-        out = []
-        for G, inverse in zip(self.grams, self._inverses, strict=True):
-            sizes = inverse @ G[1 + self.places, 0]
-            out.append([(float(sizes[i]), float(np.sqrt(inverse[i, i]))) for i in which])
+        return [
+            [(float(fitted[i]), float(np.sqrt(inverse[i, i]))) for i in which]
+            for fitted, inverse in zip(self._fitted(sizes), self._inverses, strict=True)
+        ]
+
+    def belongs_to_log(self, key: Key) -> bool:
+        """Whether each log has this candidate at a size of its own."""
+        return self.known.keys.index(key) in self.places[~self.terms]
+
+    def left(self, sizes: np.ndarray, terms: bool = True) -> np.ndarray:
+        """Residual (M, W) less effects of given sizes (C,), the zeros and nuisance parameters of
+        each log, and the model's error unless `terms` is False.
+        """
+        out = self.data.y - (self.expected if terms else 0.0)
+        kept = np.ones(len(self.places), bool) if terms else ~self.terms
+        for run, fitted in enumerate(self._fitted(sizes, terms)):
+            vector = np.append(sizes, np.zeros(len(self.known.Z)))
+            vector[self.places[kept]] += fitted
+            own = self.known.log == run
+            out[own] -= self.data.explained(vector)[own]
+        return out
+
+    def _fitted(self, sizes: np.ndarray | None, terms: bool = True) -> list[np.ndarray]:
+        """Sizes of the columns of F in each log, beside effects of given sizes (C,)."""
+        kept, out = np.ones(len(self.places), bool) if terms else ~self.terms, []
+        at = 1 + self.places[kept]
+        for G in self.grams:
+            inner = G[np.ix_(at, at)] + self.precision[np.ix_(kept, kept)]
+            right = G[at, 0] if sizes is None else G[at, 0] - G[at, 1 : 1 + len(sizes)] @ sizes
+            out.append(scaled_inverse(inner) @ right)
         return out
 
     def products(
@@ -146,6 +177,7 @@ def metric_of(
     error: ModelError,
     use: np.ndarray,
     per_run: Collection[str] = (),
+    robust_to_outliers: bool = True,
 ) -> Metric:
     """The metric of an evidence.
 
@@ -155,16 +187,21 @@ def metric_of(
         error: of the declared model.
         use: mask (M,) of the bins that are used.
         per_run: names of the effects that every log has at a size of its own.
+        robust_to_outliers: whether entries lose weight by what no candidate explains of them.
     """
     data, layout, limbs = design(known), known.layout, cases[0].robot.limbs
     floor = noise_of(error, layout)
+    unknown, floor = np.isnan(floor), np.nan_to_num(floor, nan=1e-12)
     robust = robust_weights(data, floor)
+    if not robust_to_outliers:
+        robust = replace(robust, weight=data.there.astype(float), sigma=floor)
     # What exceeds the floor is no white noise.
     excess = np.maximum(robust.sigma**2 - floor**2, 0.0) * robust.alike
     sigma = np.sqrt(floor**2 + excess)
     weight = robust.weight * use[:, None] * interpolation_weights(cases, known, sigma)
     root = np.zeros_like(weight)
-    root[:, layout.fitted] = np.sqrt(weight[:, layout.fitted]) / sigma[layout.fitted]
+    used = layout.fitted[~unknown[layout.fitted]]
+    root[:, used] = np.sqrt(weight[:, used]) / sigma[used]
     shared = [i for i, key in enumerate(error.keys) if key in known.keys and key[0] not in per_run]
     terms = [known.keys.index(error.keys[i]) for i in shared]
     own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
@@ -188,13 +225,19 @@ def metric_of(
 
 
 def noise_of(error: ModelError, layout: Layout) -> np.ndarray:
-    """Noise (W,) of the columns, by a model's error."""
-    kinds = [
+    """Noise (W,) of the columns, by a model's error; NaN of those that it is not known of."""
+    every = groups_of(layout, np.ones(layout.width, dtype=bool))
+    return np.array([error.noise.get(group, np.nan) for group in every])
+
+
+def groups_of(layout: Layout, which: np.ndarray) -> list[tuple[str, str]]:
+    """Channel and kind of the columns of a mask (W,), which have one noise."""
+    return [
         (name, layout.columns[c].kind)
         for name, at in layout.channels.items()
         for c in range(at.start, at.stop)
+        if which[c]
     ]
-    return np.array([error.noise.get(kind, 1e-12) for kind in kinds])
 
 
 def interpolation_weights(

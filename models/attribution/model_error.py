@@ -24,6 +24,7 @@ from surefoot.models.attribution.evidence import (
     Key,
     LogUnderModel,
     all_keys,
+    joined_regressor,
     linearise,
     wrt_columns,
 )
@@ -69,13 +70,15 @@ _START = (1.0, 0.02, 0.3)
 """Initial a, b, and noise relative to the residual."""
 _ROUNDS = 100
 """Most rounds of the expectation maximisation."""
+_NEARLY = 0.02
+"""The same for simulated walks, which hardly differ: b is then too large rather than too small."""
 _FEWEST = 4
 """Fewest rounds: the noise settles first."""
 _AHEAD = 3.0
-"""Multiple of the step of b, which converges slowly (over-relaxation)."""
+"""Multiple of the step of b where it converges slowly (over-relaxation)."""
 _LEAST = 1e-9
 """Share of a group's squared residual below which what is left is rounding."""
-_SETTLED = 0.02
+_SETTLED = 3e-3
 """Relative change of a and b in a round at which it has converged."""
 
 
@@ -159,20 +162,40 @@ class RunEvidence:
 
 def run_evidence(case: LogUnderModel, effects: Sequence[Effect] = ()) -> RunEvidence:
     """Evidence of one run with `effects` compensated, and all candidates."""
-    limbs = case.robot.limbs
-    known = linearise([case], effects, all_keys(case), evaluation_channels=False)
-    if not case.fixed:
-        least = data_sheet_noise(case.log.rate, known.layout)
-        return RunEvidence(case, known, robust_weights(design(known), least).weight, {})
-    if case.log.has("dq") and case.log.has("tau"):
-        errors = angle_errors(case.log, limbs)
-        more = wrt_columns(case, effects, lambda log: [*errors.values()])
-        known = replace(known, keys=(*known.keys, *errors), X=(*known.X, *more))
+    known, (rates,) = evidence_of([case], effects)
+    if case.fixed:
+        return RunEvidence(case, known, np.isfinite(known.table).astype(float), rates)
+    least = data_sheet_noise(case.log.rate, known.layout)
+    return RunEvidence(case, known, robust_weights(design(known), least).weight, rates)
+
+
+def evidence_of(
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
+) -> tuple[Evidence, list[dict[str, float]]]:
+    """Evidence of runs with `effects` compensated and all candidates, on a fixed base averaged over
+    windows and with `angle_errors`; and the `rates` of each run (`RunSums`).
+    """
+    first = cases[0]
+    known = linearise(cases, effects, all_keys(first), evaluation_channels=False)
+    if not first.fixed:
+        return known, [{} for _ in cases]
+    if first.log.has("dq") and first.log.has("tau"):
+        limbs, starts = first.robot.limbs, np.searchsorted(known.log, np.arange(len(cases) + 1))
+        names = tuple(angle_errors(first.log, limbs))
+        more = [
+            wrt_columns(case, effects, lambda log: [*angle_errors(log, limbs).values()])
+            for case in cases
+        ]
+        X = tuple(joined_regressor(list(parts), starts) for parts in zip(*more, strict=True))
+        known = replace(known, keys=(*known.keys, *names), X=(*known.X, *X))
     known = averaged(known, windows(known))
-    of_rates = known.layout.of("joint_rate")
-    apart = np.nanmax(np.abs(known.table[:, of_rates]), axis=0, initial=0.0)
-    rates = {known.layout.columns[c].group: float(x) for c, x in zip(of_rates, apart, strict=True)}
-    return RunEvidence(case, known, np.isfinite(known.table).astype(float), rates)
+    of_rates, rates = known.layout.of("joint_rate"), []
+    for run in range(len(cases)):
+        table = known.table[known.log == run][:, of_rates]
+        apart = np.nanmax(np.abs(table), axis=0, initial=0.0)
+        named = zip(of_rates, apart, strict=True)
+        rates.append({known.layout.columns[c].group: float(x) for c, x in named})
+    return known, rates
 
 
 def run_sums(
@@ -220,33 +243,54 @@ def windows(known: Evidence) -> list[np.ndarray]:
 
 
 def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
-    """An evidence whose rows are means over windows (`windows`)."""
+    """An evidence whose rows are means over windows (`windows`), of each column over its values."""
     log = known.log
+    table = known.table
+    mean = [_means(w, table[log == i]) for i, w in enumerate(weights)]
 
-    def mean(one: Regressor) -> Regressor:
-        parts = [w @ one.values[log == i] for i, w in enumerate(weights)]
+    def of(one: Regressor) -> Regressor:
+        parts = [
+            np.column_stack(
+                [each[c] @ one.values[log == i][:, n] for n, c in enumerate(one.columns)]
+            )
+            if len(one.columns)
+            else np.zeros((len(weights[i]), 0))
+            for i, each in enumerate(mean)
+        ]
         return Regressor(one.columns, np.concatenate(parts))
 
     return replace(
         known,
         t=np.concatenate([w @ known.t[log == i] for i, w in enumerate(weights)]),
         log=np.repeat(np.arange(len(weights)), [len(w) for w in weights]),
-        table=means(weights, log, known.table),
-        X=tuple(mean(one) for one in known.X),
-        Z=tuple(mean(one) for one in known.Z),
+        table=means(weights, log, table),
+        X=tuple(of(one) for one in known.X),
+        Z=tuple(of(one) for one in known.Z),
     )
 
 
 def means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Means of a table (M, W) over the windows of each log; NaN in those that are not known
-    throughout.
+    """Means of the columns of a table (M, W) over the windows of each log; NaN where a column has
+    values for less than half of a window.
     """
     out = []
     for i, w in enumerate(weights):
         own = table[log == i]
-        partly = (w > 0.0).astype(float) @ np.isnan(own)
-        out.append(np.where(partly > 0.0, np.nan, w @ np.nan_to_num(own)))
+        columns = [each @ np.nan_to_num(x) for each, x in zip(_means(w, own), own.T, strict=True)]
+        there = np.array([w @ np.isfinite(x) >= 0.5 for x in own.T]).T
+        out.append(
+            np.where(there.reshape(len(w), -1), np.array(columns).T.reshape(len(w), -1), np.nan)
+        )
     return np.concatenate(out)
+
+
+def _means(weights: np.ndarray, table: np.ndarray) -> list[np.ndarray]:
+    """For each column of a table (M, W), weights (N, M) of the mean over its values."""
+    out, whole = [], np.isfinite(table).all(axis=0)
+    for column, every in zip(table.T, whole, strict=True):
+        own = weights if every else weights * np.isfinite(column)
+        out.append(own if every else own / np.maximum(own.sum(axis=1, keepdims=True), 1e-12))
+    return out
 
 
 def window_weights(t: np.ndarray) -> np.ndarray:
@@ -296,16 +340,24 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         for key, one in zip(keys, strength, strict=True)
         if _is_term(key, runs[0].no_terms | runs[0].per_run, limbs) and one > NOTHING
     ]
-    # No term is larger than the same effect of a machine.
-    most = np.array([plausible_size(*key, limbs) / 1.96 for key in terms])
-    D = 1.0 / (strength[[keys.index(key) for key in terms]] + most**-2.0)
+    D = 1.0 / strength[[keys.index(key) for key in terms]]
+    simulated = runs[0].no_terms == EXACT
+    if simulated:
+        # Nothing that a walk of the model seems to lack is larger than what machines lack.
+        most = np.array([plausible_size(*key, limbs) / 1.96 for key in terms])
+        D = 1.0 / (1.0 / D + most**-2.0)
     parts = [_Part.of(run, terms, limbs) for run in runs]
     a, b, noise = _START[0], _START[1], _START[2] * scale
+    before = np.inf
     for round_ in range(_ROUNDS):
         posterior = _posterior(parts, (a, b, noise), D)
-        step = np.log([posterior.a / a, posterior.b / b])
-        settled = np.abs(step).max() < _SETTLED and round_ >= _FEWEST
-        a, b, noise = posterior.a, b * np.exp(np.clip(_AHEAD * step[1], -1.0, 1.0)), posterior.noise
+        new_a = min(posterior.a, 1.0) if simulated else posterior.a
+        step = np.log([new_a / a, posterior.b / b])
+        settled = np.abs(step).max() < (_NEARLY if simulated else _SETTLED) and round_ >= _FEWEST
+        a = min(posterior.a, 1.0) if simulated else posterior.a
+        slow = 0.5 < step[1] / before < 1.5
+        b, noise = b * np.exp((_AHEAD if slow else 1.0) * step[1]), posterior.noise
+        before = step[1]
         if runs[0].least is not None:
             noise = np.maximum(noise, runs[0].least)
         if settled:
@@ -389,7 +441,7 @@ def _posterior(
     return _Posterior(
         mean=mean,
         covariance=covariance,
-        a=min(float(np.sqrt(np.mean((mean**2 + np.diag(covariance)) / D))), 1.0),
+        a=float(np.sqrt(np.mean((mean**2 + np.diag(covariance)) / D))),
         b=float(np.sqrt(between / (C * len(runs)))),
         noise=np.sqrt(np.maximum(square, _LEAST * total) / sum(run.count for run in runs)),
     )
@@ -430,48 +482,6 @@ def _about_mean(run: RunSums, known: ModelError) -> np.ndarray:
 def _unchanged_precision(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarray:
     """Prior precision of the terms about their mean and of what belongs to the run."""
     return block_diag(np.linalg.inv(known.covariance), np.diag(own_precision(run, limbs)))
-
-
-@dataclass(frozen=True)
-class RunResidual:
-    """Residual of a run before and after what is known is compensated.
-
-    Attributes:
-        before: group -> root mean square with only zeros and biases fitted.
-        after: the same with the model's error and the effects found as well.
-        zeros: key -> zero or bias of the run, and its standard deviation.
-    """
-
-    before: dict[tuple[str, str], float]
-    after: dict[tuple[str, str], float]
-    zeros: dict[Key, tuple[float, float]]
-
-
-def run_residual(
-    run: RunSums, known: ModelError, limbs: Limbs, sizes: Mapping[Key, float]
-) -> RunResidual:
-    """Residual of a run, and of it with effects of these sizes."""
-    own, terms = own_places(run), run.places(known.keys)
-    found = np.zeros(run.sums.shape[1])
-    found[0], found[run.places([*sizes])] = 1.0, -np.array([*sizes.values()])
-    plain = np.eye(len(found))[0]
-    whitened = run.whitened(np.array([known.noise[group] for group in run.groups]))
-    inner = whitened[np.ix_(own, own)] + np.diag(own_precision(run, limbs))
-    plain[own] = -np.linalg.solve(inner, whitened[own, 0])
-    use, about = [*terms, *own], _about_mean(run, known)
-    covariance = np.linalg.inv(about[np.ix_(use, use)] + _unchanged_precision(run, known, limbs))
-    fitted = covariance @ about[use] @ found
-    found[use] -= fitted
-    found[terms] -= known.mean
-    zeros = [key for key in run.keys if key[0] in run.per_run]
-    at = slice(len(terms), len(terms) + len(zeros))
-    sized = zip(fitted[at], np.sqrt(np.diag(covariance)[at]), strict=True)
-
-    def levels(vector: np.ndarray) -> dict[tuple[str, str], float]:
-        square = np.maximum(run.sums @ vector @ vector, 0.0) / run.count
-        return dict(zip(run.groups, np.sqrt(square).tolist(), strict=True))
-
-    return RunResidual(levels(plain), levels(found), dict(zip(zeros, sized, strict=True)))
 
 
 def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> ModelError:

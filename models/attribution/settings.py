@@ -19,6 +19,8 @@ class TraceSettings:
     """Gap between these blocks [s], longer than residuals are correlated."""
     fewest_split_blocks: int = 9
     """Minimum number of blocks per log; in a short log, blocks and gaps are shortened."""
+    shortest_fixed_block: float = 1.5
+    """Minimum length of these blocks of a machine on a fixed base [s]: some swings."""
     shortest_part: float = 0.5
     """Minimum length of a part of the split [s], in residuals with a reference."""
     shortest_log: float = 11.5

@@ -21,9 +21,12 @@ def split_of(cases: Sequence[LogUnderModel]) -> Split:
     fits, reports = [], []
     for case in cases:
         s, t = case.settings, case.motion.t - case.motion.t[0]
-        length = min(s.split_block, t[-1] / s.fewest_split_blocks) if len(t) > 1 else s.split_block
-        block, gap = np.floor(t / length).astype(int), s.split_gap * length / s.split_block
-        inside = t - length * block >= gap
-        fits.append((block % 3 != 2) & inside)
-        reports.append((block % 3 == 2) & inside)
+        block = min(s.split_block, t[-1] / s.fewest_split_blocks)
+        if case.fixed:
+            # Long enough for some windows over which torques are averaged.
+            block = min(max(block, s.shortest_fixed_block), t[-1] / 3.0)
+        block = max(block, 1e-9)
+        phase, gap = np.mod(t, 3.0 * block), s.split_gap * block / s.split_block
+        fits.append((phase >= gap) & (phase < 2.0 * block))
+        reports.append(phase >= 2.0 * block + gap)
     return Split(np.concatenate(fits), np.concatenate(reports))

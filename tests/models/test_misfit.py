@@ -8,8 +8,9 @@ import pytest
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.models.attribution.angle_error import angle_error_basis, angle_errors
 from surefoot.models.attribution.evidence import log_under_model
-from surefoot.models.attribution.noise_floor import noise_floor
-from surefoot.models.attribution.search import attribute
+from surefoot.models.attribution.explain import explain, problem_of
+from surefoot.models.attribution.noise_floor import noise_floor, noise_floor_with
+from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.attribution.split import split_of
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -23,9 +24,12 @@ COURSE = Scenario("there", (Segment(10.0, 0.5, turn=0.3), Segment(10.0, 0.6)), G
 
 def found(one):
     case = log_under_model(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
-    split, rng = split_of([case]), np.random.default_rng(0)
-    result = attribute([case], noise_floor([case]), split, rng)
-    return result, angle_errors([case], result, split, rng)
+    floor = noise_floor([case])
+    problem = problem_of([case], split_of([case]).fit, several=False)
+    result = explain(
+        problem, lambda effects: noise_floor_with(floor, effects).error, lambda *_: None
+    )
+    return result, angle_errors(result, [case], DEFAULT)
 
 
 @pytest.mark.long

@@ -18,7 +18,6 @@ from surefoot.models.attribution.model_error import (
     model_error_from_dict,
     own_precision,
     run_evidence,
-    run_residual,
     run_sums,
     window_weights,
 )
@@ -111,18 +110,6 @@ def test_it_is_the_same_after_json(known):
     for damage in ({"covariance": [[-1.0], [0.0, 1.0]]}, {"noise": [{}]}, {"terms": 3}):
         with pytest.raises((KeyError, TypeError, ValueError)):
             model_error_from_dict(said | damage)
-
-
-def test_zeros_and_the_change_leave_only_noise(known):
-    """Before, the mean error of the model is in the residual."""
-    rng = np.random.default_rng(2)
-    rows = rows_of(rng, (0.0, 0.0), (0.3, 0.05))
-    rows[..., 0] += 2.0 * rows[..., 1]
-    left = run_residual(sums_of(rows), known, LIMBS, {KEYS[0]: 2.0})
-    assert left.before[GROUPS[0]] > 2.0
-    assert list(left.after.values()) == pytest.approx([0.3, 0.05], rel=0.25)
-    value, error = left.zeros[KEYS[2]]
-    assert abs(value - 0.02) < 3.0 * error
 
 
 def test_windows_are_zero_at_their_ends_and_none_is_over_a_gap():

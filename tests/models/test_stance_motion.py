@@ -1,14 +1,12 @@
 """What stances say of legs, against a slow version, and how noise of real legs counts."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from known_evidence import QUADRUPED
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.attribution.robust_weights import correlated_entries
 from surefoot.models.residuals.binning import BIN, at_rows, reference_motion
 from surefoot.models.residuals.stance_motion import (
@@ -105,12 +103,3 @@ def test_entries_that_resemble_their_neighbours_are_worth_fewer(share, worth):
     for k in range(1, len(z)):
         z[k] = share * z[k - 1] + np.sqrt(1 - share**2) * z[k]
     assert_allclose(correlated_entries(QUADRUPED, z), worth, rtol=0.2)
-
-
-def test_only_the_floor_own_noise_counts_as_what_contacts_fake():
-    faked = SimpleNamespace(variance_inflation=np.full(2, 100.0))
-    floor = NoiseFloor(np.array([1.0, 1.0]), (faked,), "")  # type: ignore[arg-type]
-    alike = np.array([4.0, 4.0])
-    assert_allclose(
-        floor.effective_noise(np.array([1.0, 20.0]), alike) ** 2, [100.0, 100 + 399 * 4.0]
-    )

@@ -1,17 +1,12 @@
 """The verdict's rules, on made-up levels."""
 
-from dataclasses import replace
-
 import pytest
 
 from surefoot.models.attribution.found import Found
-from surefoot.models.attribution.held_out import HeldOutRuns
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.outside_forces import Push
-from surefoot.models.attribution.search import _is_insignificant
-from surefoot.models.attribution.verdict import Findings, verdict_of
+from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
 from surefoot.sim.effects import effect
-from surefoot.sim.robot.limbs import QUADRUPED
 
 CALF = Found(effect("link_length", "FL_calf", 0.004), (0.003, 0.005))
 PUSH = Push(log=0, begin=4.0, end=5.0, force=21.0)
@@ -94,15 +89,3 @@ def test_outside_forces_are_no_effect_of_the_robot(found, away, name):
         assert reasons[-1] == "outside forces of up to 21 N from 4.0 to 5.0 s of run 1"
     if away:
         assert reasons[0] == "link_length FL_calf: explains nothing but outside forces"
-
-
-def test_what_every_machine_has_is_left_out_only_where_its_size_is_unknown():
-    late = effect("contact_delay", "liftoff", 0.0145)
-    unsure, sure = Found(late, (-0.0002, 0.029)), Found(late, (0.001, 0.028))
-    assert _is_insignificant(unsure, QUADRUPED, certain=False)
-    assert not _is_insignificant(unsure, QUADRUPED, certain=True)
-    unknown = Found(replace(late, value=0.002), (-0.012, 0.016))
-    assert _is_insignificant(unknown, QUADRUPED, certain=True)
-    assert not _is_insignificant(sure, QUADRUPED, certain=False)
-    least = effect("contact_delay", "liftoff", type(late).interior_bounds("liftoff")[0])
-    assert _is_insignificant(Found(least, (0.001, 0.002)), QUADRUPED, certain=True)
