@@ -26,7 +26,7 @@ from surefoot.models.attribution.explain import (
     problem_of,
     zeros_beside,
 )
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.found import Found, in_order
 from surefoot.models.attribution.friction import (
     FootFriction,
     estimate_friction,
@@ -105,8 +105,8 @@ class Diagnosis:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects found, strongest first."""
-        return tuple(one.effect for one in self.found)
+        """The effects found, in the order in which they are compensated."""
+        return in_order([one.effect for one in self.found])
 
     def as_dict(self) -> dict[str, Any]:
         """The result as plain JSON types, independent of the logs' names and metadata."""
@@ -217,7 +217,7 @@ def diagnose(
         slip = slides
     lags = _sampling_lags(result.found, cases)
     found = (*(f for f in result.found if f not in lags), *slip)
-    effects = [one.effect for one in found]
+    effects = in_order([one.effect for one in found])
     runs = _with_lags(result.runs, lags)
     # Residuals before and after, and where outside forces act, which is left out of the verdict.
     sides = _residuals([run.case for run in runs], effects, result.metric, floors.last, split.fit)
@@ -377,19 +377,13 @@ def _residuals(
     before, after = linearise(cases, (), ()), linearise(cases, effects, ())
     weights = metric.robust
     there = np.isfinite(after.table)
-    if cases[0].fixed:
-        # The metric is of means over windows.
-        weights = replace(
-            weights, sigma=floor.sigma, weight=there.astype(float), masked=np.zeros((len(there), 0))
-        )
-    else:
-        # No fit uses the channels that are only evaluated.
-        weight, masked = weights.weight.copy(), weights.masked
-        for c in np.setdiff1d(np.arange(after.layout.width), after.layout.fitted):
-            leg = after.layout.columns[c].leg
-            off = masked.any(axis=1) if leg is None else masked[:, leg]
-            weight[:, c] = there[:, c] & ~(off & bool(after.layout.masked_by[c]))
-        weights = replace(weights, weight=weight)
+    # No fit uses the channels that are only evaluated.
+    weight, masked = weights.weight.copy(), weights.masked
+    for c in np.setdiff1d(np.arange(after.layout.width), after.layout.fitted):
+        leg = after.layout.columns[c].leg
+        off = masked.any(axis=1) if leg is None else masked[:, leg]
+        weight[:, c] = there[:, c] & ~(off & bool(after.layout.masked_by[c]))
+    weights = replace(weights, weight=weight)
     left, plain = (
         without_nuisance(one, weights.sigma, weights.weight, use) for one in (after, before)
     )
@@ -564,7 +558,9 @@ def logs_under_model(
     robot = _with_declared(robot, declared)
     return [
         log_under_model(
-            *compensate_all(declared, readings(log, settings, robot.limbs.feet_alone), robot),
+            *compensate_all(
+                in_order(declared), readings(log, settings, robot.limbs.feet_alone), robot
+            ),
             settings,
         )
         for log in logs

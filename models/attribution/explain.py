@@ -7,7 +7,7 @@ residual and compared there, until none earns its place (MacKay, Neural Computat
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 
@@ -23,9 +23,10 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
-from surefoot.models.attribution.found import Found, with_clipped_size
+from surefoot.models.attribution.found import Found, in_order, with_clipped_size
 from surefoot.models.attribution.metric import Metric, metric_of
-from surefoot.models.attribution.model_error import ModelError, averaged, windows
+from surefoot.models.attribution.model_error import ModelError
+from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.priors import plausible_size, prior_penalty
 from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
 from surefoot.models.attribution.sticking import sticks
@@ -59,8 +60,12 @@ SETTLED = 0.02
 """Standard deviations by which sizes move once they have settled."""
 MOVED = 0.1
 """Relative change of a size from which derivatives are computed again."""
-SHIFTS = ("joint_delay", "rate_delay", "torque_delay", "imu_delay", "reference_delay")
+SHIFTS = ("joint_delay", "rate_delay", "torque_delay", "imu_delay")
 """Effects that are undone by interpolation of noisy streams."""
+INEXACT = 1e-4
+"""Share of the squared residual that effects of the body explain which their models leave: 1 % of
+its amplitude.
+"""
 EXACT = 1e-3
 """Share of an effect's plausible size to which any model is exact."""
 ZERO_MOVED = 4.0
@@ -214,6 +219,10 @@ class Chosen:
         """The same by noise alone."""
         return self._covariance(None)
 
+    def at(self, keys: Sequence[Key]) -> list[int]:
+        """Places of these effects (k,)."""
+        return [self.keys.index(key) for key in keys]
+
     @property
     def deviations(self) -> np.ndarray:
         """Standard deviations of the sizes (k,)."""
@@ -343,6 +352,8 @@ class _State:
         effects: that are compensated.
         error: of the model with the effects.
         metric: linearised at the effects.
+        explained: squared residual of each channel (channels,) that effects of the body explain, in
+            units of the noise.
     """
 
     declared: Sequence[LogUnderModel]
@@ -352,6 +363,7 @@ class _State:
     effects: tuple[Effect, ...]
     error: ModelError
     metric: Metric
+    explained: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
     @staticmethod
     def of(problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError]) -> "_State":
@@ -365,7 +377,7 @@ class _State:
         error = self.error_of(effects)
         # Other effects change the derivatives with respect to all candidates.
         same = {(e.name, e.target) for e in effects} <= {(e.name, e.target) for e in self.effects}
-        before = self.metric.known if same and not self.problem.cases[0].fixed else None
+        before = self.metric.known if same else None
         metric = _metric(self.problem, effects, before, error)
         return replace(self, effects=tuple(effects), error=error, metric=metric)
 
@@ -399,6 +411,7 @@ class _State:
                 sizes**2 / variance - sizes**2 / (variance + prior) - np.log1p(prior / variance)
             )
             evidence = np.where(np.isfinite(variance), evidence, -np.inf) - self.problem.price[at]
+            evidence -= INEXACT * np.sum(self.metric.shares[at] * self.explained, axis=-1)
             excess = np.abs(sizes) / np.sqrt(variance)
         least = self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
         kinds, limbs = known_effects(), self.problem.limbs
@@ -414,18 +427,15 @@ def _metric(
 ) -> Metric:
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    use = problem.use
-    if problem.cases[0].fixed:
-        weights = windows(known)
-        use = np.concatenate([one @ use[known.log == i] for i, one in enumerate(weights)]) > 0.999
-        known = averaged(_moving(problem, known, effects), weights)
-    return metric_of(problem.cases, known, error, use, problem.per_run)
+    known = replace(known, table=_moving(problem, known, effects, known.table))
+    return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 
 
-def _moving(problem: Problem, known: Evidence, effects: Sequence[Effect]) -> Evidence:
-    """An evidence of machines on a fixed base without the entries in which a joint may stick."""
-    still = sticks(problem.cases, effects, known.layout)
-    return replace(known, table=np.where(still, np.nan, known.table))
+def _moving(
+    problem: Problem, known: Evidence, effects: Sequence[Effect], table: np.ndarray
+) -> np.ndarray:
+    """A table (M, W) without the entries in which a joint of a fixed base may stick."""
+    return np.where(sticks(problem.cases, effects, known.layout), np.nan, table)
 
 
 def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
@@ -435,11 +445,25 @@ def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
             state = state.at(effects)
         state = _with_zeros(state, effects)
         chosen = _refined(state, effects)
+        state = replace(state, explained=_explained_by_body(state, chosen))
         earned = state.earned(chosen.keys, chosen.sizes, chosen.deviations)
         worst = int(np.argmin(earned)) if len(earned) else -1
         if worst < 0 or earned[worst] > 0.0:
             return state, chosen
         effects = (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
+
+
+def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
+    """Squared residual of each channel (channels,) that those of the effects explain which a model
+    compensates only approximately.
+    """
+    exact = [one for one in chosen.effects if not is_compensated_approximately(one)]
+    if len(exact) == len(chosen.effects):
+        return np.zeros(1)
+    cases = state.problem.cases
+    without = np.concatenate([table_of(case, exact, evaluation_channels=False) for case in cases])
+    square = state.metric.squares
+    return np.maximum(square(without) - square(chosen.table), 0.0)
 
 
 def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
@@ -460,8 +484,11 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
         for known, fitted in zip(state.zeros, state.metric.zeros(keys), strict=True):
             sizes = {(e.name, e.target): e.value for e in known}
             for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
-                if abs(size) > ZERO_MOVED * np.hypot(deviation, more):
+                least = ZERO_MOVED * np.hypot(deviation, more)
+                if abs(size) > least:
                     sizes[key] = sizes.get(key, 0.0) + size
+                if abs(sizes.get(key, 0.0)) <= least:
+                    sizes.pop(key, None)
             zeros.append(
                 tuple(
                     with_clipped_size(effect(*k, 0.0), x, problem.limbs) for k, x in sizes.items()
@@ -482,11 +509,11 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
 def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
     """Refine the sizes of effects on the true residual, by Gauss-Newton steps."""
     problem, metric, limbs = state.problem, state.metric, state.problem.limbs
-    effects = tuple(with_clipped_size(one, one.value, limbs) for one in start)
+    effects = in_order([with_clipped_size(one, one.value, limbs) for one in start])
     keys = [(one.name, one.target) for one in effects]
-    precision, fixed = problem.prior[problem.at(keys)] ** -2.0, problem.cases[0].fixed
+    precision = problem.prior[problem.at(keys)] ** -2.0
     # Size at which each derivative was taken, and the derivative.
-    known = {(e.name, e.target): e.value for e in state.effects if not fixed}
+    known = {(e.name, e.target): e.value for e in state.effects}
     derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
     best = None
     for _ in range(STEPS):
@@ -495,11 +522,8 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
             for key, one in zip(keys, effects, strict=True)
             if key not in derived or abs(derived[key][0] - one.value) > MOVED * abs(one.value)
         ]
-        if stale or fixed:
+        if stale or best is None:
             evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
-            if fixed:
-                evidence = _moving(problem, evidence, state.effects)
-                evidence = averaged(evidence, windows(evidence))
             table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
             derived |= {
                 key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
@@ -507,6 +531,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         else:
             tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
             table = np.concatenate(tables)
+        table = _moving(problem, metric.known, state.effects, table)
         X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
         S = metric.products(table, X, keys)
         A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)
@@ -582,8 +607,8 @@ def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
         ]
         one = _refined(state, [*chosen.effects, *new])
         gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
-        sized, deviations = one.sizes[-len(keys) :], one.deviations[-len(keys) :]
-        if gained > 0.0 and np.all(state.earned(keys, sized, deviations) > 0.0):
+        at = one.at(keys)
+        if gained > 0.0 and np.all(state.earned(keys, one.sizes[at], one.deviations[at]) > 0.0):
             tried.append((gained, one))
     return max(tried, key=lambda pair: pair[0])[1] if tried else None
 

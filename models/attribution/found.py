@@ -1,5 +1,6 @@
 """An effect found by a trace, with its confidence interval."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,13 @@ class Found:
 
     effect: Effect
     interval: tuple[float, float]
+
+
+def in_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects in the order in which they are compensated: errors of sensors before those of the
+    body, whose sizes are in true units.
+    """
+    return tuple(sorted(effects, key=lambda one: type(one).edit_spec is not Effect.edit_spec))
 
 
 def with_clipped_size(one: Effect, value: float, limbs: Limbs) -> Effect:

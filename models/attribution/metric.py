@@ -63,6 +63,26 @@ class Metric:
         return np.array([used[one.columns].sum() for one in self.known.X], float)
 
     @cached_property
+    def shares(self) -> np.ndarray:
+        """Share of each channel in the squared norm of each candidate (C, channels)."""
+        square = self.root**2
+        energy = np.zeros((len(self.known.X), self.known.layout.width))
+        for place, one in enumerate(self.known.X):
+            energy[place, one.columns] = np.sum(square[:, one.columns] * one.values**2, axis=0)
+        by_channel = self.by_channel(energy)
+        return by_channel / np.maximum(by_channel.sum(axis=1, keepdims=True), 1e-300)
+
+    def by_channel(self, of_columns: np.ndarray) -> np.ndarray:
+        """Sums (..., channels) of values (..., W) of the columns of each channel."""
+        slices = self.known.layout.channels.values()
+        return np.stack([of_columns[..., one].sum(axis=-1) for one in slices], axis=-1)
+
+    def squares(self, table: np.ndarray) -> np.ndarray:
+        """Squared residual of each channel (channels,) in units of the noise, of a table (M, W)."""
+        y = np.where(self.root > 0.0, np.nan_to_num(table) - self.expected, 0.0)
+        return self.by_channel(np.sum((self.root * y) ** 2, axis=0))
+
+    @cached_property
     def grams(self) -> list[np.ndarray]:
         """Products (1 + C + B, 1 + C + B) of residual, candidates and nuisance parameters of each
         log, in units of the noise.
@@ -95,10 +115,15 @@ class Metric:
         beside effects of given sizes (C,).
         """
         which = [list(self.places).index(self.known.keys.index(key)) for key in keys]
-        return [
-            [(float(fitted[i]), float(np.sqrt(inverse[i, i]))) for i in which]
-            for fitted, inverse in zip(self._fitted(sizes), self._inverses, strict=True)
-        ]
+        prior, out = np.diag(self.precision), []
+        for fitted, inverse in zip(self._fitted(sizes), self._inverses, strict=True):
+            # By the log alone, without the prior.
+            both = 1.0 / np.diag(inverse)
+            alone = np.maximum(both - prior, 1e-12 * both)
+            out.append(
+                [(float(fitted[i] * both[i] / alone[i]), float(alone[i] ** -0.5)) for i in which]
+            )
+        return out
 
     def belongs_to_log(self, key: Key) -> bool:
         """Whether each log has this candidate at a size of its own."""

@@ -25,10 +25,8 @@ from surefoot.models.attribution.model_error import (
     ModelError,
     RunEvidence,
     RunSums,
-    means,
     model_error,
     run_sums,
-    window_weights,
 )
 from surefoot.models.attribution.reference_sampling import (
     ReferenceSampling,
@@ -36,12 +34,7 @@ from surefoot.models.attribution.reference_sampling import (
     resample_reference,
 )
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.sensor_noise import (
-    apparent_sizes,
-    data_sheet_noise,
-    noise_again,
-    noise_level,
-)
+from surefoot.models.attribution.sensor_noise import apparent_sizes, data_sheet_noise, reading_noise
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
@@ -278,7 +271,7 @@ def _floor_of_readings(
 ) -> NoiseFloor:
     """The floor by the noise of the readings, with the effects compensated."""
     layout = layout_for(cases[0].robot.limbs)
-    sigma, change = _of_readings(cases, effects)
+    sigma = _of_readings(cases, effects)
     if cases[0].by_feet:
         sizes = np.array([*POINT_FEET_SIZES.values()])
         error = _no_error(sigma, layout)
@@ -286,10 +279,7 @@ def _floor_of_readings(
             error, keys=tuple(POINT_FEET_SIZES), mean=0.0 * sizes, covariance=np.diag(sizes**2)
         )
         return NoiseFloor(sigma, (), source, error, readings=tuple(cases), levels=POINT_FEET_LEVELS)
-    log = np.repeat(np.arange(len(cases)), [len(one) for one in change])
-    weights = [window_weights(case.motion.t) for case in cases]
-    level = noise_level([means(weights, log, np.concatenate(change))])
-    error = _no_error(np.maximum(level, _least_noise(layout)), layout)
+    error = _no_error(sigma, layout)
     known = apparent_sizes(cases, sigma)
     seen = {key: size for key, size in known.items() if size}
     sizes = np.array([*seen.values()])
@@ -298,17 +288,15 @@ def _floor_of_readings(
     return NoiseFloor(sigma, (), source, error, readings=tuple(cases))
 
 
-def _of_readings(
-    cases: Sequence[LogUnderModel], effects: Sequence[Effect]
-) -> tuple[np.ndarray, list[np.ndarray]]:
+def _of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> np.ndarray:
     """Noise (W,) of a bin from that of the readings, with the effects compensated, and from uneven
-    ground; and how as much noise again changes the residual of each case (M, W).
+    ground.
     """
-    layout, change = layout_for(cases[0].robot.limbs), noise_again(cases, effects)
-    sigma = np.maximum(noise_level(change), _least_noise(layout))
+    layout = layout_for(cases[0].robot.limbs)
+    sigma = np.maximum(reading_noise(cases, effects), _least_noise(layout))
     heights = layout.of("foot_height")
     sigma[heights] = np.hypot(sigma[heights], _evenness(cases))
-    return sigma, change
+    return sigma
 
 
 def _evenness(cases: Sequence[LogUnderModel]) -> float:

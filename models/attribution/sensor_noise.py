@@ -27,18 +27,16 @@ def data_sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.n
     return sigma
 
 
-def noise_again(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> list[np.ndarray]:
-    """Change of each case's residual (M, W) by as much noise as the readings have, added to them
-    again, with the effects compensated.
+def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
+    """Standard deviation (W,) of a bin's residual from the noise of the readings.
+
+    As much noise again is added to the readings, and its effect on the residual measured, with the
+    effects compensated.
     """
     rng = np.random.default_rng(cases[0].settings.reading_seed)
-    return [
+    change = [
         table_of(_with_more_noise(case, rng), effects) - table_of(case, effects) for case in cases
     ]
-
-
-def noise_level(change: Sequence[np.ndarray]) -> np.ndarray:
-    """Root mean square (W,) of changes of residuals (M, W)."""
     square = np.concatenate(change) ** 2
     count = np.maximum(np.isfinite(square).sum(axis=0), 1)
     return np.maximum(np.sqrt(np.nansum(square, axis=0) / count), 1e-9)
@@ -53,7 +51,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
 
     Args:
         cases: the logs under the declared model.
-        sigma: noise of each column (W,), by `noise_again`.
+        sigma: noise of each column (W,), by `reading_noise`.
     """
     by_load = {name for name, kind in known_effects().items() if kind.uses_loads}
     keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))

@@ -84,7 +84,10 @@ def test_a_command_delay_is_measured_below_a_row_too(late):
 def size_of(case, evidence):
     """Size of the only candidate of an evidence."""
     every = np.ones(len(evidence.t), dtype=bool)
-    S = metric_of([case], evidence, noise_floor([case]).error, every).S
+    error = replace(
+        noise_floor([case]).error, keys=(), mean=np.zeros(0), covariance=np.zeros((0, 0))
+    )
+    S = metric_of([case], evidence, error, every).S
     return S[1, 0] / S[1, 1]
 
 

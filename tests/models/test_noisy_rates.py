@@ -6,7 +6,7 @@ import pytest
 from pendulum import swung
 
 from surefoot.models.attribution.evidence import _Linear, all_keys, log_under_model, table_of
-from surefoot.models.attribution.sensor_noise import noise_again, noise_level
+from surefoot.models.attribution.sensor_noise import reading_noise
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log, Meta
@@ -56,6 +56,5 @@ def test_the_floor_of_readings_is_what_their_noise_leaves():
     """An encoder's rounding stays for a whole bin only where the joint hardly moves."""
     case = log_under_model(swung(), PENDULUM)
     left = table_of(case, ())[:, layout_for(PENDULUM.limbs).of("joint_torque", "joint_rate")]
-    floor = noise_level(noise_again([case]))
-    floor = floor[layout_for(PENDULUM.limbs).of("joint_torque", "joint_rate")]
+    floor = reading_noise([case])[layout_for(PENDULUM.limbs).of("joint_torque", "joint_rate")]
     np.testing.assert_allclose(floor, np.nanstd(left, axis=0), rtol=0.15)

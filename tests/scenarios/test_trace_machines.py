@@ -7,7 +7,7 @@ from machines import ARM, GANTRY, machine, moved
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.priors import PRIORS, plausible_size
 from surefoot.models.attribution.run_offsets import is_sampling_lag
-from surefoot.models.attribution.sensor_noise import apparent_sizes, noise_again, noise_level
+from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noise
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.effects import effect, known_effects
@@ -35,9 +35,7 @@ def test_the_size_of_a_spring_that_noise_alone_gives_is_known(tmp_path):
     sizes = []
     for noise in (1e-6, 0.3):
         cases = logs_under_model([moved(arm, {"shoulder": 0.5, "elbow": noise})], arm, ())
-        sizes.append(
-            apparent_sizes(cases, noise_level(noise_again(cases)))["leg_compliance", "elbow"]
-        )
+        sizes.append(apparent_sizes(cases, reading_noise(cases))["leg_compliance", "elbow"])
     assert abs(sizes[0]) < 0.01 * sizes[1]
     assert 0.0 < sizes[1] < 1e-3
 
