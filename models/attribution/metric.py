@@ -227,13 +227,17 @@ def metric_of(
     root = np.zeros_like(weight)
     used = layout.fitted[~unknown[layout.fitted]]
     root[:, used] = np.sqrt(weight[:, used]) / sigma[used]
-    shared = [i for i, key in enumerate(error.keys) if key in known.keys and key[0] not in per_run]
+    shared = [i for i, key in enumerate(error.keys) if key in known.keys]
     terms = [known.keys.index(error.keys[i]) for i in shared]
     own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
     free = [i for i, key in enumerate(known.bias_of) if key is None or key[0] not in per_run]
     sizes = np.zeros(data.size)
     sizes[terms] = error.mean[shared]
-    within = [(plausible_size(*known.keys[i], limbs) / 1.96) ** -2.0 for i in own]
+    within = {i: (plausible_size(*known.keys[i], limbs) / 1.96) ** 2 for i in own}
+    covariance = error.covariance[np.ix_(shared, shared)]
+    # What a log has of its own adds to what the model's error seems to be of it.
+    covariance = covariance + np.diag([within.get(i, 0.0) for i in terms])
+    own = [i for i in own if i not in terms]
     return Metric(
         data=data,
         robust=robust,
@@ -241,8 +245,8 @@ def metric_of(
         expected=data.explained(sizes),
         places=np.array([*terms, *own, *(len(known.keys) + i for i in free)], int),
         precision=block_diag(
-            scaled_inverse(error.covariance[np.ix_(shared, shared)]),
-            np.diag(within),
+            scaled_inverse(covariance),
+            np.diag([1.0 / within[i] for i in own]),
             np.diag(nuisance_precision(known)[free]),
         ),
         terms=np.arange(len(terms) + len(own) + len(free)) < len(terms),

@@ -54,6 +54,12 @@ PRIORS: dict[str, Prior] = {
     "rate_delay": Prior(0.04, _LATENCY),
     "torque_delay": Prior(0.04, _LATENCY),
     "command_delay": Prior(0.05, f"{_SOCCER}: 10 to 50 ms"),
+    "reference_delay": Prior(
+        0.05, "no figure found: motion capture over a network, of a few frames at 100 Hz"
+    ),
+    "clock_scale": Prior(
+        5e-3, "no figure found: quartz is within 1e-4, oscillators without it within some per mille"
+    ),
     "encoder_offset": Prior(0.05, f"{_SOCCER}: 2.9 degrees"),
     "encoder_scale": Prior(
         0.025,
