@@ -9,6 +9,8 @@ import numpy as np
 from surefoot.models.attribution.evidence import Evidence
 from surefoot.sim.common.kernels import kernel
 
+TURN_ON_LIMIT = 4.5
+"""Standard deviations of a turn-on bias beyond which it is an effect."""
 FREE = 1e-9
 """Precision of a nuisance parameter without a prior."""
 
@@ -128,7 +130,14 @@ def without_nuisance(
     """
     data = design(evidence.only(()))
     root = np.sqrt(weight * use[:, None]) / sigma
-    G = data.gram(data.y, root, evidence.layout.fitted)
-    sizes = scaled_inverse(G[1:, 1:] + np.diag(nuisance_precision(evidence))) @ G[1:, 0]
+    G, limits = data.gram(data.y, root, evidence.layout.fitted), TURN_ON_LIMIT * evidence.deviations
+    inner = G[1:, 1:] + np.diag(nuisance_precision(evidence))
+    sizes = scaled_inverse(inner) @ G[1:, 0]
+    if (beyond := np.abs(sizes) > limits).any():
+        # What is beyond its limit is for an effect to explain.
+        held, free = np.clip(sizes, -limits, limits)[beyond], ~beyond
+        right = G[1:, 0][free] - inner[np.ix_(free, beyond)] @ held
+        sizes[beyond] = held
+        sizes[free] = scaled_inverse(inner[np.ix_(free, free)]) @ right
     left = np.where(data.there, data.y - data.explained(sizes), np.nan)
     return np.where(weight > 0, left, np.nan)

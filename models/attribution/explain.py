@@ -52,7 +52,7 @@ SINGLES, PAIRS = 3, 1
 """Single candidates and pairs that are refined in each round."""
 NEAR = 0.5
 """Share of the best evidence from which a candidate may turn out better in the refinement."""
-MOST_EFFECTS = 6
+MOST_EFFECTS = 5
 """Most effects of a trace."""
 STEPS = 10
 """Most Gauss-Newton steps of a refinement; noise in a derivative makes each fall short."""
