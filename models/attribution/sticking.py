@@ -13,6 +13,8 @@ from surefoot.sim.log import joint_velocity
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot.limbs import Limbs
 
+DRY = ("coulomb_friction", "load_friction")
+"""Effects that are dry friction."""
 SLOW = 0.5
 """Share of a joint's RMS rate below which it is slow, at most: small slides never reach
 STICTION_RATE.
@@ -52,7 +54,7 @@ def _of_case(case: LogUnderModel, effects: Sequence[Effect], layout: Layout) -> 
 def _with_dry_friction(case: LogUnderModel, effects: Sequence[Effect]) -> set[str]:
     """Names of the joints that have dry friction, by the effects or by the model's file."""
     limbs: Limbs = case.robot.limbs
-    found = {joint for e in effects if e.name == "coulomb_friction" for joint in e.members(limbs)}
+    found = {joint for e in effects if e.name in DRY for joint in e.members(limbs)}
     dynamics = case.robot.dynamics
     if dynamics is None:
         return found
