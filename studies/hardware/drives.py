@@ -47,7 +47,7 @@ RIVALS = {
     "load_friction": "ratio",
     "drag": "N m s^2/rad^2",
 }
-"""Terms outside the catalogue: a mass, a length or an inertia larger by a share, dry friction
+"""Terms that are no choice beside them: a mass, a length or an inertia larger by a share, dry friction
 proportional to the load, and drag proportional to the squared rate.
 """
 
