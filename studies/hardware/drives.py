@@ -47,8 +47,8 @@ RIVALS = {
     "load_friction": "ratio",
     "drag": "N m s^2/rad^2",
 }
-"""Terms that are no choice beside them: a mass, a length or an inertia larger by a share, dry friction
-proportional to the load, and drag proportional to the squared rate.
+"""Terms that are no choice beside them: a mass, a length or an inertia larger by a share, dry
+friction proportional to the load, and drag proportional to the squared rate.
 """
 
 
