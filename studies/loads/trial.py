@@ -83,8 +83,7 @@ def _run(case: Case, plan: Mapping[str, Any], rng: np.random.Generator) -> Log:
 
 
 def _rng(plan: Mapping[str, Any], name: str, individual: int, run: int) -> np.random.Generator:
-    place = plan["loads"]["machines"].index(name)
-    return np.random.default_rng([plan["seed"], 1000 + place, individual, run])
+    return np.random.default_rng([plan["seed"], *name.encode(), individual, run])
 
 
 def traced(logs: Sequence[Log], machine: Modelled, options: TraceOptions) -> Trace:
