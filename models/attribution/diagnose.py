@@ -36,6 +36,7 @@ from surefoot.models.attribution.friction import (
 from surefoot.models.attribution.levels import ChannelLevel, block_gains, channel_levels
 from surefoot.models.attribution.metric import Metric
 from surefoot.models.attribution.model_error import (
+    ZERO,
     ModelError,
     model_error,
     model_error_as_dict,
@@ -293,7 +294,7 @@ def diagnose(
             *_lag_notes(lags),
         ),
         unexplained=unexplained,
-        model_error=_error_of(sides.cases, effects) if several else None,
+        model_error=_error_of(cases, runs, effects) if several else None,
     )
 
 
@@ -609,10 +610,20 @@ def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
     )
 
 
-def _error_of(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> ModelError | None:
-    """Error of the model with these effects, as the runs show it."""
-    runs = [run_sums(run_evidence(case, effects)) for case in cases]
-    return model_error(runs, cases[0].robot.limbs)
+def _error_of(
+    cases: Sequence[LogUnderModel], runs: Sequence[FittedRun], effects: Sequence[Effect]
+) -> ModelError | None:
+    """Error of the model with these effects, as the runs show it.
+
+    Of what belongs to a run only the zeros of its encoders are compensated, as the model's error
+    has no term for them; biases and lags are in later runs too.
+    """
+    sums = []
+    for case, run in zip(cases, runs, strict=True):
+        zeros = [one for one in run.compensated if one.name == ZERO]
+        own = log_under_model(*compensate_all(zeros, case.log, case.robot), case.settings)
+        sums.append(run_sums(run_evidence(own, effects)))
+    return model_error(sums, cases[0].robot.limbs)
 
 
 def _with_interval(one: Found) -> dict[str, Any]:
