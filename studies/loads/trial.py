@@ -32,8 +32,8 @@ and to that with the true ones, from which a verdict of CLAIMS is.
 def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
     """Simulate and trace one case; returns its truth and what was found as plain JSON types."""
     begin = process_time()
-    drawn = read_toml(plan, "study")
-    result = _since(case, drawn) if case.individual is not None else _of_fixed(case, drawn)
+    fixed = case.individual is None
+    result = _of_fixed(case, read_toml(plan, "study")) if fixed else _since(case, plan)
     return {
         "number": case.number,
         "kind": case.kind,
@@ -45,11 +45,11 @@ def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
     }
 
 
-def _since(case: Case, plan: Mapping[str, Any]) -> dict[str, Any]:
+def _since(case: Case, plan: Path) -> dict[str, Any]:
     """What changed in a run since others that the machine was calibrated on."""
-    machine, rng = machine_of(case.machine), np.random.default_rng([plan["seed"], case.number])
-    verdict, declared, since = calibrated(case.machine, case.individual or 0, PLAN)
-    log = _run(case, plan, rng)
+    machine, drawn = machine_of(case.machine), read_toml(plan, "study")
+    verdict, declared, since = calibrated(case.machine, case.individual or 0, plan)
+    log = _run(case, drawn, np.random.default_rng([drawn["seed"], case.number]))
     found = traced([log], machine, TraceOptions(declared=declared, since=since))
     out = _said(found) | {"calibration": verdict, "declared": len(declared)}
     if case.kind != "load" or since is None:
