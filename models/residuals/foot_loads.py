@@ -36,7 +36,7 @@ def foot_loads(
         _, taken = robot.dynamics.inverse(steps.q, steps.dq, steps.ddq, steps.base)
         every = np.ones_like(bins.standing)
         from_motion = normal_forces(robot.legs, steps.q, steps.up_B, every, taken)
-        up_B = motion.R_GI[:, 2] @ robot.R_BI.T
+        up_B = motion.normal_I @ robot.R_BI.T
         motor = normal_forces(robot.legs, at_torques(log.q, motion), up_B, stands, log.tau)
         rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
         return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)

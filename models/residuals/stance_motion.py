@@ -49,7 +49,7 @@ def stance_displacement(
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     # One more row on either side, for contacts that the model delays by a part of a row.
     around = maximum_filter1d(log.contact, 3, axis=0) & motion.ok[:, None]
-    v_I = feet.imu_velocity(*feet.readings(log), omega, motion.up_I, around)
+    v_I = feet.imu_velocity(*feet.readings(log), omega, motion.normal_I, around)
     ahead = motion.R_GI[:, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     # The heading's axes, level in G, expressed in I.
