@@ -3,9 +3,9 @@ it.
 
 The robot walks short motions in simulation, from which the derivatives of the residual with respect
 to every candidate effect are taken. With Gaussian noise of the size of the residuals and Gaussian
-priors (`surefoot.models.attribution.priors`), the covariance of all sizes together is (f X^T W X +
-P)^-1, where f is the number of repetitions of the motion. A motion reveals an effect if the
-standard deviation of its size is a tenth of what its prior allows.
+priors (`surefoot.models.attribution.effect_sizes`), the covariance of all sizes together is
+(f X^T W X + P)^-1, where f is the number of repetitions of the motion. A motion reveals an effect
+if the standard deviation of its size is a tenth of what its prior allows.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.attribution.design import design
+from surefoot.models.attribution.effect_sizes import prior_of
 from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linearise, log_under_model
-from surefoot.models.attribution.priors import prior_of
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import check_known
 from surefoot.sim.effects import known_effects

@@ -14,6 +14,14 @@ from itertools import islice
 import numpy as np
 from scipy.special import stdtrit
 
+from surefoot.models.attribution.effect_sizes import (
+    PER_RUN_EFFECTS,
+    Found,
+    in_order,
+    plausible_size,
+    prior_penalty,
+    with_clipped_size,
+)
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -23,13 +31,10 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
-from surefoot.models.attribution.found import Found, in_order, with_clipped_size
 from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
-from surefoot.models.attribution.priors import plausible_size, prior_penalty
-from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
-from surefoot.models.attribution.sticking import sticks
+from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from surefoot.models.attribution.design import Design, design, nuisance_precision, scaled_inverse
+from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel
 from surefoot.models.attribution.model_error import ModelError
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
+from surefoot.models.attribution.weights import RobustWeights, robust_weights
 from surefoot.models.residuals.command import commanded_torque
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import Layout

@@ -5,7 +5,7 @@ from functools import partial
 from math import isfinite
 from typing import Any
 
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.result import Filters, Trace

@@ -7,11 +7,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from surefoot.models.attribution.data import dead_contacts, readings, untraceable_reason
+from surefoot.models.attribution.data import dead_contacts, readings, split_of, untraceable_reason
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
-from surefoot.models.attribution.split import split_of
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import OUTPUTS, TraceOptions, trace, trace_logs
 from surefoot.scenarios.trace.words import caution, summary

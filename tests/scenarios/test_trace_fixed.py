@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.residuals.layout import layout_for
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.scenarios.trace.words import summary
