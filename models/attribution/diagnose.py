@@ -361,7 +361,12 @@ class Residuals:
 
     def levels(self, judge: np.ndarray) -> dict[str, ChannelLevel]:
         """Level of each channel over the bins of a mask (M,)."""
-        return channel_levels(self.before[judge], self.after[judge], self.evidence, self.floor)
+        known = self.evidence
+        judged = replace(known, t=known.t[judge], log=known.log[judge])
+        level = all(c.fixed or c.motion.level or not c.motion.by_reference for c in self.cases)
+        return channel_levels(
+            self.before[judge], self.after[judge], judged, self.floor, on_like_ground=level
+        )
 
 
 def _residuals(
@@ -455,7 +460,11 @@ def _held_out(
     before, after = (
         np.concatenate([getattr(one, side) for one in sides]) for side in ("before", "after")
     )
-    levels = channel_levels(before, after, sides[-1].evidence, floor)
+    bins = [one.evidence.t for one in sides]
+    log = np.repeat(np.arange(len(bins)), [len(t) for t in bins])
+    evidence = replace(sides[-1].evidence, t=np.concatenate(bins), log=log)
+    every = Residuals([run.case for run in runs], evidence, before, after, sides[-1].weights, floor)
+    levels = every.levels(np.ones(len(log), dtype=bool))
     return HeldOutRuns(levels, tuple(runs), tuple(worsened))
 
 

@@ -282,7 +282,11 @@ def _parts(
     log, robot = compensate_all(chosen, case.log, case.robot)
     motion = case.motion
     if log is not case.log and _changes_motion(changed_columns(case.log, log)):
-        motion = replace(motion_under_model(log, robot, case.fixed), level=case.motion.level)
+        motion = replace(
+            motion_under_model(log, robot, case.fixed),
+            level=case.motion.level,
+            normal_G=case.motion.normal_G,
+        )
     names = [
         name
         for name, channel in channels().items()

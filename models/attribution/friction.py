@@ -179,10 +179,10 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     def smooth(x: np.ndarray) -> np.ndarray:
         return uniform_filter1d(x, rows, axis=0)
 
-    v_I = robot.feet.imu_velocity(log.q, dq, at_rows(log.gyro), motion.up_I, stands)
+    v_I = robot.feet.imu_velocity(log.q, dq, at_rows(log.gyro), motion.normal_I, stands)
     # A foot at rest reproduces the reference's velocity; the difference is the foot's own.
     v_B = smooth(np.nan_to_num(motion.v_I[:, None] - v_I) @ robot.R_BI.T)
-    up_B = motion.up_I @ robot.R_BI.T
+    up_B = motion.normal_I @ robot.R_BI.T
     ddq = np.gradient(smooth(dq), log.t, axis=0)
     imu = (motion.gyro, motion.accel) if log.has("ref_v") else (log.gyro, log.accel)
     base = base_motion(log.t, *imu, robot)

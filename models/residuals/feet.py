@@ -12,21 +12,26 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet
 from surefoot.sim.sensors.stances import stances
 
+<<<<<<< HEAD
 FEWEST_STANCE_BINS = 3
 """Minimum number of bins inside a stance for a mean."""
 SHORTEST_CONTACT = 0.1
 """Shortest contact that counts as a step [s]."""
+=======
+NEAR_FOOTHOLDS = 0.4
+"""Distance at which footholds still tell the ground's slope [m], as a standard deviation."""
+>>>>>>> trace46
 HALFWAY = 0.5
 """Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
 
 
 def leg_velocities(bins: Bins, feet: Feet) -> np.ndarray:
     """Velocity of the body by each standing foot minus the reference's, (M, 3 legs) [m/s] in I."""
-    v = feet.imu_velocity(*bins.feet, bins.omega, bins.R_GI[:, 2], bins.standing)
+    v = feet.imu_velocity(*bins.feet, bins.omega, bins.normal_I, bins.standing)
     v -= bins.v_I[:, None]
     if bins.depth is not None and bins.v_sole is not None:
         spin = bins.omega[:, None] + feet.rates_I(*bins.feet)
-        rise = HALFWAY * bins.depth[:, :, None] * bins.R_GI[:, None, 2]
+        rise = HALFWAY * bins.depth[:, :, None] * bins.normal_I[:, None]
         v += bins.v_sole - np.cross(spin, rise)
     return v.reshape(len(v), -1)
 
@@ -38,7 +43,7 @@ def travel_regressors(bins: Bins, feet: Feet) -> list[np.ndarray]:
     A foot of unknown size that rolls under a leg does so, and one that creeps with it. NaN where no
     foot stands.
     """
-    v_I = feet.imu_velocity(*bins.feet, bins.omega, bins.R_GI[:, 2], bins.standing)
+    v_I = feet.imu_velocity(*bins.feet, bins.omega, bins.normal_I, bins.standing)
     regressors = []
     for leg in range(v_I.shape[1]):
         for axis in range(2):
@@ -67,6 +72,29 @@ def foot_heights(bins: Bins, feet: Feet) -> np.ndarray:
     """Height (M, legs) [m] of each standing foot's sole in the world."""
     z = feet.heights(bins.feet[0], bins.p_GI, bins.R_GI[:, 2], bins.standing)
     return z if bins.depth is None else z + bins.depth
+
+
+def ground_normals(bins: Bins, feet: Feet) -> np.ndarray:
+    """Normal (M, 3) in the world of the plane through the footholds around each bin."""
+    place, up = bins.feet[0], bins.R_GI
+    along = [
+        feet.heights(place, np.roll(bins.p_GI, 2 - a, axis=1), up[:, a], bins.standing)
+        for a in range(3)
+    ]
+    points, legs = np.stack(along, axis=2), range(bins.standing.shape[1])
+    means = stance_means(bins.t, points, np.isfinite(points[..., 0]))
+    holds = np.concatenate([means[np.isfinite(means[:, leg, 0]), leg] for leg in legs])
+    normals = np.tile([0.0, 0.0, 1.0], (len(bins.t), 1))
+    for k, p in enumerate(bins.p_GI):
+        d = holds - p
+        weight = np.exp(-0.5 * np.sum(d[:, :2] ** 2, axis=1) / NEAR_FOOTHOLDS**2)
+        near = weight > 0.01
+        root = np.sqrt(weight[near])
+        A = np.column_stack([np.ones(len(root)), d[near, :2]]) * root[:, None]
+        if len(root) > 3:
+            tilt = np.linalg.lstsq(A, d[near, 2] * root, rcond=1e-3)[0]
+            normals[k] = np.append(-tilt[1:], 1.0) / np.sqrt(1.0 + tilt[1:] @ tilt[1:])
+    return normals
 
 
 def level_ground(bins: Bins, feet: Feet, within: float = 0.006) -> bool:
@@ -120,7 +148,7 @@ def stance_displacement(
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     # One more row on either side, for contacts that the model delays by a part of a row.
     around = maximum_filter1d(log.contact, 3, axis=0) & motion.ok[:, None]
-    v_I = feet.imu_velocity(*feet.readings(log), omega, motion.up_I, around)
+    v_I = feet.imu_velocity(*feet.readings(log), omega, motion.normal_I, around)
     ahead = motion.R_GI[:, :2, 0]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     # The heading's axes, level in G, expressed in I.

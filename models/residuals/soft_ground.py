@@ -135,7 +135,7 @@ def foot_loads(
             return np.nan_to_num(np.einsum("nla,na->nl", wrench[..., :3], up_B))
 
         from_motion = normal(steps.q, steps.up_B, np.ones_like(bins.standing), taken)
-        motor = normal(at_torques(log.q, motion), motion.up_I @ robot.R_BI.T, stands, log.tau)
+        motor = normal(at_torques(log.q, motion), motion.normal_I @ robot.R_BI.T, stands, log.tau)
         rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
         return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
 

@@ -57,7 +57,7 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     stays, lifted = _always(bins.standing), _always(bins.lifted)
     up_B = np.zeros((len(bins.t), 3))
     if robot.legged is not None:
-        up_B = bins.R_GI[:, 2] @ robot.legged.R_BI.T
+        up_B = bins.normal_I @ robot.legged.R_BI.T
         # Joints that belong to no leg carry no foot's load.
         swings = np.ones_like(bins.q, dtype=bool)
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
