@@ -18,7 +18,7 @@ from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.weights import RobustWeights, robust_weights
-from surefoot.models.residuals.command import commanded_torque
+from surefoot.models.residuals.channels import commanded_torque
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import Layout
 

@@ -24,8 +24,7 @@ import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
 from surefoot.models.residuals.feet import HALFWAY, between_feet, leg_velocities
-from surefoot.models.residuals.foot_loads import foot_loads
-from surefoot.models.residuals.soft_ground import foot_sinking
+from surefoot.models.residuals.soft_ground import foot_loads, foot_sinking
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
@@ -173,10 +172,6 @@ class Channel:
     """
     evaluation_only: ClassVar[bool] = False
     """Whether the channel is used for evaluation only and never fitted."""
-    has_chain_rule: ClassVar[bool] = False
-    """Whether `jacobians` has its derivatives with respect to readings; else finite differences are
-    used.
-    """
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         """Its columns for a machine with these legs and joints; empty where it has no meaning."""
