@@ -28,6 +28,7 @@ from surefoot.models.residuals.soft_ground import foot_loads, foot_sinking
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
+    curvature,
     dynamics_inputs,
     inverse_dynamics,
     link_jacobians,
@@ -93,6 +94,8 @@ class ResidualInputs:
     def steps(self) -> DynamicsInputs:
         """Inputs of inverse dynamics."""
         steps, depth = dynamics_inputs(self.bins, self.robot), self.bins.depth
+        if self.robot.fixed and self.robot.dynamics is not None and self.log.has("q"):
+            steps = replace(steps, curved=curvature(self.log, self.motion, self.robot.dynamics))
         return steps if depth is None else replace(steps, sunk=HALFWAY * depth)
 
     @cached_property
