@@ -100,13 +100,17 @@ class Evidence:
 
 @dataclass(frozen=True)
 class LogUnderModel:
-    """A log, the model that it is compared with, and the motion of its reference."""
+    """A log, the model that it is compared with, and the motion of its reference.
+
+    `zeros` are the effects of the log's own, such as encoder zeros, that it has compensated.
+    """
 
     log: Log
     robot: Machine
     motion: ReferenceMotion
     fixed: bool = False
     settings: TraceSettings = DEFAULT
+    zeros: tuple[Effect, ...] = ()
 
     @property
     def by_feet(self) -> bool:
@@ -360,6 +364,9 @@ class _Linear:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(key, log, robot, step)
+        if key[0] in _SCALED:
+            by_scale = (_reading_scale(self.case, [effect(*key, step)]) - 1.0) / step
+            change = change + by_scale * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 

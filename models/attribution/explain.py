@@ -374,7 +374,6 @@ class _State:
     Attributes:
         declared: the logs under the declared model.
         problem: the logs, with their own zeros and clocks compensated.
-        zeros: those of each log.
         error_of: as of `explain`.
         effects: that are compensated.
         error: of the model with the effects.
@@ -385,7 +384,6 @@ class _State:
 
     declared: Sequence[LogUnderModel]
     problem: Problem
-    zeros: tuple[tuple[Effect, ...], ...]
     error_of: Callable[[Sequence[Effect]], ModelError]
     effects: tuple[Effect, ...]
     error: ModelError
@@ -394,10 +392,9 @@ class _State:
 
     @staticmethod
     def of(problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError]) -> "_State":
-        error, none = error_of(()), tuple(() for _ in problem.cases)
-        return _State(
-            problem.cases, problem, none, error_of, (), error, _metric(problem, (), None, error)
-        )
+        error = error_of(())
+        metric = _metric(problem, (), None, error)
+        return _State(problem.cases, problem, error_of, (), error, metric)
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
@@ -516,12 +513,12 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
     doubt = problem.unknown[problem.at(keys)]
     for _ in range(ZERO_ROUNDS if keys else 0):
         zeros = []
-        for known, fitted in zip(state.zeros, state.metric.zeros(keys), strict=True):
-            sizes = {(e.name, e.target): e.value for e in known}
+        for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
+            sizes = {(e.name, e.target): e.value for e in case.zeros}
             for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
                 least = ZERO_MOVED * np.hypot(deviation, more)
-                if abs(size) > least:
-                    sizes[key] = sizes.get(key, 0.0) + size
+                if abs(size - sizes.get(key, 0.0)) > least:
+                    sizes[key] = size
                 if abs(sizes.get(key, 0.0)) <= least:
                     sizes.pop(key, None)
             zeros.append(
@@ -529,15 +526,18 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
                     with_clipped_size(effect(*k, 0.0), x, problem.limbs) for k, x in sizes.items()
                 )
             )
-        if tuple(zeros) == state.zeros:
+        if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
-            log_under_model(*compensate_all(these, case.log, case.robot), case.settings)
+            replace(
+                log_under_model(*compensate_all(these, case.log, case.robot), case.settings),
+                zeros=these,
+            )
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)
         metric = _metric(problem, effects, None, state.error)
-        state = replace(state, problem=problem, zeros=tuple(zeros), metric=metric)
+        state = replace(state, problem=problem, metric=metric)
     return state
 
 
@@ -782,17 +782,13 @@ def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
     ]
     fits = state.metric.zeros(keys) if keys else [[] for _ in problem.cases]
     runs = []
-    for case, zeros, fitted in zip(problem.cases, state.zeros, fits, strict=True):
-        known = {(e.name, e.target): e.value for e in zeros}
+    for case, fitted in zip(problem.cases, fits, strict=True):
+        known = {(e.name, e.target): e.value for e in case.zeros}
         found = []
         for key, (size, deviation) in zip(keys, fitted, strict=True):
-            one = with_clipped_size(
-                effect(*key, 0.0),
-                known.get(key, 0.0) + (0.0 if key in known else size),
-                problem.limbs,
-            )
+            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.limbs)
             half = 1.96 * deviation
             if key in known or key[0] in ("gyro_bias", "accel_bias"):
                 found.append(Found(one, (one.value - half, one.value + half)))
-        runs.append(FittedRun(case, tuple(found), zeros))
+        runs.append(FittedRun(case, tuple(found), case.zeros))
     return tuple(runs)

@@ -32,7 +32,7 @@ class Metric:
         robust: weights and noise.
         root: square root of each entry's weight, divided by its noise (M, W); zero where it is not
             used.
-        expected: mean error of the model (M, W).
+        expected: mean error of the model (M, W), and minus what is compensated of the zeros.
         places: of the columns of F among candidates and nuisance parameters (f,).
         precision: inverse of C (f, f).
         terms: whether a column of F is a term of the model's error or a zero (f,).
@@ -111,8 +111,8 @@ class Metric:
     def zeros(
         self, keys: Sequence[Key], sizes: np.ndarray | None = None
     ) -> list[list[tuple[float, float]]]:
-        """Size and standard deviation of these candidates, which belong to a log, in each log,
-        beside effects of given sizes (C,).
+        """Size and standard deviation of these candidates, which belong to a log, in each log, with
+        what of them is compensated, beside effects of given sizes (C,).
         """
         which = [list(self.places).index(self.known.keys.index(key)) for key in keys]
         prior, out = np.diag(self.precision), []
@@ -275,6 +275,15 @@ def metric_of(
     free = [i for i, key in enumerate(known.bias_of) if key is None or key[0] not in per_run]
     sizes = np.zeros(data.size)
     sizes[terms] = error.mean[shared]
+    expected = data.explained(sizes)
+    for run, case in enumerate(cases):
+        # A prior is of the whole zero, and a part of it is compensated.
+        zeros = np.zeros(data.size)
+        zeros[[known.keys.index((e.name, e.target)) for e in case.zeros]] = [
+            e.value for e in case.zeros
+        ]
+        if case.zeros:
+            expected[known.log == run] -= data.explained(zeros)[known.log == run]
     within = {i: (plausible_size(*known.keys[i], limbs) / 1.96) ** 2 for i in own}
     covariance = error.covariance[np.ix_(shared, shared)]
     # What a log has of its own adds to what the model's error seems to be of it.
@@ -284,7 +293,7 @@ def metric_of(
         data=data,
         robust=robust,
         root=root,
-        expected=data.explained(sizes),
+        expected=expected,
         places=np.array([*terms, *own, *(len(known.keys) + i for i in free)], int),
         precision=block_diag(
             scaled_inverse(covariance),

@@ -164,12 +164,12 @@ def test_data_that_cannot_tell_are_not_identifiable(tmp_path):
     assert json.loads((tmp_path / "trace.json").read_text())["verdict"] == "not_identifiable"
 
 
-def test_a_reference_that_covers_only_the_report_is_not_identifiable():
+def test_a_reference_that_covers_half_a_second_is_not_identifiable():
     frame = log_with().frame.copy()
-    frame["ref_ok"] = (frame["t"] > 0.8 * frame["t"].iloc[-1]).astype(float)
+    frame["ref_ok"] = (frame["t"] > frame["t"].iloc[-1] - 0.5).astype(float)
     found = trace_logs([replace(log_with(), frame=frame)], ROBOT)
     assert found.verdict == "not_identifiable"
-    assert "too little reference: 0.0 s to fit" in summary(found)
+    assert "too little reference" in summary(found)
 
 
 @pytest.mark.parametrize("columns", [("ref_p", "ref_q", "ref_v"), ("ref_p",), ("ref_q",)])
