@@ -74,7 +74,6 @@ class Prior:
 
 IMPLAUSIBLE_SCALE = 3.0
 """Largest plausible scale error of a working sensor, as a multiple of its data sheet's limit."""
-UNPUBLISHED = "no published figure found: as wide as the bounds"
 _MPU = "MPU-6050 Product Specification"
 _SOCCER = "Haarnoja et al., Science Robotics 2024"
 _ROBIO = "Zhao et al., ROBIO 2022: feet 14 mm off before calibration"
@@ -149,7 +148,8 @@ def prior_of(kind: type[Effect]) -> Prior:
     own = getattr(kind, "plausible", None)
     if own is not None:
         return Prior(float(own), f"{kind.__module__}: {kind.__name__}.plausible")
-    return PRIORS.get(kind.name) or Prior(float(np.max(np.abs(kind.bounds))), UNPUBLISHED)
+    wide = float(np.max(np.abs(kind.bounds)))
+    return PRIORS.get(kind.name) or Prior(wide, "no figure found: as wide as the bounds")
 
 
 LOAD_SHARE = 0.4
@@ -189,28 +189,19 @@ No published figure was found: manufacturers of gears state typical stiffnesses 
 """
 
 
-def prior_penalty(name: str, target: str, size: float, limbs: Limbs) -> float:
-    """Penalty on an effect's size, -2 log p(size) / p(0) = (1.96 size / within)^2.
-
-    p is a zero-mean normal distribution with 95 % of its mass below `within`. The penalty adds to a
-    gain, which is a weighted squared error, -2 log of a likelihood ratio, and to BIC's price log n
-    of a parameter (Schwarz 1978). A size at `within` costs 4, one five times as large 96.
+def price_of_some_parts(name: str, target: str, limbs: Limbs) -> float:
+    """What it costs an effect to be on some parts of a kind only, -2 log of a prior odds.
 
     An effect that machines have by construction has much the same size on all parts of a kind
     (`SPREAD_BETWEEN_PARTS`). On some of these parts only, it differs from the others by its whole
-    size and pays for that too.
+    size.
     """
-    kind = known_effects()[name]
-    penalty = (1.96 * size / plausible_size(name, target, limbs)) ** 2
-    if name in SPREAD_BETWEEN_PARTS and not _is_common(kind.members_of(target, limbs), limbs):
-        penalty += (1.96 / SPREAD_BETWEEN_PARTS[name]) ** 2
-    return float(penalty)
-
-
-def _is_common(members: Sequence[str], limbs: Limbs) -> bool:
-    """Whether `members` are all legs, or all joints of each kind among them."""
-    if set(members) <= set(limbs.legs):
-        return len(members) == len(limbs.legs)
-    kinds = [limbs.kind(i) for i in range(len(limbs.joints))]
-    touched = {kinds[limbs.joints.index(one)] for one in members}
-    return len(members) == sum(kind in touched for kind in kinds)
+    if name not in SPREAD_BETWEEN_PARTS:
+        return 0.0
+    members = known_effects()[name].members_of(target, limbs)
+    every = len(limbs.legs)
+    if members[0] in limbs.joints:
+        kinds = [limbs.kind(i) for i in range(len(limbs.joints))]
+        touched = {kinds[limbs.joints.index(one)] for one in members}
+        every = sum(kind in touched for kind in kinds)
+    return 0.0 if len(members) == every else (1.96 / SPREAD_BETWEEN_PARTS[name]) ** 2

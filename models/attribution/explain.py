@@ -19,7 +19,7 @@ from surefoot.models.attribution.effect_sizes import (
     Found,
     in_order,
     plausible_size,
-    prior_penalty,
+    price_of_some_parts,
     with_clipped_size,
 )
 from surefoot.models.attribution.evidence import (
@@ -259,7 +259,7 @@ def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -
     price = [
         np.inf
         if key[0] in per_run
-        else prior_penalty(*key, 0.0, limbs) + (0.0 if sure else of_choice)
+        else price_of_some_parts(*key, limbs) + (0.0 if sure else of_choice)
         for key, sure in zip(keys, certain, strict=True)
     ]
     return Problem(
@@ -502,7 +502,7 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
         if tuple(zeros) == state.zeros:
             break
         cases = [
-            log_under_model(*compensate_all(these, case.log, case.robot), case.settings)
+            log_under_model(*compensate_all(these, case.log, case.robot))
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.models.attribution.design import design
+from surefoot.models.attribution.effect_sizes import with_clipped_size
 from surefoot.models.attribution.evidence import (
     Evidence,
     LogUnderModel,
@@ -20,6 +21,7 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
+from surefoot.models.attribution.metric import groups_of
 from surefoot.models.attribution.model_error import (
     EXACT,
     ModelError,
@@ -36,7 +38,6 @@ from surefoot.models.attribution.sensor_noise import (
     reference_sampling,
     resample_reference,
 )
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.weights import RobustWeights, robust_weights
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
@@ -46,13 +47,47 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
+from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
 
-Twists = tuple[tuple[float, float, float], ...]
-Groups = tuple[str, ...]
+Twists = tuple[tuple[float, ...], ...]
+"""Forward and lateral velocity [m/s] and yaw rate [rad/s] of a course, in steps of 1 s."""
+GROUPS = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
+"""Groups of a walk's columns that a measured log may lack."""
+FRICTIONS = (0.5, 0.7, 0.9, 1.1)
+"""Coefficients of friction of the ground of each walk: feet creep more where it is low."""
+SECONDS = 12.0
+"""Length of each walk [s]."""
+STAND = 0.5
+"""Time that the robot stands before each walk [s]."""
+STANDS = 0.999
+"""Share of rows with ground contact from which a log is one of standing."""
+SPEEDS = (1.0, 0.6, 0.3)
+"""Shares of the log's velocities at which a walk is tried until the robot does not fall."""
+SEED = 20_011
+"""Of the first walk, fixed so that the floor depends on the logs alone."""
+APPARENT_SIZE_DOUBT = 0.7
+"""Relative uncertainty of sizes that effects seem to have: on slippery ground, the contacts
+imitated a delay of the joints four times as long as on the floor's.
+"""
+POINT_FEET_SIZES = {
+    ("joint_delay", "all"): 0.6e-3,
+    ("clock_scale", "joints"): 6e-5,
+    ("clock_scale", "feet"): 5e-5,
+    ("contact_delay", "touchdown"): 3e-3,
+    ("contact_delay", "liftoff"): 6e-3,
+}
+POINT_FEET_LEVELS = {"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 11e-3}
+"""What rolling and creeping feet leave where a log gives them and they are taken for points.
+
+From 21 simulated walks of seven robots without an effect (spot_class, v60_class, go1, go2, aliengo,
+mini_cheetah, b2), each at 0.6, 1 and 1.3 times 0.5 m/s times its leg length over that of
+spot_class. Root mean squares of the sizes that effects seem to have; the largest residuals, which
+hardly depend on robot or speed, and a tenth more.
+"""
 
 
 @dataclass(frozen=True)
@@ -80,36 +115,17 @@ class FloorPlan:
         groups: groups of columns that the logs have.
         evenness: standard deviation of the ground's height from a plane [m].
         sampling: sampling and noise of the reference, if measured.
-        settings: of the trace.
         ground: effects of the ground, which no model can compensate.
         effects: that the robot has, compensated by its model.
     """
 
     file: Path
     courses: tuple[Twists, ...]
-    groups: Groups
+    groups: tuple[str, ...]
     evenness: float
     sampling: ReferenceSampling | None
-    settings: TraceSettings
     ground: tuple[Effect, ...] = ()
     effects: tuple[Effect, ...] = ()
-
-
-POINT_FEET_SIZES = {
-    ("joint_delay", "all"): 0.6e-3,
-    ("clock_scale", "joints"): 6e-5,
-    ("clock_scale", "feet"): 5e-5,
-    ("contact_delay", "touchdown"): 3e-3,
-    ("contact_delay", "liftoff"): 6e-3,
-}
-POINT_FEET_LEVELS = {"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 11e-3}
-"""What rolling and creeping feet leave where a log gives them and they are taken for points.
-
-From 21 simulated walks of seven robots without an effect (spot_class, v60_class, go1, go2, aliengo,
-mini_cheetah, b2), each at 0.6, 1 and 1.3 times 0.5 m/s times its leg length over that of
-spot_class. Root mean squares of the sizes that effects seem to have; the largest residuals, which
-hardly depend on robot or speed, and a tenth more.
-"""
 
 
 @dataclass(frozen=True)
@@ -134,11 +150,6 @@ class NoiseFloor:
     readings: tuple[LogUnderModel, ...] = ()
     levels: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def evenness(self) -> float:
-        """Standard deviation of the ground from a plane [m]: of the walks', or by the maps."""
-        return self.plan.evenness if self.plan else _evenness(self.readings)
-
 
 def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
     """Simulate the motion of the logs with the declared robot.
@@ -154,33 +165,21 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
         ground: effects of the ground that every walk has and no model compensates.
     """
     first = cases[0]
-    if first.fixed:
-        return _floor_of_readings(cases, (), "the differences between successive readings")
-    if first.by_feet:
-        return _floor_of_readings(
-            cases,
-            (),
-            "the noise of the readings, and what point feet leave on simulated walks of other "
-            "robots, since there is no model of this one",
-        )
-    known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
+    if first.fixed or first.by_feet:
+        return _floor_of_readings(cases, ())
     walks = first.robot.limbs == QUADRUPED
-    evenness = _evenness(cases)
     plan = FloorPlan(
         file=first.robot.file,
-        courses=tuple(courses([_with_reference(c) for c in cases], first.settings))
-        if walks
-        else (),
-        groups=tuple(g for g in known if all(case.log.has(g) for case in cases)),
-        evenness=evenness,
-        sampling=reference_sampling(first.log, first.settings),
-        settings=first.settings,
+        courses=tuple(courses([_with_reference(c) for c in cases])) if walks else (),
+        groups=tuple(g for g in GROUPS if all(case.log.has(g) for case in cases)),
+        evenness=ground_evenness(cases),
+        sampling=reference_sampling(first.log),
         ground=tuple(ground),
     )
     if (floor := _floor(plan)) is not None:
         return floor
     layout = layout_for(first.robot.limbs)
-    sigma = data_sheet_noise(first.log.rate, layout, evenness)
+    sigma = data_sheet_noise(first.log.rate, layout, plan.evenness)
     return NoiseFloor(sigma, (), "data sheets of the declared sensors", _no_error(sigma, layout))
 
 
@@ -200,12 +199,11 @@ def noise_floor_with(
         near: a floor of the same effects, which is kept where their sizes are about the same.
     """
     if floor.readings:
-        return _floor_of_readings(floor.readings, effects, floor.source)
+        return _floor_of_readings(floor.readings, effects)
     limbs = floor.walks[0].evidence.layout.limbs if floor.walks else None
-    bounds = [type(e).interior_bounds(e.target, limbs) for e in effects]
     telling = tuple(
-        replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *within)))
-        for e, within in zip(effects, bounds, strict=True)
+        with_clipped_size(e, float(f"{e.value:.1e}"), limbs)
+        for e in effects
         if is_compensated_approximately(e)
     )
     if not telling or floor.plan is None or not floor.walks:
@@ -239,12 +237,11 @@ def is_compensated_approximately(one: Effect) -> bool:
 def _floor(plan: FloorPlan) -> NoiseFloor | None:
     """The floor by simulated walks; None where the robot completes none."""
     known = tuple(known_effects())
-    seed, friction = plan.settings.floor_seed, plan.settings.floor_friction
     # Without the other courses, so that a walk is cached once for all logs that contain it.
     alone = replace(plan, courses=())
     walks = [
-        _floor_walk(alone, one, seed + i, friction[i % len(friction)], known)
-        for i, one in enumerate(plan.courses)
+        _floor_walk(alone, one, SEED + i, friction, known)
+        for i, (one, friction) in enumerate(zip(plan.courses, FRICTIONS, strict=False))
     ]
     completed = tuple(one for one in walks if one is not None)
     if not completed:
@@ -261,49 +258,38 @@ def _floor(plan: FloorPlan) -> NoiseFloor | None:
 
 def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
     """A model without errors beyond noise sigma (W,) of the columns."""
-    noise = {}
-    for name, columns in layout.channels.items():
-        for c in range(columns.start, columns.stop):
-            noise[name, layout.columns[c].kind] = float(sigma[c])
+    every = groups_of(layout, np.ones(layout.width, dtype=bool))
+    noise = dict(zip(every, sigma.tolist(), strict=True))
     return ModelError(0, (), np.zeros(0), np.zeros((0, 0)), noise, {})
 
 
-def _floor_of_readings(
-    cases: Sequence[LogUnderModel], effects: Sequence[Effect], source: str
-) -> NoiseFloor:
+def _floor_of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> NoiseFloor:
     """The floor by the noise of the readings, with the effects compensated."""
-    layout = layout_for(cases[0].robot.limbs)
-    sigma = _of_readings(cases, effects)
-    if cases[0].by_feet:
-        sizes = np.array([*POINT_FEET_SIZES.values()])
-        error = _no_error(sigma, layout)
-        error = replace(
-            error, keys=tuple(POINT_FEET_SIZES), mean=0.0 * sizes, covariance=np.diag(sizes**2)
-        )
-        return NoiseFloor(sigma, (), source, error, readings=tuple(cases), levels=POINT_FEET_LEVELS)
-    error = _no_error(sigma, layout)
-    known = apparent_sizes(cases, sigma)
-    seen = {key: size for key, size in known.items() if size}
-    sizes = np.array([*seen.values()])
-    doubt = cases[0].settings.apparent_size_uncertainty
-    error = replace(error, keys=tuple(seen), mean=sizes, covariance=np.diag((doubt * sizes) ** 2))
-    return NoiseFloor(sigma, (), source, error, readings=tuple(cases))
-
-
-def _of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> np.ndarray:
-    """Noise (W,) of a bin from that of the readings, with the effects compensated, and from uneven
-    ground.
-    """
     layout = layout_for(cases[0].robot.limbs)
     sigma = np.maximum(reading_noise(cases, effects), _least_noise(layout))
     heights = layout.of("foot_height")
-    sigma[heights] = np.hypot(sigma[heights], _evenness(cases))
-    return sigma
+    sigma[heights] = np.hypot(sigma[heights], ground_evenness(cases))
+    if cases[0].by_feet:
+        source = (
+            "the noise of the readings, and what point feet leave on simulated walks of other "
+            "robots, since there is no model of this one"
+        )
+        seen, levels = POINT_FEET_SIZES, POINT_FEET_LEVELS
+        deviations = np.array([*seen.values()])
+        mean = 0.0 * deviations
+    else:
+        source, levels = "the differences between successive readings", {}
+        seen = apparent_sizes(cases, sigma)
+        mean = np.array([*seen.values()])
+        deviations = APPARENT_SIZE_DOUBT * mean
+    error = _no_error(sigma, layout)
+    error = replace(error, keys=tuple(seen), mean=mean, covariance=np.diag(deviations**2))
+    return NoiseFloor(sigma, (), source, error, readings=tuple(cases), levels=levels)
 
 
-def _evenness(cases: Sequence[LogUnderModel]) -> float:
+def ground_evenness(cases: Sequence[LogUnderModel]) -> float:
     """Largest standard deviation of the ground from a plane [m] that the logs' maps state."""
-    return max((float(c.log.meta.model.get("ground_evenness", 0.0)) for c in cases), default=0.0)
+    return max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
 
 
 def _least_noise(layout: Layout) -> np.ndarray:
@@ -325,21 +311,19 @@ def _with_reference(case: LogUnderModel) -> Log:
     return with_dead_reckoning(log, feet)
 
 
-def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
-    """Commanded forward and lateral velocity [m/s] and yaw rate [rad/s] in steps of 1 s, for each
-    walk; empty where the robot stands on all feet throughout.
-    """
-    if all(log.has("contact") and np.mean(log.contact) > settings.standing_share for log in logs):
-        return [()] * settings.floor_walks
+def courses(logs: Sequence[Log]) -> list[Twists]:
+    """The commanded course of each walk; empty where the robot stands on all feet throughout."""
+    if all(log.has("contact") and np.mean(log.contact) > STANDS for log in logs):
+        return [()] * len(FRICTIONS)
     # Rounded to two decimals, so that nearly equal courses share one simulated walk.
     motion = [
-        (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
+        tuple(round(float(x), 2) for x in twist)
         for log in logs
         if log.has("reference")
-        for forward, lateral, turn in body_twists(log)
+        for twist in body_twists(log)
     ]
-    length = max(1, min(round(settings.floor_seconds / PIECE), len(motion)))
-    starts = np.linspace(0, len(motion) - length, settings.floor_walks).round().astype(int)
+    length = max(1, min(round(SECONDS / PIECE), len(motion)))
+    starts = np.linspace(0, len(motion) - length, len(FRICTIONS)).round().astype(int)
     return [tuple(motion[start : start + length]) for start in starts] if motion else []
 
 
@@ -350,32 +334,32 @@ def _floor_walk(
     """One walk, fitted with the `known` effects; None where the robot falls at every speed.
 
     Args:
-        plan: robot file, groups of columns, effects and settings.
+        plan: robot file, groups of columns and effects.
         course: (forward, lateral, yaw rate) of each segment [m/s, m/s, rad/s]; empty for standing.
         seed: of the walk.
         friction: coefficient of friction of the ground.
         known: names of the effects that the fit may use.
     """
-    robot, s = declared(plan.file), plan.settings
-    for slower in (1.0, 0.6, 0.3) if course else (1.0,):
+    robot = declared(plan.file)
+    for slower in SPEEDS if course else (1.0,):
         segments = tuple(
-            Segment(PIECE, forward * slower, lateral * slower, turn * slower)
-            for forward, lateral, turn in course or ((0.0, 0.0, 0.0),)
+            Segment(PIECE, *(slower * x for x in twist)) for twist in course or ((0.0, 0.0, 0.0),)
         )
-        stand = s.floor_stand if course else s.floor_seconds
-        scenario = Scenario(
-            "floor", segments, ground_of(segments, plan.evenness, friction), stand=stand
-        )
+        ground = ground_of(segments, plan.evenness, friction)
+        scenario = Scenario("floor", segments, ground, stand=STAND if course else SECONDS)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
         if not course:
-            log = replace(log, frame=log.frame[log.t - log.t[0] < s.floor_seconds - s.floor_stand])
-        log = _with_groups(log, plan.groups)
+            log = replace(log, frame=log.frame[log.t - log.t[0] < SECONDS - STAND])
+        # Without the columns that the measured logs do not have.
+        lacking = [g for g in GROUPS if g not in plan.groups]
+        gone = [n for g in lacking for n in group_columns(g, log.joints, log.legs)]
+        log = replace(log, frame=log.frame.drop(columns=gone))
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))
-        case = log_under_model(log, robot, s)
+        case = log_under_model(log, robot)
         known_of_it = linearise([case], plan.effects, all_keys(case), evaluation_channels=False)
         known_of_it = replace(known_of_it, table=table_of(case, plan.effects))
         # The same minimum noise as for the log, so that channels have the same relative weight.
@@ -396,13 +380,3 @@ def ground_of(segments: Sequence[Segment], evenness: float, friction: float) -> 
     far = float(np.ceil(2 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in segments)))
     bumps = Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness)
     return Ground(friction, strips=(bumps,))
-
-
-def _with_groups(log: Log, groups: Groups) -> Log:
-    """Drop the groups of columns that the measured log does not have."""
-    every = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
-    drop = [g for g in every if g not in groups]
-    prefixes = {"imu": ("gyro_", "accel_"), "reference": ("ref_",), "ref_v": ("ref_v_",)}
-    gone = tuple(p for g in drop for p in prefixes.get(g, (f"{g}_",)))
-    names = [n for n in log.frame if gone and str(n).startswith(gone)]
-    return Log(log.frame.drop(columns=names), log.meta, log.name)
