@@ -91,13 +91,12 @@ def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[
     gains = {joint: _gain(metric, joint, found) for joint in joints}
     blocks = sum(np.ptp(case.log.t) for case in cases) / BLOCK
     price = len(DEGREES + LOADED_DEGREES) * np.log(max(2.0, blocks))
+    energy = sum(np.diag(G) for G in metric.grams)
     out = []
     for joint in dict.fromkeys(at):
         others = [gains[one] for one in joints if kind[one] == kind[joint] and one not in at]
-        explained = 0.0
-        for e in (one for one in found if one.target == joint):
-            place = 1 + known.keys.index((e.name, joint))
-            explained += e.value**2 * sum(G[place, place] for G in metric.grams)
+        own = [e for e in found if e.target == joint]
+        explained = sum(e.value**2 * energy[1 + known.keys.index((e.name, joint))] for e in own)
         gain, chance = gains[joint], max(others, default=0.0)
         if gain > max(price, CURVE_OTHERS * chance, CURVE_WORTH * explained):
             by_channel = {}
@@ -170,58 +169,53 @@ def sparse_regression(
         unseen: (M,) bool, bins on which shares are computed.
     """
     names, values = regressor_library(cases)
-    layout = layout_for(cases[0].robot.limbs)
-    found = []
-    for place, channel in enumerate(channels):
-        known = [c for c in layout.of(channel) if np.isfinite(left[seen, c]).any()]
-        noise = {c: np.nanmean(left[seen, c] ** 2) / robust.sigma[c] ** 2 for c in known}
-        before = len(found)
-        for column in known:
-            chosen, share = _column(values, left[:, column], robust.weight[:, column], seen, unseen)
+    layout, out = layout_for(cases[0].robot.limbs), []
+    for channel in channels:
+        noise, forms = {}, []
+        for c in (c for c in layout.of(channel) if np.isfinite(left[seen, c]).any()):
+            column = layout.names[c]
+            noise[column] = np.nanmean(left[seen, c] ** 2) / robust.sigma[c] ** 2
+            chosen, share = _column(values, left[:, c], robust.weight[:, c], seen, unseen)
             if chosen:
                 regressors = tuple(names[i] for i in chosen)
-                one = Unexplained(channel, layout.names[column], regressors, share)
-                found.append(((place, -share * noise[column]), one))
-        if noise and len(found) == before:
-            loudest = max(noise, key=lambda c: noise[c])
-            found.append(((place, 0.0), Unexplained(channel, layout.names[loudest], (), 0.0)))
-    return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
+                forms.append(Unexplained(channel, column, regressors, share))
+        if noise and not forms:
+            loudest = max(noise, key=lambda column: noise[column])
+            forms.append(Unexplained(channel, loudest, (), 0.0))
+        out += sorted(forms, key=lambda one: -one.share * noise[one.column])
+    return tuple(out)
 
 
 def regressor_library(cases: Sequence[LogUnderModel]) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and values (M, R) of the regressors: standardised bin means."""
-    tables = []
-    names: list[str] = []
+    tables, columns = [], {}
     for case in cases:
-        log = case.log
+        log, motion = case.log, case.motion
         columns = {"time": log.t}
-        for k in SETTLING_TIMES:
-            columns[f"settling_{k}_s"] = np.exp(-(log.t - log.t[0]) / k)
+        columns |= {f"settling_{k}_s": np.exp(-(log.t - log.t[0]) / k) for k in SETTLING_TIMES}
+        groups = []
         if log.has("imu") and not case.fixed:
-            columns |= _named("rate", log.gyro, "xyz") | _named("force", log.accel, "xyz")
+            groups += [("rate", log.gyro, "xyz"), ("force", log.accel, "xyz")]
         if not case.fixed:
-            columns |= _named("velocity", case.motion.v_I, "xyz")
-            columns |= _named("upward", case.motion.up_I, "xyz")
+            groups += [("velocity", motion.v_I, "xyz"), ("upward", motion.up_I, "xyz")]
         if log.has("q"):
-            dq = joint_velocity(log)
-            columns |= _named("angle", log.q, log.joints) | _named("speed", dq, log.joints)
-            columns |= _named("sense", np.tanh(dq / STICTION_RATE), log.joints)
+            dq, joints = joint_velocity(log), log.joints
+            groups += [("angle", log.q, joints), ("speed", dq, joints)]
+            groups += [("sense", np.tanh(dq / STICTION_RATE), joints)]
             for k in HARMONICS:
-                columns |= _named(f"sin_{k}_angle", np.sin(k * log.q), log.joints)
-                columns |= _named(f"cos_{k}_angle", np.cos(k * log.q), log.joints)
+                groups += [(f"sin_{k}_angle", np.sin(k * log.q), joints)]
+                groups += [(f"cos_{k}_angle", np.cos(k * log.q), joints)]
         if log.has("tau"):
-            columns |= _named("torque", log.tau, log.joints)
+            groups += [("torque", log.tau, log.joints)]
         if log.has("contact"):
-            columns |= _named("stance", log.contact.astype(float), log.legs)
-        names = list(columns)
-        tables.append(bin_mean(case.motion)(np.column_stack([*columns.values()])))
+            groups += [("stance", log.contact.astype(float), log.legs)]
+        for kind, of_group, parts in groups:
+            columns |= {f"{kind}_{one}": x for one, x in zip(parts, of_group.T, strict=True)}
+        tables.append(bin_mean(motion)(np.column_stack([*columns.values()])))
     values = np.concatenate(tables)
     spread = values.std(axis=0)
-    return tuple(names), (values - values.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)
-
-
-def _named(kind: str, values: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
-    return {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
+    scaled = (values - values.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)
+    return tuple(columns), scaled
 
 
 def _column(
@@ -241,30 +235,21 @@ def _column(
     if min(fit.sum(), check.sum()) < FEWEST_BINS:
         return [], 0.0
     root = np.sqrt(weight)[:, None]
-    ones = np.ones((len(y), 1))
-    chosen: list[int] = []
-    share = 0.0
+    X, rest = values * root, y * root[:, 0]
+    plain = (y[check] - np.average(y[check], weights=weight[check])) * root[check, 0]
+    A, chosen, share = root, [], 0.0
     while len(chosen) < MOST_REGRESSORS:
-        A = np.hstack([ones, values[:, chosen]]) * root
-        base = _solve(A, y * root[:, 0], fit)
-        rest = np.where(there, np.nan_to_num(y) * root[:, 0] - A @ base, 0.0)
         # The part of each regressor that is orthogonal to those chosen and to a constant.
         Q = np.linalg.qr(A[fit])[0]
-        X = (values * root)[fit]
-        own = X - Q @ (Q.T @ X)
+        own = X[fit] - Q @ (Q.T @ X[fit])
         size = np.linalg.norm(own, axis=0)
-        known = size < 1e-6 * np.maximum(np.linalg.norm(X, axis=0), 1e-12)
-        pull = np.where(known, 0.0, np.abs(own.T @ rest[fit]) / np.maximum(size, 1e-12))
+        new = size > 1e-6 * np.maximum(np.linalg.norm(X[fit], axis=0), 1e-12)
+        pull = np.where(new, np.abs(own.T @ rest[fit]) / np.maximum(size, 1e-12), 0.0)
         best = int(np.argmax(pull))
-        A = np.hstack([ones, values[:, [*chosen, best]]]) * root
-        after = y[check] * root[check, 0] - A[check] @ _solve(A, y * root[:, 0], fit)
-        plain = (y[check] - np.average(y[check], weights=weight[check])) * root[check, 0]
+        A = np.column_stack([A, X[:, best]])
+        after = rest[check] - A[check] @ np.linalg.lstsq(A[fit], rest[fit], rcond=1e-10)[0]
         gained = 1.0 - float(after @ after) / max(float(plain @ plain), 1e-300)
         if gained < share + LEAST_SHARE:
             break
         chosen, share = [*chosen, best], gained
     return chosen, share
-
-
-def _solve(A: np.ndarray, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    return np.linalg.lstsq(A[rows], y[rows], rcond=1e-10)[0]
