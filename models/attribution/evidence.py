@@ -17,6 +17,7 @@ from surefoot.models.residuals.binning import (
 from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.contact_timing import CHANGE_WINDOW
 from surefoot.models.residuals.jacobians import (
+    CHAINED_CHANNELS,
     Regressor,
     ResidualJacobians,
     explained_share,
@@ -401,10 +402,11 @@ class _Linear:
         self, change: np.ndarray, log: Log, robot: Machine, step: float
     ) -> None:
         """Add to `change` (M, W), by differences, the channels without a chain rule."""
-        inputs = ResidualInputs(log, robot, self.motion)
-        names = [name for name, channel in channels().items() if not channel.has_chain_rule]
-        after = filled(self.parts.layout, inputs, names)
-        change += np.nan_to_num(after - self.parts.table) / step
+        layout, inputs = self.parts.layout, ResidualInputs(log, robot, self.motion)
+        names = [name for name in layout.channels if name not in CHAINED_CHANNELS]
+        columns = layout.of(*names)
+        after = filled(layout, inputs, names)[:, columns]
+        change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
 
     def _derivative_at_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])

@@ -35,6 +35,7 @@ from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
+from surefoot.models.bootstrap import BLOCK
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
@@ -51,6 +52,8 @@ how runs differ is known no better than that.
 """
 LEAST_EXCESS = 6.0
 """The same where nothing but the noise of readings is known."""
+AGREED = 3.0
+"""Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 3, 1
@@ -232,6 +235,25 @@ class Chosen:
     def deviations(self) -> np.ndarray:
         """Standard deviations of the sizes (k,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @cached_property
+    def between_blocks(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
+        with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
+        """
+        parts = self.metric.block_products(self.table, self.X, self.keys, BLOCK)
+        prior, total, count = np.diag(self.precision), parts.sum(axis=0), len(parts)
+        moved = np.array(
+            [
+                np.linalg.lstsq(
+                    (total - one)[1:, 1:] + prior,
+                    (total - one)[1:, 0] - self.precision * self.sizes,
+                    rcond=None,
+                )[0]
+                for one in parts
+            ]
+        )
+        return np.sqrt((count - 1) * np.var(moved, axis=0))
 
     def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]
@@ -426,6 +448,14 @@ class _State:
         )
         return np.where((excess > least) & inside, evidence, np.minimum(evidence, -1.0))
 
+    def earned_by(self, chosen: Chosen) -> np.ndarray:
+        """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
+        earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        if not (earned > 0.0).any():
+            return earned
+        agreed = np.abs(chosen.sizes) > AGREED * chosen.between_blocks
+        return np.where(agreed, earned, np.minimum(earned, -1.0))
+
 
 def _metric(
     problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
@@ -451,7 +481,7 @@ def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
         state = _with_zeros(state, effects)
         chosen = _refined(state, effects)
         state = replace(state, explained=_explained_by_body(state, chosen))
-        earned = state.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        earned = state.earned_by(chosen)
         worst = int(np.argmin(earned)) if len(earned) else -1
         if worst < 0 or earned[worst] > 0.0:
             return state, chosen
@@ -613,7 +643,7 @@ def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
         one = _refined(state, [*chosen.effects, *new])
         gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
         at = one.at(keys)
-        if gained > 0.0 and np.all(state.earned(keys, one.sizes[at], one.deviations[at]) > 0.0):
+        if gained > 0.0 and np.all(state.earned_by(one)[at] > 0.0):
             tried.append((gained, one))
     return max(tried, key=lambda pair: pair[0])[1] if tried else None
 
@@ -688,8 +718,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
             other = with_clipped_size(effect(*problem.keys[i], 0.0), beside.sizes[i], problem.limbs)
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
-            earned = state.earned(one.keys, one.sizes, one.deviations)
-            if not np.all(earned > 0.0):
+            if not np.all(state.earned_by(one) > 0.0):
                 continue
             if one.cost + costs < chosen.cost:
                 return one, ()

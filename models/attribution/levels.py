@@ -215,7 +215,7 @@ def scatter_of_rms(square: np.ndarray, count: int) -> float:
 
 
 def trimmed_rms(values: np.ndarray, channel: Channel) -> float:
-    """Root mean square of the finite values without the largest (`_bulk`); NaN if none."""
+    """Root mean square of the finite values without the largest (`_bulk`); NaN without any."""
     return float(np.sqrt(_bulk(values**2, channel).mean()))
 
 
