@@ -4,17 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import Evidence
-from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
+from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.bootstrap import BLOCK, block_bootstrap_counts
 from surefoot.models.residuals.channel import Channel
 from surefoot.models.residuals.registry import channels
 
-SETTLING = 4.0
-"""Beginning of the floor's walks that does not count [s]: feet are steadier in the first steps
-after standing.
-"""
 AT_FLOOR_RATIO = 1.05
 """Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
 NOISE_RATIO = 1.5
@@ -112,7 +107,7 @@ def channel_levels(
         floor: noise floor of the model with the effects.
         on_like_ground: as of `ChannelLevel`.
     """
-    floors = [_settled(one) for one in floor.walks]
+    floors = [one.left for one in floor.walks]
     levels = {}
     for name, columns in known.layout.channels.items():
         if not np.isfinite(before[:, columns]).any():
@@ -195,14 +190,6 @@ def block_gains(
             each = np.bincount(number, gain[:, columns].sum(axis=1), minlength=number.max() + 1)
             gains[name] = each[blocks]
     return gains
-
-
-def _settled(one: FloorWalk) -> np.ndarray:
-    """Residual (M, W) of a walk without its first steps; all of a short one."""
-    t = one.evidence.t
-    weights, every = one.robust_weights, np.ones(len(t), dtype=bool)
-    left = without_nuisance(one.evidence, weights.sigma, weights.weight, every)
-    return left[t > t[0] + SETTLING] if t[-1] - t[0] > 2.0 * SETTLING else left
 
 
 def scatter_of_rms(square: np.ndarray, count: int) -> float:

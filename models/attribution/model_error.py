@@ -205,14 +205,13 @@ def run_sums(
     used = layout.of("joint_torque") if run.case.fixed else layout.fitted
     groups, sums, count, kept = [], [], [], []
     sheet = data_sheet_noise(run.case.log.rate, layout)
-    channel_of = {c: name for name, at in layout.channels.items() for c in range(at.start, at.stop)}
     for columns in layout.alike:
         own = np.zeros_like(run.weight)
         here = [c for c in columns if c in used]
         own[:, here] = run.weight[:, here]
         if own.any():
             kept.append(here)
-            groups.append((channel_of[here[0]], layout.columns[here[0]].kind))
+            groups.append(layout.kinds[here[0]])
             sums.append(table.gram(table.y, np.sqrt(own), here))
             count.append(np.count_nonzero(own))
     return RunSums(

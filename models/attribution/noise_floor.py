@@ -11,17 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.models.attribution.design import design
+from surefoot.models.attribution.design import design, without_nuisance
 from surefoot.models.attribution.effect_sizes import with_clipped_size
 from surefoot.models.attribution.evidence import (
-    Evidence,
     LogUnderModel,
     all_keys,
     linearise,
     log_under_model,
     table_of,
 )
-from surefoot.models.attribution.metric import groups_of
 from surefoot.models.attribution.model_error import (
     EXACT,
     ModelError,
@@ -38,7 +36,7 @@ from surefoot.models.attribution.sensor_noise import (
     reference_sampling,
     resample_reference,
 )
-from surefoot.models.attribution.weights import RobustWeights, robust_weights
+from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
@@ -67,6 +65,10 @@ STANDS = 0.999
 """Share of rows with ground contact from which a log is one of standing."""
 SPEEDS = (1.0, 0.6, 0.3)
 """Shares of the log's velocities at which a walk is tried until the robot does not fall."""
+SETTLING = 4.0
+"""Beginning of a walk whose residual does not count [s], unless it is short: feet are steadier in
+the first steps after standing.
+"""
 SEED = 20_011
 """Of the first walk, fixed so that the floor depends on the logs alone."""
 APPARENT_SIZE_DOUBT = 0.7
@@ -95,13 +97,13 @@ class FloorWalk:
     """One simulated walk of the declared model.
 
     Attributes:
-        evidence: of the walk.
-        robust_weights: of its bins.
+        left: its residual without nuisance parameters and first steps (M, W); NaN where masked.
+        sigma: noise of each column (W,).
         sums: of its residual and all candidates.
     """
 
-    evidence: Evidence
-    robust_weights: RobustWeights
+    left: np.ndarray
+    sigma: np.ndarray
     sums: RunSums
 
 
@@ -117,6 +119,7 @@ class FloorPlan:
         sampling: sampling and noise of the reference, if measured.
         ground: effects of the ground, which no model can compensate.
         effects: that the robot has, compensated by its model.
+        catalogue: names of all effects, which every walk is fitted with.
     """
 
     file: Path
@@ -124,8 +127,9 @@ class FloorPlan:
     groups: tuple[str, ...]
     evenness: float
     sampling: ReferenceSampling | None
-    ground: tuple[Effect, ...] = ()
-    effects: tuple[Effect, ...] = ()
+    ground: tuple[Effect, ...]
+    effects: tuple[Effect, ...]
+    catalogue: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -175,6 +179,8 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
         evenness=ground_evenness(cases),
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
+        effects=(),
+        catalogue=tuple(known_effects()),
     )
     if (floor := _floor(plan)) is not None:
         return floor
@@ -200,13 +206,15 @@ def noise_floor_with(
     """
     if floor.readings:
         return _floor_of_readings(floor.readings, effects)
-    limbs = floor.walks[0].evidence.layout.limbs if floor.walks else None
+    if floor.plan is None:
+        return floor
+    limbs = declared(floor.plan.file).limbs
     telling = tuple(
         with_clipped_size(e, float(f"{e.value:.1e}"), limbs)
         for e in effects
         if is_compensated_approximately(e)
     )
-    if not telling or floor.plan is None or not floor.walks:
+    if not telling:
         return floor
     if near is not None and near.plan is not None and _about_same(near.plan.effects, telling):
         return near
@@ -236,18 +244,14 @@ def is_compensated_approximately(one: Effect) -> bool:
 @lru_cache(maxsize=16)
 def _floor(plan: FloorPlan) -> NoiseFloor | None:
     """The floor by simulated walks; None where the robot completes none."""
-    known = tuple(known_effects())
+    layout = layout_for(declared(plan.file).limbs)
     # Without the other courses, so that a walk is cached once for all logs that contain it.
     alone = replace(plan, courses=())
-    walks = [
-        _floor_walk(alone, one, SEED + i, friction, known)
-        for i, (one, friction) in enumerate(zip(plan.courses, FRICTIONS, strict=False))
-    ]
+    walks = [_floor_walk(alone, course, number) for number, course in enumerate(plan.courses)]
     completed = tuple(one for one in walks if one is not None)
     if not completed:
         return None
-    layout = completed[0].evidence.layout
-    sigma = np.sqrt(np.mean([one.robust_weights.sigma**2 for one in completed], axis=0))
+    sigma = np.sqrt(np.mean([one.sigma**2 for one in completed], axis=0))
     sigma = np.maximum(sigma, _least_noise(layout))
     source = f"{len(completed)} simulated walks of the declared model along the log's own course"
     if plan.sampling:
@@ -258,8 +262,7 @@ def _floor(plan: FloorPlan) -> NoiseFloor | None:
 
 def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
     """A model without errors beyond noise sigma (W,) of the columns."""
-    every = groups_of(layout, np.ones(layout.width, dtype=bool))
-    noise = dict(zip(every, sigma.tolist(), strict=True))
+    noise = dict(zip(layout.kinds, sigma.tolist(), strict=True))
     return ModelError(0, (), np.zeros(0), np.zeros((0, 0)), noise, {})
 
 
@@ -294,10 +297,7 @@ def ground_evenness(cases: Sequence[LogUnderModel]) -> float:
 
 def _least_noise(layout: Layout) -> np.ndarray:
     """Smallest noise (W,) that columns may have."""
-    least = np.zeros(layout.width)
-    for name, columns in layout.channels.items():
-        least[columns] = channels()[name].least_noise
-    return least
+    return np.array([channels()[name].least_noise for name in layout.channel_of])
 
 
 def _with_reference(case: LogUnderModel) -> Log:
@@ -328,24 +328,20 @@ def courses(logs: Sequence[Log]) -> list[Twists]:
 
 
 @lru_cache(maxsize=16)
-def _floor_walk(
-    plan: FloorPlan, course: Twists, seed: int, friction: float, known: tuple[str, ...]
-) -> FloorWalk | None:
-    """One walk, fitted with the `known` effects; None where the robot falls at every speed.
+def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | None:
+    """One walk, fitted with all effects; None where the robot falls at every speed.
 
     Args:
         plan: robot file, groups of columns and effects.
-        course: (forward, lateral, yaw rate) of each segment [m/s, m/s, rad/s]; empty for standing.
-        seed: of the walk.
-        friction: coefficient of friction of the ground.
-        known: names of the effects that the fit may use.
+        course: of the walk; empty for standing.
+        number: of the walk, from 0.
     """
-    robot = declared(plan.file)
+    robot, seed = declared(plan.file), SEED + number
     for slower in SPEEDS if course else (1.0,):
         segments = tuple(
             Segment(PIECE, *(slower * x for x in twist)) for twist in course or ((0.0, 0.0, 0.0),)
         )
-        ground = ground_of(segments, plan.evenness, friction)
+        ground = ground_of(segments, plan.evenness, FRICTIONS[number])
         scenario = Scenario("floor", segments, ground, stand=STAND if course else SECONDS)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
@@ -360,13 +356,15 @@ def _floor_walk(
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))
         case = log_under_model(log, robot)
-        known_of_it = linearise([case], plan.effects, all_keys(case), evaluation_channels=False)
-        known_of_it = replace(known_of_it, table=table_of(case, plan.effects))
+        known = linearise([case], plan.effects, all_keys(case), evaluation_channels=False)
+        known = replace(known, table=table_of(case, plan.effects))
         # The same minimum noise as for the log, so that channels have the same relative weight.
-        weights = robust_weights(design(known_of_it), _least_noise(known_of_it.layout))
-        sums = run_sums(RunEvidence(case, known_of_it, weights.weight, {}), frozenset(), EXACT)
-        # The candidates' regressors are no longer needed.
-        return FloorWalk(known_of_it.only(()), weights, sums)
+        weights = robust_weights(design(known), _least_noise(known.layout))
+        sums = run_sums(RunEvidence(case, known, weights.weight, {}), frozenset(), EXACT)
+        t, every = known.t, np.ones(len(known.t), dtype=bool)
+        left = without_nuisance(known, weights.sigma, weights.weight, every)
+        late = t > t[0] + SETTLING if t[-1] - t[0] > 2.0 * SETTLING else every
+        return FloorWalk(left[late], weights.sigma, sums)
     return None
 
 

@@ -42,10 +42,8 @@ CONSTANT_STEPS = 1.5
 
 def data_sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
     """Standard deviation (W,) of a bin's residual from the sensors' noise and uneven ground."""
-    sigma = np.zeros(layout.width)
-    for name, columns in layout.channels.items():
-        sigma[columns] = channels()[name].noise(Sensors(), rate, evenness)
-    return sigma
+    every, sensors = channels(), Sensors()
+    return np.array([every[name].noise(sensors, rate, evenness) for name in layout.channel_of])
 
 
 def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
@@ -102,7 +100,9 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
     for group in ("q", "dq", "tau"):
         for joint in log.joints if log.has(group) else ():
             values = log.frame[f"{group}_{joint}"].to_numpy()
-            step = _resolution(values)
+            # The smallest change of a reading.
+            steps = np.abs(np.diff(values))
+            step = np.min(steps, where=steps > 0, initial=np.inf) if steps.any() else 0.0
             stays = np.abs(np.diff(values[first], append=values[-1])) < CONSTANT_STEPS * step
             rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)) * stays, count) * step
             noisy[f"{group}_{joint}"] = (
@@ -134,12 +134,6 @@ def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogU
         log = resample_reference(log, sampling, rng)
     motion = motion_under_model(log, case.robot, case.fixed)
     return replace(case, log=log, motion=replace(motion, level=case.motion.level))
-
-
-def _resolution(values: np.ndarray) -> float:
-    """Smallest non-zero change of a reading (N,) between rows."""
-    steps = np.abs(np.diff(values))
-    return float(np.min(steps, where=steps > 0, initial=np.inf)) if steps.any() else 0.0
 
 
 @dataclass(frozen=True)
