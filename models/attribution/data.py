@@ -40,12 +40,6 @@ OF_FEET = ("imu", "contact", "reference")
 """Groups of columns, beside the feet, that a trace by feet alone reads."""
 
 
-def _too_short(seconds: float, least: float) -> str:
-    """State that a log is too short, with the digits that show it."""
-    digits = next((k for k in range(1, 9) if f"{seconds:.{k}f}" != f"{least:.{k}f}"), 9)
-    return f"too short: {seconds:.{digits}f} s where {least:g} s"
-
-
 def readings(log: Log, by_feet: bool = False) -> Log:
     """Keep only the columns that a measured log could have, without contacts that never change;
     `by_feet`: of a machine that is known by its feet alone, without joints that nothing models.
@@ -67,14 +61,11 @@ def dead_contacts(log: Log) -> str:
         return ""
     if log.contact.all() and log.has("q") and np.ptp(log.q, axis=0).max() > 2.0 * np.pi:
         return ""
-    legs = log.legs
-    dead = [leg for leg, one in zip(legs, log.contact.T, strict=True) if one.all() or not one.any()]
-    far = float(np.ptp(log.ref_p[:, :2], axis=0).max())
-    carried = len(dead) == len(legs) and far > REACH
-    walks = len(legs) - len(dead) >= 2 or carried
-    if not dead or not walks:
+    same = log.contact.all(axis=0) | ~log.contact.any(axis=0)
+    carried = same.all() and np.ptp(log.ref_p[:, :2], axis=0).max() > REACH
+    if not same.any() or not (np.count_nonzero(~same) >= 2 or carried):
         return ""
-    names = ", ".join(f"contact_{leg}" for leg in dead)
+    names = ", ".join(f"contact_{leg}" for leg, dead in zip(log.legs, same, strict=True) if dead)
     return f"contacts: not used, no change in {names} although the robot walks"
 
 
@@ -117,13 +108,14 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
             f"no channel: the log lacks {', '.join(lacking)}; needs imu, or q and contact, beside "
             "the reference; without one imu, q and contact; or q and tau of a fixed base"
         )
-    spans = [float(case.motion.t[-1] - case.motion.t[0]) for case in cases]
-    needed = "are needed to fit and to check"
-    if cases[0].fixed and sum(spans) < SHORTEST_FIXED:
-        more = "several logs of one machine add up"
-        return f"{_too_short(sum(spans), SHORTEST_FIXED)} {needed}; {more}"
-    if not cases[0].fixed and sum(spans) < SHORTEST:
-        return f"{_too_short(sum(spans), SHORTEST)} {needed}"
+    span = sum(float(case.motion.t[-1] - case.motion.t[0]) for case in cases)
+    least = SHORTEST_FIXED if cases[0].fixed else SHORTEST
+    if span < least:
+        # With the digits that show it.
+        digits = next((k for k in range(1, 9) if f"{span:.{k}f}" != f"{least:.{k}f}"), 9)
+        needed = f"{least:g} s are needed to fit and to check"
+        more = "; several logs of one machine add up" if cases[0].fixed else ""
+        return f"too short: {span:.{digits}f} s where {needed}{more}"
     known = np.concatenate([bin_mean(case.motion)(case.motion.ok.astype(float)) for case in cases])
     fit, report = (BIN * float(known[part].sum()) for part in (split.fit, split.report))
     if min(fit, report) < SHORTEST_PART:

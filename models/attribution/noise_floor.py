@@ -44,7 +44,6 @@ from surefoot.models.residuals.without_reference import can_dead_reckon, with_de
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
-from surefoot.sim.log import Log
 from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
@@ -171,10 +170,9 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     first = cases[0]
     if first.fixed or first.by_feet:
         return _floor_of_readings(cases, ())
-    walks = first.robot.limbs == QUADRUPED
     plan = FloorPlan(
         file=first.robot.file,
-        courses=tuple(courses([_with_reference(c) for c in cases])) if walks else (),
+        courses=tuple(_courses(cases)) if first.robot.limbs == QUADRUPED else (),
         groups=tuple(g for g in GROUPS if all(case.log.has(g) for case in cases)),
         evenness=ground_evenness(cases),
         sampling=reference_sampling(first.log),
@@ -300,28 +298,18 @@ def _least_noise(layout: Layout) -> np.ndarray:
     return np.array([channels()[name].least_noise for name in layout.channel_of])
 
 
-def _with_reference(case: LogUnderModel) -> Log:
-    """The log, with a reference reckoned from IMU and legs where it has none.
-
-    That is accurate enough for the course of a simulated walk.
-    """
-    log, feet = case.log, case.robot.feet
-    if log.has("reference") or feet is None or feet.roll_unknown or not can_dead_reckon(log):
-        return log
-    return with_dead_reckoning(log, feet)
-
-
-def courses(logs: Sequence[Log]) -> list[Twists]:
-    """The commanded course of each walk; empty where the robot stands on all feet throughout."""
-    if all(log.has("contact") and np.mean(log.contact) > STANDS for log in logs):
+def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
+    """The course of each walk, as the logs went; empty where the robot stands on all feet."""
+    if all(c.log.has("contact") and np.mean(c.log.contact) > STANDS for c in cases):
         return [()] * len(FRICTIONS)
-    # Rounded to two decimals, so that nearly equal courses share one simulated walk.
-    motion = [
-        tuple(round(float(x), 2) for x in twist)
-        for log in logs
-        if log.has("reference")
-        for twist in body_twists(log)
-    ]
+    motion = []
+    for log, feet in ((case.log, case.robot.feet) for case in cases):
+        if not log.has("reference") and feet is not None and can_dead_reckon(log):
+            # Reckoned from IMU and legs, which is accurate enough.
+            log = with_dead_reckoning(log, feet)
+        if log.has("reference"):
+            # Rounded to two decimals, so that nearly equal courses share one simulated walk.
+            motion += [tuple(round(float(x), 2) for x in twist) for twist in body_twists(log)]
     length = max(1, min(round(SECONDS / PIECE), len(motion)))
     starts = np.linspace(0, len(motion) - length, len(FRICTIONS)).round().astype(int)
     return [tuple(motion[start : start + length]) for start in starts] if motion else []
