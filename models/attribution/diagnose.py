@@ -51,10 +51,9 @@ from surefoot.models.attribution.model_error import (
     run_sums,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor, noise_floor_with
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.unexplained import Unexplained, angle_errors, sparse_regression
+from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
-from surefoot.models.attribution.weights import RobustWeights, sticks
+from surefoot.models.attribution.weights import FAR, RobustWeights, sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
@@ -160,14 +159,12 @@ class DiagnosisOptions:
         since: error of the model in runs of the unchanged machine, from the trace that found
             `declared`. With it, the diagnosis says what changed since (`find_change`).
         holdout: logs of the same machine, on which the result is judged and nothing is fitted.
-        constants: of the method.
     """
 
     seed: int = 0
     declared: Sequence[Effect] | None = None
     since: ModelError | None = None
     holdout: Sequence[Log] = ()
-    constants: TraceSettings = DEFAULT
 
 
 DEFAULT_OPTIONS = DiagnosisOptions()
@@ -196,8 +193,7 @@ def diagnose(
     # The logs under the declared model. Zeros and clocks of several logs belong to each log.
     model = declared or ()
     several = len(logs) > 1 or declared is not None
-    settings = options.constants
-    cases = logs_under_model(logs, robot, model, settings)
+    cases = logs_under_model(logs, robot, model)
     split = split_of(cases)
     cannot = untraceable_reason(cases, split)
     if cannot:
@@ -209,13 +205,13 @@ def diagnose(
     # The noise floor, then the search for effects: once, or twice where the effects that were found
     # tell whether feet slide.
     friction = estimate_friction(cases, np.random.default_rng(seed))
-    slip = slip_effect(friction, settings)
+    slip = slip_effect(friction)
     result, floors = _explained(cases, split, slip, several, progress)
     if result.found and friction:
         model_with = [*model, *(one.effect for one in result.found)]
-        explained = logs_under_model(logs, robot, model_with, settings)
+        explained = logs_under_model(logs, robot, model_with)
         friction = estimate_friction(explained, np.random.default_rng(seed))
-        slides = slip_effect(friction, settings)
+        slides = slip_effect(friction)
         if bool(slides) != bool(slip):
             result, floors = _explained(cases, split, slides, several, progress)
         slip = slides
@@ -237,10 +233,10 @@ def diagnose(
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if options.holdout:
-        unseen = logs_under_model(options.holdout, robot, model, settings)
+        unseen = logs_under_model(options.holdout, robot, model)
         held_out = _held_out(unseen, effects, lags, floors, several, rng, model)
     progress(0.95)
-    curves = angle_errors(result, sides.cases, settings)
+    curves = curved_angles(result, sides.cases)
     verdict, reasons = verdict_of(
         Findings(
             found=found,
@@ -261,16 +257,13 @@ def diagnose(
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
         above = _above_floor(channels)
-        unexplained = tuple(
-            Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
-            for one in curves
-        ) + sparse_regression(
+        unexplained = curves + sparse_regression(
             sides.cases, sides.after, sides.weights, above, split.fit, split.report
         )
     if declared is not None and verdict == "not_identifiable":
         # Without a significant effect, no change is reported; the reasons say so.
         found = ()
-    dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log, settings)))
+    dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log)))
     excluded = [words for one in pushes if (words := one.in_words()) not in reasons]
     progress(1.0)
     return Diagnosis(
@@ -291,7 +284,7 @@ def diagnose(
         notes=(
             *dead,
             *data_notes(cases, floors.plain),
-            *slip_notes(friction, "leg_velocity" in channels, settings),
+            *slip_notes(friction, "leg_velocity" in channels),
             *(f"excluded from the verdict: {words}" for words in excluded),
             *_result_notes(found, channels),
             *_lag_notes(lags),
@@ -498,9 +491,7 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
     effects = tuple(one.effect for one in lags)
     return tuple(
         FittedRun(
-            log_under_model(
-                *compensate_all(effects, run.case.log, run.case.robot), run.case.settings
-            ),
+            log_under_model(*compensate_all(effects, run.case.log, run.case.robot)),
             (*run.zeros, *lags),
             (*run.compensated, *effects),
         )
@@ -562,19 +553,13 @@ def _still_explains(
 
 
 def logs_under_model(
-    logs: Sequence[Log],
-    robot: Machine,
-    declared: Sequence[Effect],
-    settings: TraceSettings = DEFAULT,
+    logs: Sequence[Log], robot: Machine, declared: Sequence[Effect]
 ) -> list[LogUnderModel]:
     """The logs' readings with the declared effects compensated, each with its model."""
     robot = _with_declared(robot, declared)
     return [
         log_under_model(
-            *compensate_all(
-                in_order(declared), readings(log, settings, robot.limbs.feet_alone), robot
-            ),
-            settings,
+            *compensate_all(in_order(declared), readings(log, robot.limbs.feet_alone), robot)
         )
         for log in logs
     ]
@@ -598,7 +583,7 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
         f"{name}: {c.after / c.highest:.0f} times its residual in simulation is left, which may "
         "distort the sizes"
         for name, c in channels.items()
-        if found and c.after > c.settings.far_ratio * c.highest
+        if found and c.after > FAR * c.highest
     ]
     return notes
 

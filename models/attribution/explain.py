@@ -19,7 +19,7 @@ from surefoot.models.attribution.effect_sizes import (
     Found,
     in_order,
     plausible_size,
-    prior_penalty,
+    price_of_some_parts,
     with_clipped_size,
 )
 from surefoot.models.attribution.evidence import (
@@ -35,6 +35,7 @@ from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
+from surefoot.models.bootstrap import BLOCK
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
@@ -240,8 +241,7 @@ class Chosen:
         """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
         with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
         """
-        seconds = self.metric.known.settings.block
-        parts = self.metric.block_products(self.table, self.X, self.keys, seconds)
+        parts = self.metric.block_products(self.table, self.X, self.keys, BLOCK)
         prior, total, count = np.diag(self.precision), parts.sum(axis=0), len(parts)
         moved = np.array(
             [
@@ -281,7 +281,7 @@ def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -
     price = [
         np.inf
         if key[0] in per_run
-        else prior_penalty(*key, 0.0, limbs) + (0.0 if sure else of_choice)
+        else price_of_some_parts(*key, limbs) + (0.0 if sure else of_choice)
         for key, sure in zip(keys, certain, strict=True)
     ]
     return Problem(
@@ -529,10 +529,7 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
         if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
-            replace(
-                log_under_model(*compensate_all(these, case.log, case.robot), case.settings),
-                zeros=these,
-            )
+            replace(log_under_model(*compensate_all(these, case.log, case.robot)), zeros=these)
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)

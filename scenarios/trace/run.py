@@ -25,6 +25,10 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
+REPORT_SHARE = 0.35
+"""Share of each log, at its end, that filters run over."""
+HARM_RATIO = 1.05
+"""Ratio of a filter's error, after to before, from which compensation makes it worse."""
 
 
 @dataclass(frozen=True)
@@ -97,18 +101,18 @@ def trace_logs(
     one that is known by its feet alone.
     """
     report = progress or (lambda share: None)
-    settings, learnt = options.constants, options.learnt
+    learnt = options.learnt
     found = diagnose(logs, robot, options, lambda share: report(0.88 * share))
     cases = [run.case for run in found.runs]
     if found.attribution is not None and not cases:
-        cases = logs_under_model(logs, robot, options.declared or (), settings)
-    stretches = _filtered(cases, found.effects, learnt, settings.report_share)
+        cases = logs_under_model(logs, robot, options.declared or ())
+    stretches = _filtered(cases, found.effects, learnt, REPORT_SHARE)
     held_out = [run.case for run in found.held_out.runs] if found.held_out else []
     unseen = _filtered(held_out, found.effects, learnt, 1.0)
     filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
     harm = (
-        *_harm(filters, settings.harm_ratio),
-        *(f"held out: {one}" for one in _harm(unseen_filters, settings.harm_ratio)),
+        *_harm(filters),
+        *(f"held out: {one}" for one in _harm(unseen_filters)),
     )
     report(1.0)
     known = vars(replace(found, notes=found.notes + harm))
@@ -123,12 +127,12 @@ def trace_logs(
     )
 
 
-def _harm(filters: Filters, limit: float) -> tuple[str, ...]:
-    """A sentence for each filter whose APE_trans grew by more than the factor `limit`."""
+def _harm(filters: Filters) -> tuple[str, ...]:
+    """A sentence for each filter whose APE_trans grew by more than HARM_RATIO."""
     return tuple(
         f"{name} filter: larger error with the effects found"
         for name, m in filters.items()
-        if m["after"]["ape_trans"] > limit * m["before"]["ape_trans"]
+        if m["after"]["ape_trans"] > HARM_RATIO * m["before"]["ape_trans"]
     )
 
 
