@@ -159,12 +159,17 @@ class DiagnosisOptions:
         since: error of the model in runs of the unchanged machine, from the trace that found
             `declared`. With it, the diagnosis says what changed since (`find_change`).
         holdout: logs of the same machine, on which the result is judged and nothing is fitted.
+        harmful: of logs and effects, an effect that makes some use of the model worse, and which
+            use; None if none does. Asked of the held-out logs where there are any.
     """
 
     seed: int = 0
     declared: Sequence[Effect] | None = None
     since: ModelError | None = None
     holdout: Sequence[Log] = ()
+    harmful: Callable[[Sequence[LogUnderModel], Sequence[Effect]], tuple[Effect, str] | None] = (
+        lambda cases, effects: None
+    )
 
 
 DEFAULT_OPTIONS = DiagnosisOptions()
@@ -206,14 +211,33 @@ def diagnose(
     # tell whether feet slide.
     friction = estimate_friction(cases, np.random.default_rng(seed))
     slip = slip_effect(friction)
-    result, floors = _explained(cases, split, slip, several, progress)
+    unseen = logs_under_model(options.holdout, robot, model)
+    problem = problem_of(cases, split.fit, several)
+
+    def explained(slip: Sequence[Found]) -> tuple[Explanation, _Floors]:
+        """The search, and the floors that it was based on."""
+        floors = _Floors(cases, [one.effect for one in slip])
+        progress(0.4)
+
+        def harmful(metric: Metric, now: Problem, effects: Sequence[Effect]):
+            floor = floors.of(effects)
+            by_channel = find_harmful_effect(now.cases, effects, metric, floor, split)
+            return by_channel or (
+                options.harmful(unseen or now.cases, effects) if effects else None
+            )
+
+        found = explain(problem, floors.error_of, harmful, lambda x: progress(0.4 + 0.5 * x))
+        floors.of([one.effect for one in found.found])
+        return found, floors
+
+    result, floors = explained(slip)
     if result.found and friction:
         model_with = [*model, *(one.effect for one in result.found)]
-        explained = logs_under_model(logs, robot, model_with)
-        friction = estimate_friction(explained, np.random.default_rng(seed))
+        with_found = logs_under_model(logs, robot, model_with)
+        friction = estimate_friction(with_found, np.random.default_rng(seed))
         slides = slip_effect(friction)
         if bool(slides) != bool(slip):
-            result, floors = _explained(cases, split, slides, several, progress)
+            result, floors = explained(slides)
         slip = slides
     lags = _sampling_lags(result.found, cases)
     found = (*(f for f in result.found if f not in lags), *slip)
@@ -233,7 +257,6 @@ def diagnose(
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if options.holdout:
-        unseen = logs_under_model(options.holdout, robot, model)
         held_out = _held_out(unseen, effects, lags, floors, several, rng, model)
     progress(0.95)
     curves = curved_angles(result, sides.cases)
@@ -308,27 +331,6 @@ class _Floors:
     def error_of(self, effects: Sequence[Effect]) -> ModelError:
         """Error of the model with these effects."""
         return self.of(effects).error
-
-
-def _explained(
-    cases: Sequence[LogUnderModel],
-    split: Split,
-    slip: Sequence[Found],
-    several: bool,
-    progress: Callable[[float], None],
-) -> tuple[Explanation, _Floors]:
-    """The search for effects, and the floors that it was based on."""
-    floors = _Floors(cases, [one.effect for one in slip])
-    progress(0.4)
-
-    def harmful(metric: Metric, problem: Problem, effects: Sequence[Effect]):
-        floor = floors.of(effects)
-        return find_harmful_effect(problem.cases, effects, metric, floor, split)
-
-    problem = problem_of(cases, split.fit, several)
-    found = explain(problem, floors.error_of, harmful, lambda share: progress(0.4 + 0.5 * share))
-    floors.of([one.effect for one in found.found])
-    return found, floors
 
 
 @dataclass(frozen=True)

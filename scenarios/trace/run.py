@@ -12,7 +12,13 @@ from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.model_error import ModelError, model_error_from_dict
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
-from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
+from surefoot.scenarios.trace.filters import (
+    HARM,
+    BeforeAfter,
+    before_and_after,
+    harmful_to_filters,
+    mean_metrics,
+)
 from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
@@ -27,8 +33,6 @@ from surefoot.sim.robot.machine import Machine
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 REPORT_SHARE = 0.35
 """Share of each log, at its end, that filters run over."""
-HARM_RATIO = 1.05
-"""Ratio of a filter's error, after to before, from which compensation makes it worse."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,8 @@ def trace_logs(
     """
     report = progress or (lambda share: None)
     learnt = options.learnt
-    found = diagnose(logs, robot, options, lambda share: report(0.88 * share))
+    judged = replace(options, harmful=harmful_to_filters)
+    found = diagnose(logs, robot, judged, lambda share: report(0.88 * share))
     cases = [run.case for run in found.runs]
     if found.attribution is not None and not cases:
         cases = logs_under_model(logs, robot, options.declared or ())
@@ -128,11 +133,11 @@ def trace_logs(
 
 
 def _harm(filters: Filters) -> tuple[str, ...]:
-    """A sentence for each filter whose APE_trans grew by more than HARM_RATIO."""
+    """A sentence for each filter whose APE_trans grew by more than HARM."""
     return tuple(
         f"{name} filter: larger error with the effects found"
         for name, m in filters.items()
-        if m["after"]["ape_trans"] > HARM_RATIO * m["before"]["ape_trans"]
+        if m["after"]["ape_trans"] > HARM * m["before"]["ape_trans"]
     )
 
 
