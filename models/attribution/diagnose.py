@@ -107,6 +107,14 @@ class Diagnosis:
     least: dict[Key, float] = field(default_factory=dict)
 
     @property
+    def rejected(self) -> tuple[tuple[Effect, str], ...]:
+        """Effects that were considered and are not found, and why."""
+        if self.attribution is None:
+            return ()
+        harmful = ((one, f"it makes {name} worse") for one, name in self.attribution.harmful)
+        return (*harmful, *self.attribution.rejected)
+
+    @property
     def effects(self) -> tuple[Effect, ...]:
         """The effects found, in the order in which they are compensated."""
         return in_order([one.effect for one in self.found])
@@ -143,6 +151,8 @@ class Diagnosis:
             ]
         if self.rivals:
             out["rivals"] = list(self.rivals)
+        if self.rejected:
+            out["rejected"] = [{**one.as_dict(), "because": why} for one, why in self.rejected]
         return plain(out)
 
 
@@ -616,7 +626,10 @@ def _error_of(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> Mode
 
 
 def _with_interval(one: Found) -> dict[str, Any]:
-    return {**one.effect.as_dict(), "interval": list(one.interval)}
+    criteria = {"excess": one.excess, "agreement": one.agreement}
+    return {**one.effect.as_dict(), "interval": list(one.interval)} | (
+        criteria if np.isfinite(one.excess) else {}
+    )
 
 
 def _run_as_dict(run: FittedRun) -> list[dict[str, Any]]:

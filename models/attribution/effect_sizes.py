@@ -18,10 +18,19 @@ from surefoot.sim.robot.limbs import Limbs
 
 @dataclass(frozen=True)
 class Found:
-    """An effect and the 95 % interval of its size."""
+    """An effect with what speaks for it.
+
+    Attributes:
+        effect: with its size.
+        interval: 95 % interval of its size.
+        excess: its size in standard deviations by noise and the model's error.
+        agreement: its size in standard deviations between blocks of the logs.
+    """
 
     effect: Effect
     interval: tuple[float, float]
+    excess: float = np.nan
+    agreement: float = np.nan
 
 
 def in_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
