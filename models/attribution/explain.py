@@ -35,7 +35,7 @@ from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
-from surefoot.models.bootstrap import BLOCK
+from surefoot.models.bootstrap import BLOCK_SECONDS
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
@@ -243,7 +243,7 @@ class Chosen:
         """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
         with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
         """
-        parts = self.metric.block_products(self.table, self.X, self.keys, BLOCK)
+        parts = self.metric.block_products(self.table, self.X, self.keys, BLOCK_SECONDS)
         prior, total, count = np.diag(self.precision), parts.sum(axis=0), len(parts)
         moved = np.array(
             [

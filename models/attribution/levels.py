@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.bootstrap import BLOCK, block_bootstrap_counts
+from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
 from surefoot.models.residuals.channel import Channel
 from surefoot.models.residuals.registry import channels
 
@@ -179,7 +179,7 @@ def block_gains(
         sigma: noise of the columns (W,).
         weight: of the entries (M, W).
     """
-    stretch = np.floor((known.t - known.t.min()) / BLOCK).astype(int)
+    stretch = np.floor((known.t - known.t.min()) / BLOCK_SECONDS).astype(int)
     number = known.log * (stretch.max() + 1) + stretch
     gain = np.nan_to_num(weight * (before**2 - after**2)) / sigma**2
     both = np.isfinite(before) & np.isfinite(after) & (weight > 0.0)
@@ -223,7 +223,7 @@ def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
     if not there.any():
         return np.nan
     there &= square <= _bulk(square, channel)[-1]
-    block = known.log * 1_000_000 + np.floor(known.t / BLOCK).astype(int)
+    block = known.log * 1_000_000 + np.floor(known.t / BLOCK_SECONDS).astype(int)
     rows, block = there.any(axis=1), np.unique(block, return_inverse=True)[1]
     total, count = (
         np.bincount(block[rows], np.where(there, one, 0.0).sum(axis=1)[rows])
