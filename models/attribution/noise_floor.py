@@ -161,7 +161,7 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     so the floor is a function of the logs. A section on which the robot falls is repeated at lower
     speed. For a robot that cannot walk at all the floor is the sensors' noise by their data sheets,
     for a machine on a fixed base the noise of its readings, and for one that is known by its feet
-    alone that noise and `POINT_FEET`.
+    alone that noise and POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.
