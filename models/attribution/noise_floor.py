@@ -40,7 +40,7 @@ from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
-from surefoot.models.residuals.without_reference import can_dead_reckon, with_dead_reckoning
+from surefoot.models.residuals.without_reference import with_dead_reckoning
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
@@ -303,11 +303,11 @@ def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
     if all(c.log.has("contact") and np.mean(c.log.contact) > STANDS for c in cases):
         return [()] * len(FRICTIONS)
     motion = []
-    for log, feet in ((case.log, case.robot.feet) for case in cases):
-        if not log.has("reference") and feet is not None and can_dead_reckon(log):
-            # Reckoned from IMU and legs, which is accurate enough.
-            log = with_dead_reckoning(log, feet)
-        if log.has("reference"):
+    for case in cases:
+        # Dead reckoning is accurate enough.
+        log = case.log
+        log = log if log.has("reference") else with_dead_reckoning(log, case.robot.feet)
+        if log is not None:
             # Rounded to two decimals, so that nearly equal courses share one simulated walk.
             motion += [tuple(round(float(x), 2) for x in twist) for twist in body_twists(log)]
     length = max(1, min(round(_SECONDS / PIECE), len(motion)))
