@@ -63,8 +63,12 @@ def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
     return f"contacts: not used, no change in {names} although the robot walks"
 
 
-def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
-    """Say in one line why these logs cannot be traced; "" if they can."""
+def untraceable_reason(cases: Sequence[LogUnderModel], split: Split, new: bool = False) -> str:
+    """Say in one line why these logs cannot be traced; "" if they can.
+
+    new: whether they are compared with earlier runs. Nothing is fitted to a part and checked on
+    another then, and the least changes say how much short runs show.
+    """
     if not any(all_keys(case) for case in cases):
         groups = ("imu", "q", "contact", "tau", "reference")
         lacking = [g for g in groups if not all(case.log.has(g) for case in cases)]
@@ -81,6 +85,9 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
     s = cases[0].settings
     spans = [float(case.motion.t[-1] - case.motion.t[0]) for case in cases]
     needed = "are needed to fit and to check"
+    if new and cases[0].fixed:
+        short = max(spans) < s.shortest_new_run
+        return f"{_too_short(max(spans), s.shortest_new_run)} {needed}" if short else ""
     if cases[0].fixed and sum(spans) < s.shortest_fixed_log:
         more = "several logs of one machine add up"
         return f"{_too_short(sum(spans), s.shortest_fixed_log)} {needed}; {more}"

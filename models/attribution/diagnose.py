@@ -16,6 +16,7 @@ from surefoot.models.attribution.evidence import (
     LogUnderModel,
     linearise,
     log_under_model,
+    passive_joints,
 )
 from surefoot.models.attribution.explain import (
     Candidate,
@@ -195,7 +196,7 @@ def diagnose(
     settings = options.constants
     cases = logs_under_model(logs, robot, model, settings)
     split = split_of(cases)
-    cannot = untraceable_reason(cases, split)
+    cannot = untraceable_reason(cases, split, new=since is not None)
     if cannot:
         reasons = (cannot,)
         return Diagnosis(verdict="not_identifiable", reasons=reasons, channels={}, notes=reasons)
@@ -293,7 +294,7 @@ def diagnose(
             *_lag_notes(lags),
         ),
         unexplained=unexplained,
-        model_error=_error_of(sides.cases, effects) if several else None,
+        model_error=_error_of(cases, effects) if several else None,
     )
 
 
@@ -486,7 +487,9 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
     return tuple(
         FittedRun(
             log_under_model(
-                *compensate_all(effects, run.case.log, run.case.robot), run.case.settings
+                *compensate_all(effects, run.case.log, run.case.robot),
+                run.case.settings,
+                run.case.undriven,
             ),
             (*run.zeros, *lags),
             (*run.compensated, *effects),
@@ -556,14 +559,12 @@ def logs_under_model(
 ) -> list[LogUnderModel]:
     """The logs' readings with the declared effects compensated, each with its model."""
     robot = _with_declared(robot, declared)
+    read = [readings(log, settings, robot.limbs.feet_alone) for log in logs]
     return [
         log_under_model(
-            *compensate_all(
-                in_order(declared), readings(log, settings, robot.limbs.feet_alone), robot
-            ),
-            settings,
+            *compensate_all(in_order(declared), log, robot), settings, passive_joints(log)
         )
-        for log in logs
+        for log in read
     ]
 
 
@@ -610,7 +611,9 @@ def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
 
 
 def _error_of(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> ModelError | None:
-    """Error of the model with these effects, as the runs show it."""
+    """Error of the model with these effects, as the runs show it. A run's own zeros are not
+    compensated, since those of new runs are not either.
+    """
     runs = [run_sums(run_evidence(case, effects)) for case in cases]
     return model_error(runs, cases[0].robot.limbs)
 

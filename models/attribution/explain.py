@@ -23,7 +23,12 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
-from surefoot.models.attribution.found import Found, in_order, with_clipped_size
+from surefoot.models.attribution.found import (
+    Found,
+    in_order,
+    interior_bounds,
+    with_clipped_size,
+)
 from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
@@ -35,6 +40,7 @@ from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
 NAMED = 2.0 * np.log(1e3)
 """Twice the logarithm of the odds from which an effect is named, and up to which another one
@@ -162,9 +168,14 @@ class Problem:
     shift: np.ndarray
 
     @property
+    def machine(self) -> Machine:
+        """The declared model."""
+        return self.cases[0].robot
+
+    @property
     def limbs(self) -> Limbs:
         """Limbs of the machine."""
-        return self.cases[0].robot.limbs
+        return self.machine.limbs
 
     @property
     def per_run(self) -> frozenset[str]:
@@ -414,8 +425,7 @@ class _State:
             evidence -= INEXACT * np.sum(self.metric.shares[at] * self.explained, axis=-1)
             excess = np.abs(sizes) / np.sqrt(variance)
         least = self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
-        kinds, limbs = known_effects(), self.problem.limbs
-        bounds = [kinds[name].interior_bounds(target, limbs) for name, target in keys]
+        bounds = [interior_bounds(*key, self.problem.machine) for key in keys]
         inside = np.array(
             [low < x < high for x, (low, high) in zip(sizes, bounds, strict=True)], bool
         )
@@ -491,13 +501,15 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
                     sizes.pop(key, None)
             zeros.append(
                 tuple(
-                    with_clipped_size(effect(*k, 0.0), x, problem.limbs) for k, x in sizes.items()
+                    with_clipped_size(effect(*k, 0.0), x, problem.machine) for k, x in sizes.items()
                 )
             )
         if tuple(zeros) == state.zeros:
             break
         cases = [
-            log_under_model(*compensate_all(these, case.log, case.robot), case.settings)
+            log_under_model(
+                *compensate_all(these, case.log, case.robot), case.settings, case.undriven
+            )
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)
@@ -508,8 +520,8 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
 
 def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
     """Refine the sizes of effects on the true residual, by Gauss-Newton steps."""
-    problem, metric, limbs = state.problem, state.metric, state.problem.limbs
-    effects = in_order([with_clipped_size(one, one.value, limbs) for one in start])
+    problem, metric, machine = state.problem, state.metric, state.problem.machine
+    effects = in_order([with_clipped_size(one, one.value, machine) for one in start])
     keys = [(one.name, one.target) for one in effects]
     precision = problem.prior[problem.at(keys)] ** -2.0
     # Size at which each derivative was taken, and the derivative.
@@ -542,7 +554,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         inverse = np.linalg.pinv(A, hermitian=True)
         moved = sizes + inverse @ (S[1:, 0] - precision * sizes)
         effects = tuple(
-            with_clipped_size(one, x, limbs) for one, x in zip(effects, moved, strict=True)
+            with_clipped_size(one, x, machine) for one, x in zip(effects, moved, strict=True)
         )
         change = np.array([one.value for one in effects]) - sizes
         if np.all(np.abs(change) <= SETTLED * np.sqrt(np.diag(inverse))):
@@ -602,7 +614,7 @@ def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
     for keys, sizes in _proposals(state, beside):
         new = [effect(*key, 0.0) for key in keys]
         new = [
-            with_clipped_size(one, x, state.problem.limbs)
+            with_clipped_size(one, x, state.problem.machine)
             for one, x in zip(new, sizes, strict=True)
         ]
         one = _refined(state, [*chosen.effects, *new])
@@ -680,7 +692,9 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
         able &= np.isfinite(beside.evidence)
         order = (int(i) for i in np.argsort(-beside.evidence) if able[i])
         for i in islice(_distinct(order, problem), SINGLES):
-            other = with_clipped_size(effect(*problem.keys[i], 0.0), beside.sizes[i], problem.limbs)
+            other = with_clipped_size(
+                effect(*problem.keys[i], 0.0), beside.sizes[i], problem.machine
+            )
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
             earned = state.earned(one.keys, one.sizes, one.deviations)
@@ -695,7 +709,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
 
 def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     """Every candidate of a round, those that earn a place first, by evidence."""
-    problem, limbs = state.problem, state.problem.limbs
+    problem = state.problem
     earned = state.earned(problem.keys, beside.sizes, beside.deviations)
     total = max(float(beside.S[0, 0]), 1e-300)
     gains = beside.sizes * beside.S[1:, 0]
@@ -707,7 +721,7 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     least = np.maximum(enough, state.least_excess) * deviations
     out = []
     for i in np.argsort(-beside.evidence):
-        low, high = known_effects()[problem.keys[i][0]].interior_bounds(problem.keys[i][1], limbs)
+        low, high = interior_bounds(*problem.keys[i], problem.machine)
         if problem.keys[i][0] not in problem.per_run and np.isfinite(beside.deviations[i]):
             out.append(
                 Candidate(
@@ -755,7 +769,7 @@ def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
             one = with_clipped_size(
                 effect(*key, 0.0),
                 known.get(key, 0.0) + (0.0 if key in known else size),
-                problem.limbs,
+                problem.machine,
             )
             half = 1.96 * deviation
             if key in known or key[0] in ("gyro_bias", "accel_bias"):

@@ -180,10 +180,10 @@ def evidence_of(
     if not first.fixed:
         return known, [{} for _ in cases]
     if first.log.has("dq") and first.log.has("tau"):
-        limbs, starts = first.robot.limbs, np.searchsorted(known.log, np.arange(len(cases) + 1))
-        names = tuple(angle_errors(first.log, limbs))
+        undriven, starts = first.undriven, np.searchsorted(known.log, np.arange(len(cases) + 1))
+        names = tuple(angle_errors(first.log, undriven))
         more = [
-            wrt_columns(case, effects, lambda log: [*angle_errors(log, limbs).values()])
+            wrt_columns(case, effects, lambda log: [*angle_errors(log, undriven).values()])
             for case in cases
         ]
         X = tuple(joined_regressor(list(parts), starts) for parts in zip(*more, strict=True))
@@ -308,7 +308,7 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     return w[whole] / total[whole, None]
 
 
-def angle_errors(log: Log, limbs: Limbs) -> dict[Key, dict[str, np.ndarray]]:
+def angle_errors(log: Log, undriven: Sequence[str]) -> dict[Key, dict[str, np.ndarray]]:
     """What may be added to the angle and the rate of a joint without a drive, apart from a zero: a
     drift, and shares of all angles.
 
@@ -317,10 +317,9 @@ def angle_errors(log: Log, limbs: Limbs) -> dict[Key, dict[str, np.ndarray]]:
     """
     drift = log.t - np.mean(log.t)
     out: dict[Key, dict[str, np.ndarray]] = {}
-    passive = [joint for joint, tau in zip(limbs.joints, log.tau.T, strict=True) if not tau.any()]
-    for joint in passive:
+    for joint in undriven:
         out[ANGLE_ERROR, f"{joint} drift"] = {f"q_{joint}": drift}
-        for of, angle, rate in zip(limbs.joints, log.q.T, log.dq.T, strict=True):
+        for of, angle, rate in zip(log.joints, log.q.T, log.dq.T, strict=True):
             out[ANGLE_ERROR, f"{joint} {of}"] = {f"q_{joint}": angle, f"dq_{joint}": rate}
     return out
 

@@ -29,6 +29,10 @@ class TraceSettings:
     """The same for a machine on a fixed base, of all logs together: every row is informative
     [s].
     """
+    shortest_new_run: float = 1.0
+    """The same for the longest of the runs that are compared with earlier ones: some of the windows
+    in which torques are averaged [s].
+    """
     fixed_base_rate: float = 0.1
     """RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
     bias of a bad gyro 0.05.
