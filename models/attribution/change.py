@@ -13,8 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtrit
 
+from surefoot.models.attribution.effect_sizes import (
+    PER_RUN_EFFECTS,
+    Found,
+    interior_bounds,
+    plausible_size,
+    sized,
+)
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
-from surefoot.models.attribution.found import Found, interior_bounds, sized
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.metric import Metric, groups_of, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
@@ -26,8 +32,6 @@ from surefoot.models.attribution.model_error import (
     evidence_of,
     windows,
 )
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
 from surefoot.sim.robot.limbs import Limbs

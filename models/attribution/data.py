@@ -1,15 +1,14 @@
-"""Columns that a trace reads from its logs, and the effects that can be identified from them."""
+"""Columns and parts of the logs that a trace uses, and the effects that can be identified."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.reference_sampling import reference_notes, reference_sampling
+from surefoot.models.attribution.sensor_noise import reference_notes, reference_sampling
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.registry import CHANNELS, channels
 from surefoot.sim.effects import known_effects
@@ -61,6 +60,30 @@ def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
         return ""
     names = ", ".join(f"contact_{leg}" for leg in dead)
     return f"contacts: not used, no change in {names} although the robot walks"
+
+
+@dataclass(frozen=True)
+class Split:
+    """Masks (M,) of the bins used to fit and to report."""
+
+    fit: np.ndarray
+    report: np.ndarray
+
+
+def split_of(cases: Sequence[LogUnderModel]) -> Split:
+    """Split each log: every third block reports, so that both parts have all that a robot does."""
+    fits, reports = [], []
+    for case in cases:
+        s, t = case.settings, case.motion.t - case.motion.t[0]
+        block = min(s.split_block, t[-1] / s.fewest_split_blocks)
+        if case.fixed:
+            # Long enough for some windows over which torques are averaged.
+            block = min(max(block, s.shortest_fixed_block), t[-1] / 3.0)
+        block = max(block, 1e-9)
+        phase, gap = np.mod(t, 3.0 * block), s.split_gap * block / s.split_block
+        fits.append((phase >= gap) & (phase < 2.0 * block))
+        reports.append(phase >= 2.0 * block + gap)
+    return Split(np.concatenate(fits), np.concatenate(reports))
 
 
 def untraceable_reason(cases: Sequence[LogUnderModel], split: Split, new: bool = False) -> str:

@@ -6,10 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.change import find_change
-from surefoot.models.attribution.data import data_notes, dead_contacts, readings, untraceable_reason
+from surefoot.models.attribution.data import (
+    Split,
+    data_notes,
+    dead_contacts,
+    readings,
+    split_of,
+    untraceable_reason,
+)
 from surefoot.models.attribution.design import without_nuisance
+from surefoot.models.attribution.effect_sizes import Found, in_order, is_sampling_lag
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -27,10 +34,11 @@ from surefoot.models.attribution.explain import (
     problem_of,
     zeros_beside,
 )
-from surefoot.models.attribution.found import Found, in_order
-from surefoot.models.attribution.friction import (
+from surefoot.models.attribution.forces import (
     FootFriction,
     estimate_friction,
+    outside_forces,
+    pushed_bins,
     slip_effect,
     slip_notes,
 )
@@ -44,14 +52,10 @@ from surefoot.models.attribution.model_error import (
     run_sums,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor, noise_floor_with
-from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
-from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.run_offsets import is_sampling_lag
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import Split, split_of
-from surefoot.models.attribution.sticking import sticks
-from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
+from surefoot.models.attribution.unexplained import Unexplained, angle_errors, sparse_regression
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
+from surefoot.models.attribution.weights import RobustWeights, sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
@@ -362,7 +366,12 @@ class Residuals:
 
     def levels(self, judge: np.ndarray) -> dict[str, ChannelLevel]:
         """Level of each channel over the bins of a mask (M,)."""
-        return channel_levels(self.before[judge], self.after[judge], self.evidence, self.floor)
+        known = self.evidence
+        judged = replace(known, t=known.t[judge], log=known.log[judge])
+        level = all(c.fixed or c.motion.level or not c.motion.by_reference for c in self.cases)
+        return channel_levels(
+            self.before[judge], self.after[judge], judged, self.floor, on_like_ground=level
+        )
 
 
 def _residuals(
@@ -456,7 +465,11 @@ def _held_out(
     before, after = (
         np.concatenate([getattr(one, side) for one in sides]) for side in ("before", "after")
     )
-    levels = channel_levels(before, after, sides[-1].evidence, floor)
+    bins = [one.evidence.t for one in sides]
+    log = np.repeat(np.arange(len(bins)), [len(t) for t in bins])
+    evidence = replace(sides[-1].evidence, t=np.concatenate(bins), log=log)
+    every = Residuals([run.case for run in runs], evidence, before, after, sides[-1].weights, floor)
+    levels = every.levels(np.ones(len(log), dtype=bool))
     return HeldOutRuns(levels, tuple(runs), tuple(worsened))
 
 

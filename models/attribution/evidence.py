@@ -18,6 +18,7 @@ from surefoot.models.residuals.binning import (
 from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.contact_timing import CHANGE_WINDOW
 from surefoot.models.residuals.jacobians import (
+    CHAINED_CHANNELS,
     Regressor,
     ResidualJacobians,
     explained_share,
@@ -107,6 +108,7 @@ class LogUnderModel:
         motion: of the base.
         fixed: whether the base cannot move.
         settings: of the trace.
+        zeros: effects of the log's own, such as encoder zeros, that it has compensated.
         undriven: joints without a drive (`passive_joints`); of a fixed base.
     """
 
@@ -115,6 +117,7 @@ class LogUnderModel:
     motion: ReferenceMotion
     fixed: bool = False
     settings: TraceSettings = DEFAULT
+    zeros: tuple[Effect, ...] = ()
     undriven: tuple[str, ...] = ()
 
     @property
@@ -310,7 +313,11 @@ def _parts(
     log, robot = compensate_all(chosen, case.log, case.robot)
     motion = case.motion
     if log is not case.log and _changes_motion(changed_columns(case.log, log)):
-        motion = replace(motion_under_model(log, robot, case.fixed), level=case.motion.level)
+        motion = replace(
+            motion_under_model(log, robot, case.fixed),
+            level=case.motion.level,
+            normal_G=case.motion.normal_G,
+        )
     names = [
         name
         for name, channel in channels().items()
@@ -384,6 +391,9 @@ class _Linear:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(key, log, robot, step)
+        if key[0] in _SCALED:
+            by_scale = (_reading_scale(self.case, [effect(*key, step)]) - 1.0) / step
+            change = change + by_scale * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
@@ -413,10 +423,11 @@ class _Linear:
         self, change: np.ndarray, log: Log, robot: Machine, step: float
     ) -> None:
         """Add to `change` (M, W), by differences, the channels without a chain rule."""
-        inputs = ResidualInputs(log, robot, self.motion)
-        names = [name for name, channel in channels().items() if not channel.has_chain_rule]
-        after = filled(self.parts.layout, inputs, names)
-        change += np.nan_to_num(after - self.parts.table) / step
+        layout, inputs = self.parts.layout, ResidualInputs(log, robot, self.motion)
+        names = [name for name in layout.channels if name not in CHAINED_CHANNELS]
+        columns = layout.of(*names)
+        after = filled(layout, inputs, names)[:, columns]
+        change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
 
     def _derivative_at_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])

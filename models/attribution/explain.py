@@ -14,6 +14,15 @@ from itertools import islice
 import numpy as np
 from scipy.special import stdtrit
 
+from surefoot.models.attribution.effect_sizes import (
+    PER_RUN_EFFECTS,
+    Found,
+    in_order,
+    interior_bounds,
+    plausible_size,
+    prior_penalty,
+    with_clipped_size,
+)
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -23,18 +32,10 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
-from surefoot.models.attribution.found import (
-    Found,
-    in_order,
-    interior_bounds,
-    with_clipped_size,
-)
 from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
-from surefoot.models.attribution.priors import plausible_size, prior_penalty
-from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
-from surefoot.models.attribution.sticking import sticks
+from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
@@ -52,6 +53,8 @@ how runs differ is known no better than that.
 """
 LEAST_EXCESS = 6.0
 """The same where nothing but the noise of readings is known."""
+AGREED = 3.0
+"""Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 3, 1
@@ -239,6 +242,26 @@ class Chosen:
         """Standard deviations of the sizes (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    @cached_property
+    def between_blocks(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
+        with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
+        """
+        seconds = self.metric.known.settings.block
+        parts = self.metric.block_products(self.table, self.X, self.keys, seconds)
+        prior, total, count = np.diag(self.precision), parts.sum(axis=0), len(parts)
+        moved = np.array(
+            [
+                np.linalg.lstsq(
+                    (total - one)[1:, 1:] + prior,
+                    (total - one)[1:, 0] - self.precision * self.sizes,
+                    rcond=None,
+                )[0]
+                for one in parts
+            ]
+        )
+        return np.sqrt((count - 1) * np.var(moved, axis=0))
+
     def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]
         return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
@@ -358,7 +381,6 @@ class _State:
     Attributes:
         declared: the logs under the declared model.
         problem: the logs, with their own zeros and clocks compensated.
-        zeros: those of each log.
         error_of: as of `explain`.
         effects: that are compensated.
         error: of the model with the effects.
@@ -369,7 +391,6 @@ class _State:
 
     declared: Sequence[LogUnderModel]
     problem: Problem
-    zeros: tuple[tuple[Effect, ...], ...]
     error_of: Callable[[Sequence[Effect]], ModelError]
     effects: tuple[Effect, ...]
     error: ModelError
@@ -378,10 +399,9 @@ class _State:
 
     @staticmethod
     def of(problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError]) -> "_State":
-        error, none = error_of(()), tuple(() for _ in problem.cases)
-        return _State(
-            problem.cases, problem, none, error_of, (), error, _metric(problem, (), None, error)
-        )
+        error = error_of(())
+        metric = _metric(problem, (), None, error)
+        return _State(problem.cases, problem, error_of, (), error, metric)
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
@@ -431,6 +451,14 @@ class _State:
         )
         return np.where((excess > least) & inside, evidence, np.minimum(evidence, -1.0))
 
+    def earned_by(self, chosen: Chosen) -> np.ndarray:
+        """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
+        earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        if not (earned > 0.0).any():
+            return earned
+        agreed = np.abs(chosen.sizes) > AGREED * chosen.between_blocks
+        return np.where(agreed, earned, np.minimum(earned, -1.0))
+
 
 def _metric(
     problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
@@ -456,7 +484,7 @@ def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
         state = _with_zeros(state, effects)
         chosen = _refined(state, effects)
         state = replace(state, explained=_explained_by_body(state, chosen))
-        earned = state.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        earned = state.earned_by(chosen)
         worst = int(np.argmin(earned)) if len(earned) else -1
         if worst < 0 or earned[worst] > 0.0:
             return state, chosen
@@ -491,12 +519,12 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
     doubt = problem.unknown[problem.at(keys)]
     for _ in range(ZERO_ROUNDS if keys else 0):
         zeros = []
-        for known, fitted in zip(state.zeros, state.metric.zeros(keys), strict=True):
-            sizes = {(e.name, e.target): e.value for e in known}
+        for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
+            sizes = {(e.name, e.target): e.value for e in case.zeros}
             for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
                 least = ZERO_MOVED * np.hypot(deviation, more)
-                if abs(size) > least:
-                    sizes[key] = sizes.get(key, 0.0) + size
+                if abs(size - sizes.get(key, 0.0)) > least:
+                    sizes[key] = size
                 if abs(sizes.get(key, 0.0)) <= least:
                     sizes.pop(key, None)
             zeros.append(
@@ -504,17 +532,20 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
                     with_clipped_size(effect(*k, 0.0), x, problem.machine) for k, x in sizes.items()
                 )
             )
-        if tuple(zeros) == state.zeros:
+        if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
-            log_under_model(
-                *compensate_all(these, case.log, case.robot), case.settings, case.undriven
+            replace(
+                log_under_model(
+                    *compensate_all(these, case.log, case.robot), case.settings, case.undriven
+                ),
+                zeros=these,
             )
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)
         metric = _metric(problem, effects, None, state.error)
-        state = replace(state, problem=problem, zeros=tuple(zeros), metric=metric)
+        state = replace(state, problem=problem, metric=metric)
     return state
 
 
@@ -620,7 +651,7 @@ def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
         one = _refined(state, [*chosen.effects, *new])
         gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
         at = one.at(keys)
-        if gained > 0.0 and np.all(state.earned(keys, one.sizes[at], one.deviations[at]) > 0.0):
+        if gained > 0.0 and np.all(state.earned_by(one)[at] > 0.0):
             tried.append((gained, one))
     return max(tried, key=lambda pair: pair[0])[1] if tried else None
 
@@ -697,8 +728,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
             )
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
-            earned = state.earned(one.keys, one.sizes, one.deviations)
-            if not np.all(earned > 0.0):
+            if not np.all(state.earned_by(one) > 0.0):
                 continue
             if one.cost + costs < chosen.cost:
                 return one, ()
@@ -762,17 +792,13 @@ def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
     ]
     fits = state.metric.zeros(keys) if keys else [[] for _ in problem.cases]
     runs = []
-    for case, zeros, fitted in zip(problem.cases, state.zeros, fits, strict=True):
-        known = {(e.name, e.target): e.value for e in zeros}
+    for case, fitted in zip(problem.cases, fits, strict=True):
+        known = {(e.name, e.target): e.value for e in case.zeros}
         found = []
         for key, (size, deviation) in zip(keys, fitted, strict=True):
-            one = with_clipped_size(
-                effect(*key, 0.0),
-                known.get(key, 0.0) + (0.0 if key in known else size),
-                problem.machine,
-            )
+            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.machine)
             half = 1.96 * deviation
             if key in known or key[0] in ("gyro_bias", "accel_bias"):
                 found.append(Found(one, (one.value - half, one.value + half)))
-        runs.append(FittedRun(case, tuple(found), zeros))
+        runs.append(FittedRun(case, tuple(found), case.zeros))
     return tuple(runs)

@@ -8,6 +8,8 @@ from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
+from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.models.residuals.channel import Channel
 from surefoot.models.residuals.registry import channels
 
 
@@ -35,6 +37,10 @@ class ChannelLevel:
     """
     by_chance: bool = False
     """Whether the increase, over a channel's few events, is within chance."""
+    lowest: float = 0.0
+    """Lower end of the 95 % interval of `after`, by a bootstrap over blocks."""
+    on_like_ground: bool = True
+    """Whether the walks of the floor are on ground like the log's, which theirs is level."""
 
     @property
     def at_floor(self) -> bool:
@@ -46,7 +52,10 @@ class ChannelLevel:
         """Whether the remaining residual is at the noise floor, even of a channel that no fit
         uses.
         """
-        return self.after <= self.settings.at_floor_ratio * self.highest
+        s = self.settings
+        if self.noise_floor is not None and self.lowest > s.noise_ratio * self.noise_floor:
+            return False
+        return not self.on_like_ground or self.after <= s.at_floor_ratio * self.highest
 
     @property
     def below_floor(self) -> bool:
@@ -76,7 +85,11 @@ class ChannelLevel:
 
 
 def channel_levels(
-    before: np.ndarray, after: np.ndarray, known: Evidence, floor: NoiseFloor
+    before: np.ndarray,
+    after: np.ndarray,
+    known: Evidence,
+    floor: NoiseFloor,
+    on_like_ground: bool = True,
 ) -> dict[str, ChannelLevel]:
     """Residual of each channel of a table.
 
@@ -85,6 +98,7 @@ def channel_levels(
         after: the same with the effects found compensated.
         known: evidence whose columns these are.
         floor: noise floor of the model with the effects.
+        on_like_ground: as of `ChannelLevel`.
     """
     floors = [_settled(one) for one in floor.walks]
     levels = {}
@@ -94,7 +108,7 @@ def channel_levels(
         channel = channels()[name]
         least = channel.least_noise if channel.on_level_ground else 0.0
         level = [
-            max(trimmed_rms(part[:, columns]), least)
+            max(trimmed_rms(part[:, columns], channel), least)
             for part in floors
             if np.isfinite(part[:, columns]).any()
         ]
@@ -105,9 +119,9 @@ def channel_levels(
             count = np.isfinite(after[:, columns]).sum()
             # A log has few changes of contact, and some are far outliers.
             if channel.of_events:
-                most *= 1.0 + 2.0 * scatter_of_rms(square[np.isfinite(square)], count)
+                most *= 1.0 + 2.0 * scatter_of_rms(_bulk(square, channel), count)
             else:
-                most *= 1.0 + scatter_of_rms(_bulk(square), count)
+                most *= 1.0 + scatter_of_rms(_bulk(square, channel), count)
         if own is None and not floor.walks:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Noise of neighbouring bins is correlated, so n bins determine the RMS to about
@@ -117,13 +131,13 @@ def channel_levels(
         most = max(most, floor.levels.get(name, 0.0))
         both = np.isfinite(before[:, columns]) & np.isfinite(after[:, columns])
         same = (
-            [trimmed_rms(part[:, columns][both]) for part in (before, after)]
+            [trimmed_rms(part[:, columns][both], channel) for part in (before, after)]
             if both.any()
             else [0, 0]
         )
         levels[name] = ChannelLevel(
-            before=trimmed_rms(before[:, columns]),
-            after=trimmed_rms(after[:, columns]),
+            before=trimmed_rms(before[:, columns], channel),
+            after=trimmed_rms(after[:, columns], channel),
             noise_floor=own,
             unit=" and ".join(dict.fromkeys(c.unit for c in known.layout.columns[columns])),
             highest=most,
@@ -131,6 +145,8 @@ def channel_levels(
             evaluation_only=channel.evaluation_only,
             same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
+            lowest=_lowest(after[:, columns], channel, known),
+            on_like_ground=on_like_ground,
         )
     return levels
 
@@ -187,15 +203,34 @@ def scatter_of_rms(square: np.ndarray, count: int) -> float:
     return float(np.sqrt(max(kurtosis - 1.0, 0.0) / (4.0 * max(count, 1))))
 
 
-def trimmed_rms(values: np.ndarray) -> float:
-    """Root mean square of the finite values without the largest 1 %; NaN if there are none."""
-    return float(np.sqrt(_bulk(values**2).mean()))
+def trimmed_rms(values: np.ndarray, channel: Channel) -> float:
+    """Root mean square of the finite values without the largest (`_bulk`); NaN without any."""
+    return float(np.sqrt(_bulk(values**2, channel).mean()))
 
 
-def _bulk(square: np.ndarray) -> np.ndarray:
-    """The finite squares without the largest 1 %.
+def _bulk(square: np.ndarray, channel: Channel) -> np.ndarray:
+    """The finite squares without the largest 1 %, of events 10 %.
 
-    A few bins with an impact between two samples would otherwise dominate a torque's RMS.
+    A few bins with an impact between two samples would otherwise dominate a torque's RMS, and feet
+    that hit an edge or bounce that of contacts.
     """
     square = np.sort(square[np.isfinite(square)])
-    return square[: max(1, round(0.99 * len(square)))]
+    return square[: max(1, round((0.9 if channel.of_events else 0.99) * len(square)))]
+
+
+def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
+    """Lower end of the 95 % interval of the trimmed RMS of values (M, n), by blocks."""
+    square = values**2
+    there = np.isfinite(square)
+    if not there.any():
+        return np.nan
+    there &= square <= _bulk(square, channel)[-1]
+    block = known.log * 1_000_000 + np.floor(known.t / known.settings.block).astype(int)
+    rows, block = there.any(axis=1), np.unique(block, return_inverse=True)[1]
+    total, count = (
+        np.bincount(block[rows], np.where(there, one, 0.0).sum(axis=1)[rows])
+        for one in (square, np.ones_like(square))
+    )
+    drawn = block_bootstrap_counts(np.count_nonzero(count), np.random.default_rng(0))
+    mean = (drawn @ total[count > 0]) / np.maximum(drawn @ count[count > 0], 1.0)
+    return float(np.sqrt(np.percentile(mean, 2.5)))

@@ -6,7 +6,7 @@ nuisance parameters, whose covariance is C. Products a^T V^-1 b follow by the ma
 lemma.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,11 +14,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from surefoot.models.attribution.design import Design, design, nuisance_precision, scaled_inverse
+from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel
 from surefoot.models.attribution.model_error import ModelError
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.residuals.command import commanded_torque
+from surefoot.models.attribution.weights import RobustWeights, robust_weights
+from surefoot.models.residuals.channels import commanded_torque
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import Layout
 
@@ -32,7 +32,7 @@ class Metric:
         robust: weights and noise.
         root: square root of each entry's weight, divided by its noise (M, W); zero where it is not
             used.
-        expected: mean error of the model (M, W).
+        expected: mean error of the model (M, W), and minus what is compensated of the zeros.
         places: of the columns of F among candidates and nuisance parameters (f,).
         precision: inverse of C (f, f).
         terms: whether a column of F is a term of the model's error or a zero (f,).
@@ -104,15 +104,15 @@ class Metric:
 
     @cached_property
     def _inverses(self) -> list[np.ndarray]:
-        """Inverse of F^T D^-1 F + C^-1 of each log."""
+        """Inverse of F^T D^-1 F + C^-1 (f, f) of each log."""
         at = np.ix_(1 + self.places, 1 + self.places)
         return [scaled_inverse(G[at] + self.precision) for G in self.grams]
 
     def zeros(
         self, keys: Sequence[Key], sizes: np.ndarray | None = None
     ) -> list[list[tuple[float, float]]]:
-        """Size and standard deviation of these candidates, which belong to a log, in each log,
-        beside effects of given sizes (C,).
+        """Size and standard deviation of these candidates, which belong to a log, in each log, with
+        what of them is compensated, beside effects of given sizes (C,).
         """
         which = [list(self.places).index(self.known.keys.index(key)) for key in keys]
         prior, out = np.diag(self.precision), []
@@ -166,34 +166,76 @@ class Metric:
         """
         lost = np.isnan(table) & (self.root > 0.0)
         root = np.where(lost, 0.0, self.root)
-        y = np.where(np.isfinite(table), table, 0.0) - self.expected
-        used = np.zeros((1 + len(X), *y.shape))
-        used[0] = y * root
-        for place, one in enumerate(X, 1):
-            used[place][:, one.columns] = one.values * root[:, one.columns]
-        if without is None:
-            kept = ~self.terms
-        else:
-            kept = ~np.isin(self.places, [self.known.keys.index(key) for key in without])
-        row = np.full(self.data.size, -1)
-        row[self.places[kept]] = np.arange(np.count_nonzero(kept))
+        used = self._in_noise(table, X, root)
+        kept = self._kept(without)
         total = np.zeros((1 + len(X), 1 + len(X)))
         total[0, 0] = float(np.sum(self.robust.weight[lost]))
-        for run, (G, inverse) in enumerate(zip(self.grams, self._inverses, strict=True)):
+        for run, inverse in enumerate(self._inverses_of(kept)):
             own = self.known.log == run
             cross = np.zeros((np.count_nonzero(kept), 1 + len(X)))
-            for c in self.columns:
-                rows = self.data.rows[c]
-                mine = own[rows]
-                rows, at = rows[mine], row[self.data.which[c]]
-                F = self.data.X[c][mine][:, at >= 0] * root[rows, c][:, None]
-                cross[at[at >= 0]] += F.T @ used[:, rows, c].T
-            if not kept.all():
-                at = 1 + self.places[kept]
-                inverse = scaled_inverse(G[np.ix_(at, at)] + self.precision[np.ix_(kept, kept)])
+            for c, rows, at, F in self._terms_of(run, kept, root):
+                cross[at] += F.T @ used[:, rows, c].T
             flat = used[:, own][:, :, self.columns].reshape(1 + len(X), -1)
             total += flat @ flat.T - cross.T @ inverse @ cross
         return total
+
+    def block_products(
+        self, table: np.ndarray, X: Sequence[Regressor], without: Collection[Key], seconds: float
+    ) -> np.ndarray:
+        """The part of each block of some seconds (K, 1 + k, 1 + k) in `products`."""
+        root = np.where(np.isnan(table), 0.0, self.root)
+        used, kept = self._in_noise(table, X, root), self._kept(without)
+        block = np.unique(
+            np.column_stack([self.known.log, self.known.t // seconds]), axis=0, return_inverse=True
+        )[1].ravel()
+        whitened = used.copy()
+        for run, inverse in enumerate(self._inverses_of(kept)):
+            cross = np.zeros((np.count_nonzero(kept), 1 + len(X)))
+            terms = list(self._terms_of(run, kept, root))
+            for c, rows, at, F in terms:
+                cross[at] += F.T @ used[:, rows, c].T
+            fitted = inverse @ cross
+            for c, rows, at, F in terms:
+                whitened[:, rows, c] -= (F @ fitted[at]).T
+        each = np.einsum("amc,bmc->mab", used, whitened)
+        out = np.zeros((block.max(initial=0) + 1, *each.shape[1:]))
+        np.add.at(out, block, each)
+        return out
+
+    def _in_noise(self, table: np.ndarray, X: Sequence[Regressor], root: np.ndarray) -> np.ndarray:
+        """A table and its regressors (1 + k, M, W) in units of the noise."""
+        used = np.zeros((1 + len(X), *table.shape))
+        used[0] = (np.where(np.isfinite(table), table, 0.0) - self.expected) * root
+        for place, one in enumerate(X, 1):
+            used[place][:, one.columns] = one.values * root[:, one.columns]
+        return used
+
+    def _kept(self, without: Collection[Key] | None) -> np.ndarray:
+        """Which columns of F remain without some candidates (f,); None: without all terms."""
+        if without is None:
+            return ~self.terms
+        return ~np.isin(self.places, [self.known.keys.index(key) for key in without])
+
+    def _inverses_of(self, kept: np.ndarray) -> list[np.ndarray]:
+        """As `_inverses`, of these columns of F (f,)."""
+        if kept.all():
+            return self._inverses
+        at = np.ix_(1 + self.places[kept], 1 + self.places[kept])
+        return [scaled_inverse(G[at] + self.precision[np.ix_(kept, kept)]) for G in self.grams]
+
+    def _terms_of(
+        self, run: int, kept: np.ndarray, root: np.ndarray
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """For each column of the table in a log: column, rows (n,), places (p,) among the kept
+        columns of F, and their values (n, p) in units of the noise.
+        """
+        row = np.full(self.data.size, -1)
+        row[self.places[kept]] = np.arange(np.count_nonzero(kept))
+        for c in self.columns:
+            rows = self.data.rows[c]
+            mine = self.known.log[rows] == run
+            rows, at = rows[mine], row[self.data.which[c]]
+            yield c, rows, at[at >= 0], self.data.X[c][mine][:, at >= 0] * root[rows, c][:, None]
 
 
 def metric_of(
@@ -233,6 +275,15 @@ def metric_of(
     free = [i for i, key in enumerate(known.bias_of) if key is None or key[0] not in per_run]
     sizes = np.zeros(data.size)
     sizes[terms] = error.mean[shared]
+    expected = data.explained(sizes)
+    for run, case in enumerate(cases):
+        # A prior is of the whole zero, and a part of it is compensated.
+        zeros = np.zeros(data.size)
+        zeros[[known.keys.index((e.name, e.target)) for e in case.zeros]] = [
+            e.value for e in case.zeros
+        ]
+        if case.zeros:
+            expected[known.log == run] -= data.explained(zeros)[known.log == run]
     within = {i: (plausible_size(*known.keys[i], limbs) / 1.96) ** 2 for i in own}
     covariance = error.covariance[np.ix_(shared, shared)]
     # What a log has of its own adds to what the model's error seems to be of it.
@@ -242,7 +293,7 @@ def metric_of(
         data=data,
         robust=robust,
         root=root,
-        expected=data.explained(sizes),
+        expected=expected,
         places=np.array([*terms, *own, *(len(known.keys) + i for i in free)], int),
         precision=block_diag(
             scaled_inverse(covariance),

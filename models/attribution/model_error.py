@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from surefoot.models.attribution.design import design, nuisance_precision, scaled_inverse
+from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -28,9 +29,8 @@ from surefoot.models.attribution.evidence import (
     linearise,
     wrt_columns,
 )
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.sensor_noise import data_sheet_noise
+from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log

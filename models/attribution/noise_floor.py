@@ -28,14 +28,16 @@ from surefoot.models.attribution.model_error import (
     model_error,
     run_sums,
 )
-from surefoot.models.attribution.reference_sampling import (
+from surefoot.models.attribution.sensor_noise import (
     ReferenceSampling,
+    apparent_sizes,
+    data_sheet_noise,
+    reading_noise,
     reference_sampling,
     resample_reference,
 )
-from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.sensor_noise import apparent_sizes, data_sheet_noise, reading_noise
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
+from surefoot.models.attribution.weights import RobustWeights, robust_weights
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared

@@ -137,6 +137,8 @@ class TraceSettings:
     """
     at_floor_ratio: float = 1.05
     """Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
+    noise_ratio: float = 1.5
+    """Ratio to the floor from which a channel is above it, at the lower end of its interval."""
     worse_ratio: float = 1.02
     """Ratio of after to before from which a channel is worse."""
     refuted_ratio: float = 1.1

@@ -77,6 +77,8 @@ class ReferenceMotion:
     """Whether the motion is from a reference. Without one, velocity and position are zero, and feet
     are compared with each other (`models.residuals.without_reference`).
     """
+    normal_G: np.ndarray | None = None
+    """Normal of the ground (N, 3) in the world, where it is not vertical."""
     rates_of_angles: bool = False
     """Whether inverse dynamics uses slopes of the angles for the rates (`angles_are_quieter`)."""
 
@@ -86,6 +88,13 @@ class ReferenceMotion:
         return self.R_GI[:, 2]
 
     @cached_property
+    def normal_I(self) -> np.ndarray:
+        """The ground's normal (N, 3) in I."""
+        if self.normal_G is None:
+            return self.up_I
+        return np.einsum("nji,nj->ni", self.R_GI, self.normal_G)
+
+    @cached_property
     def means(self) -> dict[str, np.ndarray]:
         """Those fields of `Bins` that follow from the motion and the stances alone."""
         mean = bin_mean(self)
@@ -93,6 +102,7 @@ class ReferenceMotion:
             "v_I": mean(self.v_I),
             "p_GI": mean(self.p_GI),
             "R_GI": mean(self.R_GI),
+            "normal_I": mean(self.normal_I),
             "standing": mean(self.standing.astype(float)) >= 0.5,
             "lifted": mean(self.lifted.astype(float)) >= 0.999,
         }
@@ -114,6 +124,7 @@ class Bins:
         v_I: reference velocity (M, 3) [m/s].
         p_GI: reference position (M, 3) [m].
         R_GI: reference attitude (M, 3, 3).
+        normal_I: the ground's normal (M, 3).
         standing: feet in stance (M, L).
         lifted: feet in swing (M, L).
         lag: angles less the integral of the rates (M, J) [rad].
@@ -137,6 +148,7 @@ class Bins:
     v_I: np.ndarray
     p_GI: np.ndarray
     R_GI: np.ndarray
+    normal_I: np.ndarray
     standing: np.ndarray
     lifted: np.ndarray
     lag: np.ndarray

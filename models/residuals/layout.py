@@ -63,15 +63,8 @@ class Layout:
 
     def by_leg(self, name: str) -> np.ndarray:
         """Columns (legs, n) of a channel, by foot."""
-        if name not in self._columns_by_leg:
-            own, legs = self.of(name), range(len(self.limbs.legs))
-            by_leg = [[c for c in own if self.columns[c].leg == leg] for leg in legs]
-            self._columns_by_leg[name] = np.array(by_leg)
-        return self._columns_by_leg[name]
-
-    @cached_property
-    def _columns_by_leg(self) -> dict[str, np.ndarray]:
-        return {}
+        own, legs = self.of(name), len(self.limbs.legs)
+        return np.array([[c for c in own if self.columns[c].leg == leg] for leg in range(legs)])
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels

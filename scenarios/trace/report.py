@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.models.attribution.data import LACKING
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.residuals.registry import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report

@@ -99,7 +99,7 @@ class FootSlip(Effect):
     """The ground has less friction than declared: every coefficient is reduced by this share.
 
     No model compensates it, since friction has no influence below its limit. Sliding feet under
-    load reveal it, which `trace` uses for an estimate (`models.attribution.friction`); stances that
+    load reveal it, which `trace` uses for an estimate (`models.attribution.forces`); stances that
     slide are masked.
     """
 

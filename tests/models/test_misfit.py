@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
-from surefoot.models.attribution.angle_error import angle_error_basis, angle_errors
+from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.explain import explain, problem_of
 from surefoot.models.attribution.noise_floor import noise_floor, noise_floor_with
 from surefoot.models.attribution.settings import DEFAULT
-from surefoot.models.attribution.split import split_of
+from surefoot.models.attribution.unexplained import angle_error_basis, angle_errors
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.priors import PRIORS, prior_of, prior_penalty
+from surefoot.models.attribution.effect_sizes import PRIORS, prior_of, prior_penalty
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import QUADRUPED
 

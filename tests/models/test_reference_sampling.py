@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.reference_sampling import (
+from surefoot.models.attribution.sensor_noise import (
     ReferenceSampling,
     reference_notes,
     reference_sampling,

@@ -5,8 +5,7 @@ import pytest
 from machines import ARM, GANTRY, machine, moved
 
 from surefoot.models.attribution.diagnose import logs_under_model
-from surefoot.models.attribution.priors import PRIORS, plausible_size
-from surefoot.models.attribution.run_offsets import is_sampling_lag
+from surefoot.models.attribution.effect_sizes import PRIORS, is_sampling_lag, plausible_size
 from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noise
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary

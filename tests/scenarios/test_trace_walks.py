@@ -9,13 +9,14 @@ from pushes import pushed
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.models.attribution.friction import (
+from surefoot.models.attribution.forces import (
     FootFriction,
     estimate_friction,
+    outside_forces,
+    pushed_bins,
     slip_effect,
     slip_notes,
 )
-from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
 from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.residuals.binning import BIN
 from surefoot.scenarios.trace.filters import dead_reckoned, drift

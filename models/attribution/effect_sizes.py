@@ -1,16 +1,80 @@
-"""Priors of the sizes of effects on real machines, and their cost in model selection.
+"""Sizes of effects: as found, as plausible on real machines, and which of them belong to a run.
 
 PRIORS covers the catalogue. A plug-in effect states its own by the class attribute `plausible`, in
 its unit; without it, any size within its bounds is equally plausible.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect and the 95 % interval of its size."""
+
+    effect: Effect
+    interval: tuple[float, float]
+
+
+def in_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects in the order in which they are compensated: errors of sensors before those of the
+    body, whose sizes are in true units.
+    """
+    return tuple(sorted(effects, key=lambda one: type(one).edit_spec is not Effect.edit_spec))
+
+
+def interior_bounds(name: str, target: str, machine: Machine) -> tuple[float, float]:
+    """Bounds of an effect on this machine, for derivatives within them: no link of a machine on a
+    fixed base loses more mass than it has.
+    """
+    kind, limbs = known_effects()[name], machine.limbs
+    low, high = kind.interior_bounds(target, limbs)
+    if name == "link_mass" and machine.fixed and machine.dynamics is not None:
+        model = machine.dynamics.model
+        parts = kind.members_of(target, limbs)
+        low = max(low, *(-float(model.body_mass[model.joint(j).bodyid[0]]) for j in parts))
+    return low, high
+
+
+def with_clipped_size(one: Effect, value: float, machine: Machine) -> Effect:
+    """The effect with its value clipped to its bounds on a machine."""
+    low, high = interior_bounds(one.name, one.target, machine)
+    return replace(one, value=float(np.clip(value, low, high)))
+
+
+def sized(key: tuple[str, str], size: float, deviation: float, machine: Machine) -> Found:
+    """The effect of a name and target with this size, clipped, and its standard deviation."""
+    half = 1.96 * deviation
+    return Found(with_clipped_size(effect(*key, 0.0), size, machine), (size - half, size + half))
+
+
+PER_RUN_EFFECTS = frozenset(
+    {"encoder_offset", "torque_bias", "gyro_bias", "accel_bias", "reference_delay", "clock_scale"}
+)
+"""Effects whose size differs between runs."""
+
+
+SAMPLING_LAGS = frozenset({"rate_delay", "torque_delay"})
+"""Lags between readings of one row."""
+WITHIN_ROW = 0.55
+"""Share of a row up to which such a lag is one of sampling: the nearest row is half a row away, and
+the lag is measured to a few percent.
+"""
+
+
+def is_sampling_lag(one: Effect, rate: float) -> bool:
+    """Whether an effect is a lag between readings that a log at this rate [Hz] gives the same row.
+
+    A log does not say when within a row each reading was taken. A simulator that steps rates before
+    angles (semi-implicit Euler) has rates half a step before them.
+    """
+    return one.name in SAMPLING_LAGS and abs(one.value) * rate <= WITHIN_ROW
 
 
 @dataclass(frozen=True)
@@ -144,34 +208,6 @@ SPREAD_BETWEEN_PARTS: dict[str, float] = {"leg_compliance": 0.25, "foot_rolling"
 
 No published figure was found: manufacturers of gears state typical stiffnesses only, and feet wear.
 """
-
-
-SIMILAR_LEG_EFFECTS = ("foot_rolling", "leg_compliance", "foot_elasticity", "contact_delay")
-"""Effects of all legs under load that resemble one another.
-
-Fitted alone, each absorbs a part of the others: a compliant leg, a rolling foot and a foot that
-lifts before its contact ends all move the foot in a similar way.
-"""
-
-
-def masked_candidates(
-    keys: Sequence[tuple[str, str]], chosen: Sequence[tuple[str, str]], limbs: Limbs
-) -> list[tuple[str, str]]:
-    """Candidates that may be masked by a similar effect among those chosen."""
-    kinds, known = SIMILAR_LEG_EFFECTS, known_effects()
-    if not any(name in kinds for name, _ in chosen):
-        return []
-    there = {name for name, _ in chosen}
-    return [
-        (name, target)
-        for name, target in keys
-        if name in kinds
-        and name not in there
-        and (
-            name not in SPREAD_BETWEEN_PARTS
-            or _is_common(known[name].members_of(target, limbs), limbs)
-        )
-    ]
 
 
 def prior_penalty(name: str, target: str, size: float, limbs: Limbs) -> float:

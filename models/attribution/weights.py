@@ -1,17 +1,25 @@
-"""Robust weights of a residual, and masks of stances in which a foot slid or stood on an edge.
+"""Weights of the entries of a residual table.
 
-Both are computed after fitting the whole catalogue, so that neither can remove an effect of the
-catalogue: a stance is masked if it stands out from the other stances of its foot, not if all of
-them are wrong.
+Outliers count less. Stances in which a foot slid or stood on an edge, and bins in which a joint
+with dry friction nearly stands still, do not count. Weights and masks of stances are computed after
+fitting the whole catalogue, so that neither can remove an effect of the catalogue: a stance is
+masked if it stands out from the other stances of its foot, not if all of them are wrong.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from surefoot.models.attribution.design import Design, add_block
-from surefoot.models.residuals.binning import BIN
+from surefoot.models.attribution.evidence import LogUnderModel
+from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.layout import Layout
+from surefoot.models.residuals.torques import dilate
+from surefoot.sim.effects import Effect
+from surefoot.sim.log import joint_velocity
+from surefoot.sim.physics.leg_loads import STICTION_RATE
+from surefoot.sim.robot.limbs import Limbs
 
 MOST_LAGS = 15
 """Lags over which autocorrelations are summed, in entries: the length of a stance."""
@@ -193,3 +201,50 @@ def _outlier_weights(layout: Layout, z: np.ndarray, outlier: float) -> np.ndarra
         size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / len(group))
         weight[:, group] = np.minimum(1.0, (outlier / np.maximum(size, outlier)) ** 2)[:, None]
     return weight
+
+
+SLOW = 0.5
+"""Share of a joint's RMS rate below which it is slow, at most: small slides never reach
+STICTION_RATE.
+"""
+
+
+def sticks(cases: Sequence[LogUnderModel], effects: Sequence[Effect], layout: Layout) -> np.ndarray:
+    """Entries (M, W) of the residual table in which a machine on a fixed base may stick.
+
+    A joint that sticks has any friction up to its dry one, and how narrow the transition is differs
+    between drives. These torques tell a fit a little, but not whether an effect is missing.
+
+    Args:
+        cases: the logs.
+        effects: found and declared; the model's file may have friction as well.
+        layout: of the table.
+    """
+    return np.concatenate([_of_case(case, effects, layout) for case in cases])
+
+
+def _of_case(case: LogUnderModel, effects: Sequence[Effect], layout: Layout) -> np.ndarray:
+    out = np.zeros((len(case.motion.t), layout.width), dtype=bool)
+    if not (case.fixed and case.log.has("q")):
+        return out
+    rate, mean = joint_velocity(case.log), bin_mean(case.motion)
+    slow = np.minimum(STICTION_RATE, SLOW * np.sqrt(np.mean(rate**2, axis=0)))
+    still = mean((np.abs(rate) < slow).astype(float)) > 0.0
+    for joint in _with_dry_friction(case, effects):
+        column = f"torque_{joint}"
+        if column in layout.names:
+            at = case.log.joints.index(joint)
+            # The residual is smoothed over three bins.
+            out[:, layout.names.index(column)] = dilate(still[:, at])
+    return out
+
+
+def _with_dry_friction(case: LogUnderModel, effects: Sequence[Effect]) -> set[str]:
+    """Names of the joints that have dry friction, by the effects or by the model's file."""
+    limbs: Limbs = case.robot.limbs
+    found = {joint for e in effects if e.name == "coulomb_friction" for joint in e.members(limbs)}
+    dynamics = case.robot.dynamics
+    if dynamics is None:
+        return found
+    dry = dynamics.model.dof_frictionloss[dynamics.dof_adr] > 0.0
+    return found | {joint for joint, has in zip(limbs.joints, dry, strict=True) if has}
