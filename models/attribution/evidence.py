@@ -149,7 +149,7 @@ def log_under_model(
     if undriven is None:
         undriven = passive_joints(log) if fixed else ()
     motion = with_ground(motion, log, robot)
-    return LogUnderModel(log, robot, motion, fixed, settings, undriven)
+    return LogUnderModel(log, robot, motion, fixed, settings, undriven=undriven)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:

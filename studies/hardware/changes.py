@@ -277,8 +277,9 @@ def judged(case: Case, row: Mapping[str, Any]) -> str:
     if row["verdict"] == "unchanged":
         return "nothing"
     if case.change is None:
-        of_sensor = "right" if case.fault and named else "not identifiable"
-        return "wrong" if of_body else of_sensor
+        if not named:
+            return "not identifiable"
+        return "right" if case.fault and not of_body else "wrong"
     kind, link = case.change[0], link_of(case.change)
     if kind == "encoder_offset" and of_body:
         return "wrong"
