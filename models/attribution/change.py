@@ -22,7 +22,7 @@ from surefoot.models.attribution.effect_sizes import (
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.metric import Metric, groups_of, metric_of, noise_of
+from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
     NOTHING,
@@ -148,7 +148,8 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
     Raises LogError where the runs have other readings than those that the model's error is of.
     """
     evidence, rates = evidence_of(cases)
-    shown = {*groups_of(evidence.layout, np.isfinite(evidence.table).any(axis=0))}
+    there = np.isfinite(evidence.table).any(axis=0)
+    shown = {kind for kind, seen in zip(evidence.layout.kinds, there, strict=True) if seen}
     lacking = {*known.noise} - shown
     if lacking or {*known.keys} - {*evidence.keys}:
         names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"

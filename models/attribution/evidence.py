@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
     angles_are_quieter,
@@ -49,6 +48,12 @@ Key = tuple[str, str]
 """A candidate: name and target of an effect."""
 
 
+FIXED_BASE_RATE = 0.1
+"""RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
+bias of a bad gyro 0.05.
+"""
+DIFFERENCE_STEP = 1e-3
+"""Relative step of the finite differences of channels without a chain rule."""
 FEW_BINS = 0.02
 """Share of a table's entries that may appear or vanish before its derivatives are recomputed."""
 
@@ -69,7 +74,6 @@ class Evidence:
         deviations: prior standard deviations of the nuisance parameters (B,), infinite where free.
         bias_of: for each of Z that is a turn-on bias, the candidate that describes the same error
             without a bound, else None.
-        settings: of the trace.
         groups: candidates whose regressor is the sum of those of other candidates.
         reading_scale: factors of the columns of each log (`_reading_scale`).
     """
@@ -83,7 +87,6 @@ class Evidence:
     Z: tuple[Regressor, ...]
     deviations: np.ndarray
     bias_of: tuple[Key | None, ...]
-    settings: TraceSettings = DEFAULT
     groups: frozenset[Key] = frozenset()
     reading_scale: tuple[tuple[float, ...], ...] = ()
 
@@ -107,7 +110,6 @@ class LogUnderModel:
         robot: the model.
         motion: of the base.
         fixed: whether the base cannot move.
-        settings: of the trace.
         zeros: effects of the log's own, such as encoder zeros, that it has compensated.
         undriven: joints without a drive (`passive_joints`); of a fixed base.
     """
@@ -116,7 +118,6 @@ class LogUnderModel:
     robot: Machine
     motion: ReferenceMotion
     fixed: bool = False
-    settings: TraceSettings = DEFAULT
     zeros: tuple[Effect, ...] = ()
     undriven: tuple[str, ...] = ()
 
@@ -127,10 +128,7 @@ class LogUnderModel:
 
 
 def log_under_model(
-    log: Log,
-    robot: Machine,
-    settings: TraceSettings = DEFAULT,
-    undriven: tuple[str, ...] | None = None,
+    log: Log, robot: Machine, undriven: tuple[str, ...] | None = None
 ) -> LogUnderModel:
     """Prepare a log for comparison with a robot model.
 
@@ -139,7 +137,7 @@ def log_under_model(
     friction would hide them.
     """
     stands = log.has("contact") and log.contact.any()
-    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.fixed_base_rate
+    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > FIXED_BASE_RATE
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
     fixed = robot.fixed or hung
     log = MemoisedLog.of(log)
@@ -149,7 +147,7 @@ def log_under_model(
     if undriven is None:
         undriven = passive_joints(log) if fixed else ()
     motion = with_ground(motion, log, robot)
-    return LogUnderModel(log, robot, motion, fixed, settings, undriven=undriven)
+    return LogUnderModel(log, robot, motion, fixed, undriven=undriven)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
@@ -251,7 +249,6 @@ def linearise(
         Z=tuple(Z),
         deviations=np.array(deviations),
         bias_of=tuple(bias_of),
-        settings=cases[0].settings,
         reading_scale=reading_scale,
         groups=frozenset(
             (name, target)
@@ -261,14 +258,27 @@ def linearise(
     )
 
 
-def wrt_columns(
-    case: LogUnderModel,
+def with_changes(
+    known: Evidence,
+    cases: Sequence[LogUnderModel],
     chosen: Sequence[Effect],
-    altered: Callable[[Log], Sequence[Mapping[str, np.ndarray]]],
-) -> list[Regressor]:
-    """Regressors of given changes to a log's columns, each (N,), with `chosen` compensated."""
-    linear = _Linear(case, chosen)
-    return [linear.by_columns(columns) for columns in altered(linear.log)]
+    changes: Callable[[Log], Mapping[Key, Mapping[str, np.ndarray]]],
+) -> Evidence:
+    """The evidence with further candidates.
+
+    Args:
+        known: evidence of the cases.
+        cases: the logs.
+        chosen: effects that are compensated.
+        changes: candidate -> what one unit of it adds to columns of a log, each (N,).
+    """
+    starts, per_log = np.searchsorted(known.log, np.arange(len(cases) + 1)), []
+    for case in cases:
+        linear = _Linear(case, chosen)
+        added = changes(linear.log)
+        per_log.append([linear.by_columns(columns) for columns in added.values()])
+    X = [joined_regressor(parts, starts) for parts in zip(*per_log, strict=True)]
+    return replace(known, keys=(*known.keys, *added), X=(*known.X, *X))
 
 
 def table_of(
@@ -405,10 +415,9 @@ class _Linear:
         """Regressor of additions (N,) to columns of the log."""
         columns = {name: self.log.columns[name] + x for name, x in added.items()}
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
-        share = self.case.settings.difference_step
-        small = {n: self.log.columns[n] + share * x for n, x in added.items()}
+        small = {n: self.log.columns[n] + DIFFERENCE_STEP * x for n, x in added.items()}
         self._add_change_without_chain_rule(
-            change, with_columns(self.log, small), self.robot, share
+            change, with_columns(self.log, small), self.robot, DIFFERENCE_STEP
         )
         return self._to_reading_scale(sparse(change, self.parts.table))
 

@@ -20,7 +20,7 @@ from surefoot.models.attribution.effect_sizes import (
     in_order,
     interior_bounds,
     plausible_size,
-    prior_penalty,
+    price_of_some_parts,
     with_clipped_size,
 )
 from surefoot.models.attribution.evidence import (
@@ -36,6 +36,7 @@ from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
+from surefoot.models.bootstrap import BLOCK
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
@@ -130,7 +131,8 @@ class Explanation:
         found: effects, strongest first.
         rounds: candidates of each round.
         rivals: key and overlap of the candidates that explain the logs as well as an effect found.
-        harmful: effects that were dropped, and the channel that each made worse.
+        harmful: effects that were dropped, and the channel or filter that each made worse.
+        rejected: other effects that were considered last, and why each is not found.
         runs: each log with its own effects.
         metric: linearised at the effects.
     """
@@ -139,6 +141,7 @@ class Explanation:
     rounds: tuple[tuple[Candidate, ...], ...]
     rivals: tuple[tuple[Key, float], ...]
     harmful: tuple[tuple[Effect, str], ...]
+    rejected: tuple[tuple[Effect, str], ...]
     runs: tuple[FittedRun, ...]
     metric: Metric
 
@@ -247,8 +250,7 @@ class Chosen:
         """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
         with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
         """
-        seconds = self.metric.known.settings.block
-        parts = self.metric.block_products(self.table, self.X, self.keys, seconds)
+        parts = self.metric.block_products(self.table, self.X, self.keys, BLOCK)
         prior, total, count = np.diag(self.precision), parts.sum(axis=0), len(parts)
         moved = np.array(
             [
@@ -288,7 +290,7 @@ def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -
     price = [
         np.inf
         if key[0] in per_run
-        else prior_penalty(*key, 0.0, limbs) + (0.0 if sure else of_choice)
+        else price_of_some_parts(*key, limbs) + (0.0 if sure else of_choice)
         for key, sure in zip(keys, certain, strict=True)
     ]
     return Problem(
@@ -337,12 +339,15 @@ def explain(
     state, chosen = _settled(_State.of(problem, error_of), ())
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
+    rejected: tuple[tuple[Effect, str], ...] = ()
     tried = {frozenset(chosen.keys)}
     while True:
         progress(min(len(rounds) / (MOST_EFFECTS + 1), 1.0))
         beside = _beside(state, chosen)
         rounds.append(_as_candidates(state, beside))
-        better = _extended(state, chosen, beside) if len(chosen.keys) < MOST_EFFECTS else None
+        better = None
+        if len(chosen.keys) < MOST_EFFECTS:
+            better, rejected = _extended(state, chosen, beside)
         if better is None:
             better, rivals = _replaced(state, chosen)
         if better is None:
@@ -360,6 +365,7 @@ def explain(
         rounds=tuple(rounds),
         rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
         harmful=tuple(harm),
+        rejected=rejected,
         runs=_fitted_runs(state),
         metric=state.metric,
     )
@@ -536,9 +542,7 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
             break
         cases = [
             replace(
-                log_under_model(
-                    *compensate_all(these, case.log, case.robot), case.settings, case.undriven
-                ),
+                log_under_model(*compensate_all(these, case.log, case.robot), case.undriven),
                 zeros=these,
             )
             for these, case in zip(zeros, state.declared, strict=True)
@@ -637,11 +641,13 @@ def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Be
     )
 
 
-def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
+def _extended(
+    state: _State, chosen: Chosen, beside: _Beside
+) -> tuple[Chosen | None, tuple[tuple[Effect, str], ...]]:
     """The effects with the candidate or pair added that leaves the least cost, if it earns its
-    place; else None.
+    place, else None; and what was tried and does not, with the reason.
     """
-    tried = []
+    tried, rejected = [], []
     for keys, sizes in _proposals(state, beside):
         new = [effect(*key, 0.0) for key in keys]
         new = [
@@ -653,7 +659,26 @@ def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
         at = one.at(keys)
         if gained > 0.0 and np.all(state.earned_by(one)[at] > 0.0):
             tried.append((gained, one))
-    return max(tried, key=lambda pair: pair[0])[1] if tried else None
+        else:
+            rejected += [(one.effects[i], _why_not(state, one, i, gained)) for i in at]
+    best = max(tried, key=lambda pair: pair[0])[1] if tried else None
+    return best, tuple(rejected)
+
+
+def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
+    """Why a refined effect at this place does not earn it."""
+    one, size = chosen.effects[place], abs(chosen.sizes[place])
+    low, high = type(one).interior_bounds(one.target, state.problem.limbs)
+    if not low < one.value < high:
+        return "its size is at its bound"
+    if size <= AGREED * chosen.between_blocks[place]:
+        excess = size / chosen.between_blocks[place]
+        return f"the log's blocks disagree on it: {excess:.1f} of {AGREED:g} standard deviations"
+    if gained <= 0.0:
+        return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
+    doubt = state.doubt(state.problem.at([chosen.keys[place]]), chosen.deviations[[place]])[0]
+    excess = size / np.hypot(chosen.deviations[place], doubt)
+    return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
 
 
 def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.ndarray]]:
@@ -775,11 +800,17 @@ def _with_intervals(state: _State, chosen: Chosen) -> tuple[Found, ...]:
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
     square = 1.96**2 * (noise + state.doubt(at, np.sqrt(both)) ** 2)
     half = np.sqrt(square + of_model * np.maximum(both - noise, 0.0))
+    blocks = chosen.between_blocks if len(chosen.effects) else ()
     found = [
-        (abs(one.value) / np.sqrt(variance), Found(one, (one.value - h, one.value + h)))
-        for one, h, variance in zip(chosen.effects, half, both, strict=True)
+        Found(
+            one,
+            (one.value - h, one.value + h),
+            excess=abs(one.value) / np.sqrt(variance),
+            agreement=abs(one.value) / max(block, 1e-300),
+        )
+        for one, h, variance, block in zip(chosen.effects, half, both, blocks, strict=True)
     ]
-    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+    return tuple(sorted(found, key=lambda one: -one.excess))
 
 
 def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:

@@ -1,4 +1,14 @@
-"""Forces that the robot's model does not have: friction of feet that slide, and outside forces."""
+"""Forces on a robot: friction of the feet, by those that slide, and outside forces.
+
+A foot sliding along the ground with velocity v under the normal force n feels the tangential force
+-mu n v / |v| (Coulomb). The force follows from the leg's torques, J^T f = inverse dynamics -
+measured torque, and the velocity from kinematics and the reference. A foot that sticks gives only a
+lower bound of mu.
+
+Where a hand, a cable or a wall pushes the robot, the feet's forces differ from what the base's
+motion requires (`base_wrench`), for a while and not at every stride; an error of the robot's model
+recurs with its gait or motion.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,13 +18,56 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel
-from surefoot.models.attribution.settings import TraceSettings
-from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.models.attribution.weights import SLOWEST_SLIP
+from surefoot.models.bootstrap import BLOCK, block_bootstrap_counts
 from surefoot.models.residuals.binning import at_rows, base_motion
 from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import effect
 from surefoot.sim.log import joint_velocity
+
+DRY = 0.8
+"""Coefficient of friction of a dry floor."""
+DRY_SHARE = 0.75
+"""Smallest friction of a dry floor, relative to the declared one: 0.6 of 0.8."""
+SLIDING_SPEED = 0.08
+"""Speed from which a loaded foot certainly slides, above the error of joint rates [m/s]."""
+OPPOSING = 0.9
+"""Cosine between the ground's force on a sliding foot and the direction opposite to its motion."""
+SLIDE_GAP = 0.02
+"""Gap between sliding rows from which they belong to two slides [s]."""
+SHORTEST_SLIDE = 0.008
+"""Shortest slide [s]: most of WINDOW. A landing foot, and one on a leg that springs, seem to slide
+for less.
+"""
+SLIDE_LOAD = 0.08
+"""Load on a foot, as a share of the weight, below which the leg's inertia spoils its force."""
+WINDOW = 0.01
+"""Averaging time of these forces and velocities [s]."""
+FEWEST_SLIDES = 5
+"""Number of slides needed to estimate their friction."""
+EVERYWHERE = 0.5
+"""Share of the parts of a walk with a slide from which all the ground is slippery, not patches of
+it.
+"""
+USED_RANGE = (0.7, 1.1)
+"""Range of the friction used without sliding, relative to that of sliding feet: nearly all of it on
+slippery ground, 3.3 times as much on compliant legs (walks of the Go1's model).
+"""
+SLIDE_SPREAD = 0.1
+"""Largest interquartile range of the slides' friction, relative to their median: 0.05 on slippery
+ground, 0.12 on soft ground and more on compliant legs (walks of the models of five robots).
+"""
+PUSH_OUTLIER = 6.0
+"""Robust deviations above its median from which the residual force on the base is external."""
+PUSH_SHARE = 0.03
+"""Smallest outside force, as a share of the weight: 9 N for 32 kg."""
+PUSH_GAP = 0.5
+"""Gap from which two outside forces are separate, and margin around one in which it may act [s]."""
+SHORTEST_PUSH = 0.1
+"""Shortest outside force; a single bad touchdown is shorter [s]."""
+PUSHED_SHARE = 0.3
+"""Share of a log from which such forces are an error of the robot's model."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +90,8 @@ class FootFriction:
     held: float
     scatter: float = 0.0
 
-    def consistent(self, settings: TraceSettings) -> bool:
+    @property
+    def consistent(self) -> bool:
         """Whether all slides are at one friction, and sticking feet use nearly all of it and no
         more.
 
@@ -45,9 +99,9 @@ class FootFriction:
         """
         if self.limit is None:
             return False
-        low, high = settings.used_friction_range
+        low, high = USED_RANGE
         use = low * self.limit < self.held < high * self.limit
-        return use and self.scatter < settings.slide_spread
+        return use and self.scatter < SLIDE_SPREAD
 
 
 def estimate_friction(
@@ -64,90 +118,73 @@ def estimate_friction(
     able = [case for case in cases if _is_determined(case)]
     if not able:
         return None
-    s = able[0].settings
     held, slides, places = [], [], []
     for number, case in enumerate(able):
         speed, along, used = _feet(case)
-        held.append(used[speed < s.slowest_slip])
-        sliding = (speed > s.sliding_speed) & (along > s.opposing_cosine * used)
+        held.append(used[speed < SLOWEST_SLIP])
+        sliding = (speed > SLIDING_SPEED) & (along > OPPOSING * used)
         for leg in range(sliding.shape[1]):
             rows = np.flatnonzero(sliding[:, leg])
-            breaks = np.flatnonzero(np.diff(case.log.t[rows]) > s.slide_gap) + 1
+            breaks = np.flatnonzero(np.diff(case.log.t[rows]) > SLIDE_GAP) + 1
             for one in np.split(rows, breaks):
-                if len(one) < s.shortest_slide * case.log.rate:
-                    continue
-                slides.append(along[one, leg])
-                places.append((number, case.log.t[one[0]]))
+                if len(one) >= SHORTEST_SLIDE * case.log.rate:
+                    slides.append(np.median(along[one, leg]))
+                    places.append((number, case.log.t[one[0]]))
     used = np.concatenate(held)
     most = float(np.quantile(used, 0.99)) if len(used) else 0.0
-    if len(slides) < s.fewest_slides:
+    if len(slides) < FEWEST_SLIDES:
         return FootFriction(None, (most, np.inf), len(slides), False, most)
-    middle = np.array([np.median(one) for one in slides])
-    drawn = block_bootstrap_counts(len(middle), rng)
-    medians = [np.median(np.repeat(middle, counts)) for counts in drawn]
+    drawn = block_bootstrap_counts(len(slides), rng)
+    medians = [np.median(np.repeat(slides, counts)) for counts in drawn]
     low, high = (float(x) for x in np.percentile(medians, [2.5, 97.5]))
-    first, limit, third = (float(x) for x in np.percentile(middle, [25.0, 50.0, 75.0]))
+    first, limit, third = (float(x) for x in np.percentile(slides, [25.0, 50.0, 75.0]))
     scatter = (third - first) / max(limit, 1e-12)
-    parts = int(sum(np.ptp(case.log.t) for case in able) / s.block)
-    if most < s.used_friction_range[1] * limit:
+    span = sum(np.ptp(case.log.t) for case in able)
+    parts = int(span / BLOCK)
+    if most < USED_RANGE[1] * limit:
         # No foot that sticks uses more, so that few slides suffice.
         parts = min(parts, len(slides) // 2)
-    everywhere = _spread(places, able, max(1, parts)) > s.slides_everywhere
+    length = span / max(1, parts)
+    with_slides = {(log, t // length) for log, t in places}
+    everywhere = len(with_slides) / max(1, parts) > EVERYWHERE
     return FootFriction(limit, (low, high), len(slides), everywhere, most, scatter)
 
 
-def _spread(
-    places: Sequence[tuple[int, float]], cases: Sequence[LogUnderModel], parts: int
-) -> float:
-    """Share of this many parts of the logs in which slides occur.
-
-    Args:
-        places: number of the log and time [s] of each slide.
-        cases: the logs.
-        parts: number of parts of equal duration.
-    """
-    length = sum(np.ptp(case.log.t) for case in cases) / parts
-    return len({(log, t // length) for log, t in places}) / parts
-
-
-def slip_effect(friction: FootFriction | None, settings: TraceSettings) -> tuple[Found, ...]:
+def slip_effect(friction: FootFriction | None) -> tuple[Found, ...]:
     """The effect `foot_slip`, where friction is lower everywhere than on a dry floor."""
     if friction is None or friction.limit is None or not friction.everywhere:
         return ()
-    dry, (low, high) = settings.dry_friction, friction.interval
-    if high >= settings.dry_friction_share * dry or not friction.consistent(settings):
+    low, high = friction.interval
+    if high >= DRY_SHARE * DRY or not friction.consistent:
         return ()
-    lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / dry, 0.0, 0.95)))
-    return (Found(lost, (1.0 - high / dry, 1.0 - low / dry)),)
+    lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / DRY, 0.0, 0.95)))
+    return (Found(lost, (1.0 - high / DRY, 1.0 - low / DRY)),)
 
 
-def slip_notes(
-    friction: FootFriction | None, walks: bool, settings: TraceSettings
-) -> tuple[str, ...]:
+def slip_notes(friction: FootFriction | None, walks: bool) -> tuple[str, ...]:
     """Notes on the friction of the feet.
 
     Args:
         friction: as estimated.
         walks: whether the logs show feet in stance.
-        settings: of the trace.
     """
     if friction is None:
         lacking = "foot_slip: not identifiable without torques, IMU, contacts and a reference"
         return (lacking,) if walks else ()
-    dry, many = settings.dry_friction, f"{friction.slides} slides under load"
+    many = f"{friction.slides} slides under load"
     if friction.limit is None:
         # The friction of a foot that sticks is at least what it uses.
-        share = max(0.0, 1.0 - friction.held / dry)
+        share = max(0.0, 1.0 - friction.held / DRY)
         return (
             f"foot_slip: not identifiable, the feet hardly slide ({many}); they used a coefficient "
             f"of friction of up to {friction.held:.2f}, so a loss of up to {100 * share:.0f} % of "
-            f"{dry:g} would not show; harder starts, stops and turns would show it",
+            f"{DRY:g} would not show; harder starts, stops and turns would show it",
         )
     low, high = friction.interval
     where = "all along the way" if friction.everywhere else "in places"
     size = f"{friction.limit:.2f} ({low:.2f} to {high:.2f})"
     note = f"friction: {many} at a coefficient of {size}, {where}"
-    if not friction.consistent(settings):
+    if not friction.consistent:
         note += f"; feet that did not slide used a coefficient of up to {friction.held:.2f}"
         if friction.everywhere:
             note += ", so a delay or leg compliance may look like sliding"
@@ -165,10 +202,10 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Returns the speed over the ground [m/s], and the ratio of tangential to normal force: the
     component against the motion, and the magnitude.
     """
-    log, motion, robot, s = case.log, case.motion, case.robot.legged, case.settings
+    log, motion, robot = case.log, case.motion, case.robot.legged
     assert robot is not None  # as `_is_determined`
     stands, dq = log.contact & motion.ok[:, None], joint_velocity(log)
-    rows = max(1, round(s.force_window * log.rate))
+    rows = max(1, round(WINDOW * log.rate))
 
     def smooth(x: np.ndarray) -> np.ndarray:
         return uniform_filter1d(x, rows, axis=0)
@@ -188,7 +225,7 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     load, rise = np.sum(force_B * n_B, axis=2), np.sum(v_B * n_B, axis=2)
     f_B, slide_B = force_B - load[..., None] * n_B, v_B - rise[..., None] * n_B
     whole = smooth(stands.astype(float)) > 0.999
-    loaded = whole & (load > s.slide_load * robot.mass * GRAVITY)
+    loaded = whole & (load > SLIDE_LOAD * robot.mass * GRAVITY)
     safe = np.where(loaded, load, np.nan)
     speed = np.linalg.norm(slide_B, axis=2)
     along = -np.sum(f_B * slide_B, axis=2) / np.maximum(speed, 1e-9) / safe
@@ -229,7 +266,6 @@ def outside_forces(
         left: residual (M, W) with the effects found compensated; NaN where there is none.
         known: evidence whose columns and bins these are.
     """
-    s = known.settings
     pushes: list[Push] = []
     if "base_wrench" not in known.layout:
         return ()
@@ -247,15 +283,15 @@ def outside_forces(
         t, force = known.t[own][there] - case.log.t[0], force[there]
         middle = np.median(force)
         spread = 1.4826 * np.median(np.abs(force - middle))
-        least = s.push_share * case.robot.legged.mass * GRAVITY
-        rows = np.flatnonzero(force > max(middle + s.push_outlier * spread, least))
-        apart = np.flatnonzero(np.diff(t[rows]) > s.push_gap) + 1
+        least = PUSH_SHARE * case.robot.legged.mass * GRAVITY
+        rows = np.flatnonzero(force > max(middle + PUSH_OUTLIER * spread, least))
+        apart = np.flatnonzero(np.diff(t[rows]) > PUSH_GAP) + 1
         found = [
             Push(number, float(t[one[0]]), float(t[one[-1]]), float(force[one].max()))
             for one in (np.split(rows, apart) if len(rows) else ())
-            if t[one[-1]] - t[one[0]] >= s.shortest_push
+            if t[one[-1]] - t[one[0]] >= SHORTEST_PUSH
         ]
-        if sum(one.end - one.begin for one in found) < s.pushed_share * np.ptp(t):
+        if sum(one.end - one.begin for one in found) < PUSHED_SHARE * np.ptp(t):
             pushes += found
     return tuple(pushes)
 
@@ -269,6 +305,6 @@ def pushed_bins(
     pushed = np.zeros(len(known.t), dtype=bool)
     for one in pushes:
         t = known.t - cases[one.log].log.t[0]
-        near = (t > one.begin - known.settings.push_gap) & (t < one.end + known.settings.push_gap)
+        near = (t > one.begin - PUSH_GAP) & (t < one.end + PUSH_GAP)
         pushed |= near & (known.log == one.log)
     return pushed

@@ -306,18 +306,7 @@ def metric_of(
 
 def noise_of(error: ModelError, layout: Layout) -> np.ndarray:
     """Noise (W,) of the columns, by a model's error; NaN of those that it is not known of."""
-    every = groups_of(layout, np.ones(layout.width, dtype=bool))
-    return np.array([error.noise.get(group, np.nan) for group in every])
-
-
-def groups_of(layout: Layout, which: np.ndarray) -> list[tuple[str, str]]:
-    """Channel and kind of the columns of a mask (W,), which have one noise."""
-    return [
-        (name, layout.columns[c].kind)
-        for name, at in layout.channels.items()
-        for c in range(at.start, at.stop)
-        if which[c]
-    ]
+    return np.array([error.noise.get(kind, np.nan) for kind in layout.kinds])
 
 
 def interpolation_weights(

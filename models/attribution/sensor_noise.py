@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.models.alignment.alignment import align
 from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, linearise, table_of
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.residual import motion_under_model
@@ -27,16 +26,24 @@ from surefoot.sim.log import Log
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.sensors.streams import Sensors
 
+SEED = 20_012
+"""Seed of the noise added to readings where their own noise is the floor."""
+COARSE_SHARE = 0.5
+"""Share of rows with a sample of their own below which a reference is interpolated."""
+FEWEST_SAMPLES = 100
+"""Samples of a reference needed to estimate its noise."""
+MOST_LATE = 0.25
+"""Largest remaining clock offset of a logged reference [s]: half a stride."""
+LATE, FAR = 1e-3, 0.02
+"""Clock offset [s] and distance of the tracked point [m] below which a trace hardly differs."""
 CONSTANT_STEPS = 1.5
 """Quantisation steps: a signal that changes by less over a bin may keep its error throughout."""
 
 
 def data_sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
     """Standard deviation (W,) of a bin's residual from the sensors' noise and uneven ground."""
-    sigma = np.zeros(layout.width)
-    for name, columns in layout.channels.items():
-        sigma[columns] = channels()[name].noise(Sensors(), rate, evenness)
-    return sigma
+    every, sensors = channels(), Sensors()
+    return np.array([every[name].noise(sensors, rate, evenness) for name in layout.channel_of])
 
 
 def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
@@ -45,7 +52,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     As much noise again is added to the readings, and its effect on the residual measured, with the
     effects compensated.
     """
-    rng = np.random.default_rng(cases[0].settings.reading_seed)
+    rng = np.random.default_rng(SEED)
     change = [
         table_of(_with_more_noise(case, rng), effects) - table_of(case, effects) for case in cases
     ]
@@ -55,7 +62,8 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
 
 
 def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping[Key, float]:
-    """Size [its unit] that the readings' noise alone gives each candidate that takes loads.
+    """Size [its unit] that the readings' noise alone gives candidates that take loads; without
+    those that it gives none.
 
     The noise of a torque is in the residual and, through the load, in the candidate's regressor. A
     fit of one to the other then finds a spring where there is none. As much noise again adds as
@@ -67,9 +75,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     """
     by_load = {name for name, kind in known_effects().items() if kind.uses_loads}
     keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
-    if not keys:
-        return {}
-    rng = np.random.default_rng(cases[0].settings.reading_seed)
+    rng = np.random.default_rng(SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = linearise(cases, (), keys), linearise(noisy, (), keys)
     change = np.nan_to_num(after.table - before.table) / sigma
@@ -77,8 +83,8 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     for key, old, new in zip(keys, before.X, after.X, strict=True):
         was, now = (one.values / sigma[one.columns] for one in (old, new))
         both = np.sum(change[:, new.columns] * now) - np.sum(change[:, old.columns] * was)
-        square = np.sum(was**2)
-        sizes[key] = float(both / square) if square else 0.0
+        if both and was.any():
+            sizes[key] = float(both / np.sum(was**2))
     return sizes
 
 
@@ -94,7 +100,9 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
     for group in ("q", "dq", "tau"):
         for joint in log.joints if log.has(group) else ():
             values = log.frame[f"{group}_{joint}"].to_numpy()
-            step = _resolution(values)
+            # The smallest change of a reading.
+            steps = np.abs(np.diff(values))
+            step = np.min(steps, where=steps > 0, initial=np.inf) if steps.any() else 0.0
             stays = np.abs(np.diff(values[first], append=values[-1])) < CONSTANT_STEPS * step
             rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)) * stays, count) * step
             noisy[f"{group}_{joint}"] = (
@@ -122,16 +130,10 @@ def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogU
             level = np.sqrt(np.mean(bends**2) / 6.0) if len(bends) else 0.0
             noisy[f"foot_{leg}_{axis}"] = feet + rng.normal(0.0, level, len(feet))
     log = with_columns(log, noisy)
-    if sampling := reference_sampling(case.log, case.settings):
+    if sampling := reference_sampling(case.log):
         log = resample_reference(log, sampling, rng)
     motion = motion_under_model(log, case.robot, case.fixed)
     return replace(case, log=log, motion=replace(motion, level=case.motion.level))
-
-
-def _resolution(values: np.ndarray) -> float:
-    """Smallest non-zero change of a reading (N,) between rows."""
-    steps = np.abs(np.diff(values))
-    return float(np.min(steps, where=steps > 0, initial=np.inf)) if steps.any() else 0.0
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ class ReferenceSampling:
     stamp: float = 0.0
 
 
-def reference_sampling(log: Log, settings: TraceSettings = DEFAULT) -> ReferenceSampling | None:
+def reference_sampling(log: Log) -> ReferenceSampling | None:
     """Estimate the sampling and noise of a log's reference.
 
     None where it has too few samples, or one in every row and a velocity of its own, as simulated
@@ -160,13 +162,13 @@ def reference_sampling(log: Log, settings: TraceSettings = DEFAULT) -> Reference
     if not log.has("reference"):
         return None
     uses = ("ref_ok", "imu", "reference", "ref_v")
-    return log.once("sampling of the reference", uses, lambda: _sampling(log, settings))
+    return log.once("sampling of the reference", uses, lambda: _sampling(log))
 
 
-def _sampling(log: Log, settings: TraceSettings) -> ReferenceSampling | None:
+def _sampling(log: Log) -> ReferenceSampling | None:
     poses = reference_poses(log)
-    every_row = len(poses.t) > settings.coarse_share * len(log.t)
-    if len(poses.t) < settings.coarse_samples or (every_row and log.has("ref_v")):
+    every_row = len(poses.t) > COARSE_SHARE * len(log.t)
+    if len(poses.t) < FEWEST_SAMPLES or (every_row and log.has("ref_v")):
         return None
     intervals = () if every_row else tuple(np.round(np.diff(poses.t), 6))
     noise = reference_noise(log.t, log.gyro, log.accel, poses) if log.has("imu") else None
@@ -194,10 +196,11 @@ def resample_reference(log: Log, sampling: ReferenceSampling, rng: np.random.Gen
     return with_columns(log, columns)
 
 
-def reference_notes(log: Log, sampling: ReferenceSampling | None) -> tuple[str, ...]:
+def reference_notes(log: Log) -> tuple[str, ...]:
     """Notes on a measured reference: wrong samples, their noise, and any error of its clock or
     tracked point that the IMU alone reveals.
     """
+    sampling = reference_sampling(log)
     if sampling is None:
         return ()
     notes = list(check_reference(reference_poses(log)).faults)
@@ -208,24 +211,18 @@ def reference_notes(log: Log, sampling: ReferenceSampling | None) -> tuple[str, 
         f"{np.degrees(sampling.angle):.2g} deg and {1e3 * sampling.stamp:.2g} ms, "
         "included in the noise floor"
     )
-    found = align(log, most=_MOST)
+    found = align(log, most=MOST_LATE)
     late, far = abs(found.offset), float(np.linalg.norm(found.p_IM))
-    if late > max(_LATE, found.offset_half_width):
+    if late > max(LATE, found.offset_half_width):
         notes.append(
             f"reference: by the IMU, {1e3 * found.offset:.1f} ms (+-"
             f"{1e3 * found.offset_half_width:.1f}) must be added to its stamps: run surefoot align"
         )
-    if far > max(_FAR, float(np.linalg.norm(found.p_IM_half_width))):
+    if far > max(FAR, float(np.linalg.norm(found.p_IM_half_width))):
         notes.append(
             f"reference: the tracked point is {1e3 * far:.0f} mm from the IMU: run surefoot align"
         )
     return (*notes, *(f"reference: {fault}" for fault in found.faults))
-
-
-_MOST = 0.25
-"""Largest remaining clock offset of a logged reference [s]: half a stride."""
-_LATE, _FAR = 1e-3, 0.02
-"""Clock offset [s] and distance of the tracked point [m] below which a trace hardly differs."""
 
 
 def _at(then: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:

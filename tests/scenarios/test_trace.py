@@ -131,7 +131,7 @@ def test_a_declared_effect_is_part_of_the_model():
 @pytest.mark.long
 def test_a_leg_is_measured_on_a_floor_that_is_no_more_even_than_floors_are():
     """Its map says so; the model then walks on such a floor too, and 2 mm of a calf are seen."""
-    ground = ground_of(COURSE, EVENNESS)
+    ground = ground_of(COURSE, EVENNESS, 0.8)
     one = effect("link_length", "RR_calf", 0.002)
     log = walk(Scenario("uneven", COURSE, ground), ROBOT, 4, effects=[one], declared=False)
     log = replace(log, meta=replace(log.meta, model={"ground_evenness": EVENNESS}))
