@@ -36,7 +36,6 @@ from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
-from surefoot.models.bootstrap import BLOCK
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.registry import channels
@@ -250,19 +249,8 @@ class Chosen:
         """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
         with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
         """
-        parts = self.metric.block_products(self.table, self.X, self.keys, BLOCK)
-        prior, total, count = np.diag(self.precision), parts.sum(axis=0), len(parts)
-        moved = np.array(
-            [
-                np.linalg.lstsq(
-                    (total - one)[1:, 1:] + prior,
-                    (total - one)[1:, 0] - self.precision * self.sizes,
-                    rcond=None,
-                )[0]
-                for one in parts
-            ]
-        )
-        return np.sqrt((count - 1) * np.var(moved, axis=0))
+        sizes = self.metric.without_blocks(self.keys, self.precision)
+        return np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0))
 
     def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]

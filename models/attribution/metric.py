@@ -18,6 +18,7 @@ from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.weights import RobustWeights, robust_weights
+from surefoot.models.bootstrap import BLOCK
 from surefoot.models.residuals.channels import commanded_torque
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import Layout
@@ -83,15 +84,12 @@ class Metric:
         return self.by_channel(np.sum((self.root * y) ** 2, axis=0))
 
     @cached_property
-    def grams(self) -> list[np.ndarray]:
-        """Products (1 + C + B, 1 + C + B) of residual, candidates and nuisance parameters of each
-        log, in units of the noise.
+    def grams(self) -> np.ndarray:
+        """Products (R, 1 + C + B, 1 + C + B) of residual, candidates and nuisance parameters of
+        each log, in units of the noise.
         """
-        y, log = self.data.y - self.expected, self.known.log
-        return [
-            self.data.gram(y, self.root * (log == run)[:, None], self.columns)
-            for run in range(log.max(initial=0) + 1)
-        ]
+        y = self.data.y - self.expected
+        return self.data.grams(y, self.root, self.columns, self.known.log)
 
     @cached_property
     def S(self) -> np.ndarray:
@@ -179,28 +177,28 @@ class Metric:
             total += flat @ flat.T - cross.T @ inverse @ cross
         return total
 
-    def block_products(
-        self, table: np.ndarray, X: Sequence[Regressor], without: Collection[Key], seconds: float
-    ) -> np.ndarray:
-        """The part of each block of some seconds (K, 1 + k, 1 + k) in `products`."""
-        root = np.where(np.isnan(table), 0.0, self.root)
-        used, kept = self._in_noise(table, X, root), self._kept(without)
-        block = np.unique(
-            np.column_stack([self.known.log, self.known.t // seconds]), axis=0, return_inverse=True
-        )[1].ravel()
-        whitened = used.copy()
-        for run, inverse in enumerate(self._inverses_of(kept)):
-            cross = np.zeros((np.count_nonzero(kept), 1 + len(X)))
-            terms = list(self._terms_of(run, kept, root))
-            for c, rows, at, F in terms:
-                cross[at] += F.T @ used[:, rows, c].T
-            fitted = inverse @ cross
-            for c, rows, at, F in terms:
-                whitened[:, rows, c] -= (F @ fitted[at]).T
-        each = np.einsum("amc,bmc->mab", used, whitened)
-        out = np.zeros((block.max(initial=0) + 1, *each.shape[1:]))
-        np.add.at(out, block, each)
-        return out
+    def without_blocks(self, keys: Sequence[Key], precision: np.ndarray) -> np.ndarray:
+        """Sizes (K, k) of these candidates beside each other, to first order, with one block of the
+        logs left out; precision (k,) of their prior.
+        """
+        blocks = np.column_stack([self.known.log, self.known.t // BLOCK]).astype(int)
+        blocks, part = np.unique(blocks, axis=0, return_inverse=True)
+        y = self.data.y - self.expected
+        parts = self.data.grams(y, self.root, self.columns, part.ravel())
+        kept = self._kept(keys)
+        F, own = 1 + self.places[kept], self.precision[np.ix_(kept, kept)]
+        at = np.append(0, 1 + np.array([self.known.keys.index(key) for key in keys], int))
+
+        def reduced(G: np.ndarray) -> np.ndarray:
+            cross = G[np.ix_(F, at)]
+            return G[np.ix_(at, at)] - cross.T @ scaled_inverse(G[np.ix_(F, F)] + own) @ cross
+
+        whole = np.array([reduced(G) for G in self.grams])
+        total, prior, sizes = whole.sum(axis=0), np.diag(precision), []
+        for (run, _), one in zip(blocks, parts, strict=True):
+            S = total - whole[run] + reduced(self.grams[run] - one)
+            sizes.append(np.linalg.lstsq(S[1:, 1:] + prior, S[1:, 0], rcond=None)[0])
+        return np.array(sizes)
 
     def _in_noise(self, table: np.ndarray, X: Sequence[Regressor], root: np.ndarray) -> np.ndarray:
         """A table and its regressors (1 + k, M, W) in units of the noise."""

@@ -212,7 +212,8 @@ def run_sums(
         if own.any():
             kept.append(here)
             groups.append(layout.kinds[here[0]])
-            sums.append(table.gram(table.y, np.sqrt(own), here))
+            every = np.zeros(len(own), int)
+            sums.append(table.grams(table.y, np.sqrt(own), here, every)[0])
             count.append(np.count_nonzero(own))
     return RunSums(
         keys=known.keys,

@@ -10,12 +10,11 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
-from surefoot.models.residuals.binning import BIN, END_WINDOW, Bins, ReferenceMotion, bin_mean
+from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, bin_mean
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.inverse_dynamics import Dynamics
@@ -60,6 +59,8 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     whole = np.zeros(len(bins.t), dtype=bool)
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
+    # The equation is smoothed over three bins, each of which needs the rate before it.
+    whole = _always(whole)
     stays, lifted = _always(bins.standing), _always(bins.lifted)
     up_B = np.zeros((len(bins.t), 3))
     if robot.legged is not None:
@@ -93,9 +94,9 @@ def curvature(log: Log, motion: ReferenceMotion, dynamics: Dynamics) -> np.ndarr
     """
 
     def made() -> np.ndarray:
-        q, rows, mean = log.q, max(1, round(END_WINDOW * log.rate)), bin_mean(motion)
+        q, mean = log.q, bin_mean(motion)
         slow = derivative(log.t, q, JOINT_WINDOW, causal=False) if motion.rates_of_angles else None
-        dq = uniform_filter1d(joint_velocity(log) if slow is None else slow, rows, axis=0)
+        dq = steady_rate(log.t, joint_velocity(log) if slow is None else slow)
         rates = q, dq, np.gradient(dq, log.t, axis=0)
         _, of_rows = dynamics.inverse(*rates)
         _, of_means = dynamics.inverse(*map(mean, rates))
