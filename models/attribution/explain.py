@@ -33,11 +33,12 @@ from surefoot.models.attribution.evidence import (
     table_of,
 )
 from surefoot.models.attribution.metric import Metric, metric_of
-from surefoot.models.attribution.model_error import ModelError
+from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_middles
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
+from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
@@ -186,6 +187,13 @@ class Problem:
     def per_run(self) -> frozenset[str]:
         """Names of the effects that each log has at a size of its own."""
         return PER_RUN_EFFECTS if self.several else frozenset()
+
+    @property
+    def by_windows(self) -> bool:
+        """Whether torques are averaged over windows, as for the error of the model: with several
+        runs of a machine on a fixed base. Rows whose torques jump tell no accelerations.
+        """
+        return self.several and all(c.fixed and c.log.has("tau") for c in self.cases)
 
     def at(self, keys: Sequence[Key]) -> np.ndarray:
         """Places of these candidates (k,)."""
@@ -458,16 +466,32 @@ def _metric(
     problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
 ) -> Metric:
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
+    before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    known = replace(known, table=_moving(problem, known, effects, known.table))
+    known = _moving(problem, effects, known)
+    if problem.by_windows:
+        noise = {group: OF_MEAN * level for group, level in error.noise.items()}
+        error = replace(error, noise=noise)
     return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 
 
-def _moving(
-    problem: Problem, known: Evidence, effects: Sequence[Effect], table: np.ndarray
-) -> np.ndarray:
-    """A table (M, W) without the entries in which a joint of a fixed base may stick."""
-    return np.where(sticks(problem.cases, effects, known.layout), np.nan, table)
+def _moving(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
+    """The evidence without the entries in which a joint of a fixed base may stick at effects, over
+    windows if the problem is.
+    """
+    there = np.where(sticks(problem.cases, effects, known.layout), np.nan, known.table)
+    known = replace(known, table=there)
+    return at_middles(known) if problem.by_windows else known
+
+
+def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) -> np.ndarray:
+    """The table (M, W) with effects compensated, as of `_moving` at other effects."""
+    if problem.by_windows:
+        known = linearise(problem.cases, effects, (), evaluation_channels=False)
+        return _moving(problem, at, known).table
+    tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
+    layout = layout_for(problem.limbs)
+    return np.where(sticks(problem.cases, at, layout), np.nan, np.concatenate(tables))
 
 
 def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
@@ -492,8 +516,7 @@ def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
     exact = [one for one in chosen.effects if not is_compensated_approximately(one)]
     if len(exact) == len(chosen.effects):
         return np.zeros(1)
-    cases = state.problem.cases
-    without = np.concatenate([table_of(case, exact, evaluation_channels=False) for case in cases])
+    without = _table(state.problem, exact, exact)
     square = state.metric.squares
     return np.maximum(square(without) - square(chosen.table), 0.0)
 
@@ -559,14 +582,13 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         ]
         if stale or best is None:
             evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
+            evidence = _moving(problem, state.effects, evidence)
             table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
             derived |= {
                 key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
             }
         else:
-            tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
-            table = np.concatenate(tables)
-        table = _moving(problem, metric.known, state.effects, table)
+            table = _table(problem, effects, state.effects)
         X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
         S = metric.products(table, X, keys)
         A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)

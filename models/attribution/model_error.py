@@ -30,6 +30,7 @@ from surefoot.models.attribution.evidence import (
 )
 from surefoot.models.attribution.sensor_noise import data_sheet_noise
 from surefoot.models.attribution.weights import robust_weights
+from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
@@ -39,6 +40,8 @@ WINDOW = 0.45
 """Length of the windows in which the torques of a machine on a fixed base are averaged [s]: long
 compared with rows whose torques jump, short compared with a swing.
 """
+OF_MEAN = float(np.sqrt(1.5 * BIN / WINDOW))
+"""Noise of such a mean, relative to the white noise of its bins."""
 WHOLE = 0.8
 """Share of its bins that a window has at least."""
 ZERO = "encoder_offset"
@@ -260,6 +263,28 @@ def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
         X=tuple(of(one) for one in known.X),
         Z=tuple(of(one) for one in known.Z),
     )
+
+
+def at_middles(known: Evidence) -> Evidence:
+    """An evidence with the means over windows (`windows`) in the bins at their middles, and nothing
+    in all others.
+    """
+    mean, place = averaged(known, windows(known)), []
+    for run in range(known.log.max(initial=0) + 1):
+        own = np.flatnonzero(known.log == run)
+        place.append(own[np.searchsorted(known.t[own], mean.t[mean.log == run])])
+    at = np.concatenate(place)
+
+    def placed(values: np.ndarray, nothing: float) -> np.ndarray:
+        out = np.full((len(known.t), values.shape[1]), nothing)
+        out[at] = values
+        return out
+
+    X, Z = (
+        tuple(replace(one, values=placed(one.values, 0.0)) for one in columns)
+        for columns in (mean.X, mean.Z)
+    )
+    return replace(known, table=placed(mean.table, np.nan), X=X, Z=Z)
 
 
 def means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
