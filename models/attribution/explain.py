@@ -705,7 +705,7 @@ def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.n
     for i in islice(_distinct(near, problem), SINGLES):
         yield [keys[i]], beside.sizes[[i]]
     pairs = np.triu(_of_pairs(problem, beside), 1)
-    ends = np.argpartition(-pairs, PAIRS, axis=None)[:PAIRS]
+    ends = np.argpartition(-pairs, min(PAIRS, pairs.size) - 1, axis=None)[:PAIRS]
     for flat in sorted(ends, key=lambda flat: -pairs.flat[flat]):
         pair = np.array(np.unravel_index(flat, pairs.shape))
         if pairs[tuple(pair)] > max(best, 0.0):
