@@ -267,7 +267,17 @@ def _best(
     as_good = [one for one in first if one.evidence > first[0].evidence - AS_LIKELY]
     alike = [one for one in as_good if one.of_sensor == first[0].of_sensor]
     inside = [one for one in alike if one.part <= first[0].part]
+    # That several parts change by the same size is less likely than that one of them does.
+    inside += [
+        one
+        for one in first
+        if one.part < first[0].part
+        and one.of_sensor == first[0].of_sensor
+        and one.evidence > max(first[0].evidence - NAMED, NAMED)
+    ]
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
+    if best.evidence <= first[0].evidence - AS_LIKELY:
+        as_good = [one for one in first if abs(one.evidence - best.evidence) < AS_LIKELY]
     if best.evidence < NAMED or best.excess < _least_excess(known):
         return Change("unchanged", (), (), (), least), new
     rivals = tuple(
@@ -366,8 +376,9 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
     """An explanation by a single size, refined on the true residual."""
     (key,), prior = one.keys, _prior(one.keys[0], new.limbs)
     size, best = float(one.sizes[0]), replace(one, evidence=-np.inf)
-    if _is_lost_zero(one.keys) and abs(size) > FAR:
-        # The residual is a wave over a turn; start from the best of some zeros.
+    if _is_lost_zero(one.keys) and (abs(size) > FAR or new.cases[0].fixed):
+        # The residual is a wave over a turn, and half a turn away seems to be none; start from the
+        # best of some zeros.
         size = min((*FAR_STARTS, size), key=lambda start: new.at(key, start)[0, 0])
     for _ in range(REFINEMENTS):
         if _is_lost_zero(one.keys):

@@ -343,10 +343,11 @@ def angle_errors(log: Log, undriven: Sequence[str]) -> dict[Key, Mapping[str, np
 
 
 def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
-    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, or
-    runs with different readings.
+    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, for
+    runs with different readings, and without torques on a fixed base.
     """
-    if len(runs) < FEWEST_RUNS or len({(one.keys, one.groups) for one in runs}) > 1:
+    alike = len({(one.keys, one.groups) for one in runs}) == 1
+    if len(runs) < FEWEST_RUNS or not alike or not runs[0].groups:
         return None
     keys, sums, count = runs[0].keys, sum(r.sums for r in runs), sum(r.count for r in runs)
     scale = np.sqrt(sums[:, 0, 0] / count)
