@@ -2,7 +2,7 @@
 
 import numpy as np
 
-BLOCK = 2.0
+BLOCK_SECONDS = 2.0
 """Length of the blocks of a walk's residuals [s]: those of one step correlate with the next step's,
 those of blocks of this length hardly.
 """

@@ -15,7 +15,7 @@ from surefoot.sim.log import Log
 
 LACKING = ": not used, the log lacks "
 """Text of a note between a channel and the columns that it lacks."""
-BLOCK = 4.0
+SPLIT_BLOCK = 4.0
 """Length of the blocks of which two are fitted on and the third reports [s]: a few strides."""
 GAP = 0.05
 """Gap between these blocks, as a share of them, longer than residuals are correlated."""
@@ -86,7 +86,7 @@ def split_of(cases: Sequence[LogUnderModel]) -> Split:
     fits, reports = [], []
     for case in cases:
         t = case.motion.t - case.motion.t[0]
-        block = min(BLOCK, t[-1] / FEWEST_BLOCKS)
+        block = min(SPLIT_BLOCK, t[-1] / FEWEST_BLOCKS)
         if case.fixed:
             # Long enough for some windows over which torques are averaged.
             block = min(max(block, SHORTEST_FIXED_BLOCK), t[-1] / 3.0)

@@ -54,7 +54,7 @@ from surefoot.models.attribution.model_error import (
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor, noise_floor_with
 from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
-from surefoot.models.attribution.weights import FAR, RobustWeights, sticks
+from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights, sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
@@ -597,7 +597,7 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
         f"{name}: {c.after / c.highest:.0f} times its residual in simulation is left, which may "
         "distort the sizes"
         for name, c in channels.items()
-        if found and c.after > FAR * c.highest
+        if found and c.after > FAR_ABOVE * c.highest
     ]
     return notes
 

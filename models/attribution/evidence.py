@@ -52,7 +52,7 @@ FIXED_BASE_RATE = 0.1
 """RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
 bias of a bad gyro 0.05.
 """
-DIFFERENCE_STEP = 1e-3
+_CHANGE_STEP = 1e-3
 """Relative step of the finite differences of channels without a chain rule."""
 FEW_BINS = 0.02
 """Share of a table's entries that may appear or vanish before its derivatives are recomputed."""
@@ -415,9 +415,9 @@ class _Linear:
         """Regressor of additions (N,) to columns of the log."""
         columns = {name: self.log.columns[name] + x for name, x in added.items()}
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
-        small = {n: self.log.columns[n] + DIFFERENCE_STEP * x for n, x in added.items()}
+        small = {n: self.log.columns[n] + _CHANGE_STEP * x for n, x in added.items()}
         self._add_change_without_chain_rule(
-            change, with_columns(self.log, small), self.robot, DIFFERENCE_STEP
+            change, with_columns(self.log, small), self.robot, _CHANGE_STEP
         )
         return self._to_reading_scale(sparse(change, self.parts.table))
 

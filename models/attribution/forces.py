@@ -19,30 +19,30 @@ from scipy.ndimage import uniform_filter1d
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel
 from surefoot.models.attribution.weights import SLOWEST_SLIP
-from surefoot.models.bootstrap import BLOCK, block_bootstrap_counts
+from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
 from surefoot.models.residuals.binning import at_rows, base_motion
 from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import effect
 from surefoot.sim.log import joint_velocity
 
-DRY = 0.8
+DRY_FRICTION = 0.8
 """Coefficient of friction of a dry floor."""
 DRY_SHARE = 0.75
 """Smallest friction of a dry floor, relative to the declared one: 0.6 of 0.8."""
-SLIDING_SPEED = 0.08
+_SLIDING_SPEED = 0.08
 """Speed from which a loaded foot certainly slides, above the error of joint rates [m/s]."""
 OPPOSING = 0.9
 """Cosine between the ground's force on a sliding foot and the direction opposite to its motion."""
 SLIDE_GAP = 0.02
 """Gap between sliding rows from which they belong to two slides [s]."""
 SHORTEST_SLIDE = 0.008
-"""Shortest slide [s]: most of WINDOW. A landing foot, and one on a leg that springs, seem to slide
+"""Shortest slide [s]: most of _WINDOW. A landing foot, and one on a leg that springs, seem to slide
 for less.
 """
 SLIDE_LOAD = 0.08
 """Load on a foot, as a share of the weight, below which the leg's inertia spoils its force."""
-WINDOW = 0.01
+_WINDOW = 0.01
 """Averaging time of these forces and velocities [s]."""
 FEWEST_SLIDES = 5
 """Number of slides needed to estimate their friction."""
@@ -122,7 +122,7 @@ def estimate_friction(
     for number, case in enumerate(able):
         speed, along, used = _feet(case)
         held.append(used[speed < SLOWEST_SLIP])
-        sliding = (speed > SLIDING_SPEED) & (along > OPPOSING * used)
+        sliding = (speed > _SLIDING_SPEED) & (along > OPPOSING * used)
         for leg in range(sliding.shape[1]):
             rows = np.flatnonzero(sliding[:, leg])
             breaks = np.flatnonzero(np.diff(case.log.t[rows]) > SLIDE_GAP) + 1
@@ -140,7 +140,7 @@ def estimate_friction(
     first, limit, third = (float(x) for x in np.percentile(slides, [25.0, 50.0, 75.0]))
     scatter = (third - first) / max(limit, 1e-12)
     span = sum(np.ptp(case.log.t) for case in able)
-    parts = int(span / BLOCK)
+    parts = int(span / BLOCK_SECONDS)
     if most < USED_RANGE[1] * limit:
         # No foot that sticks uses more, so that few slides suffice.
         parts = min(parts, len(slides) // 2)
@@ -155,10 +155,12 @@ def slip_effect(friction: FootFriction | None) -> tuple[Found, ...]:
     if friction is None or friction.limit is None or not friction.everywhere:
         return ()
     low, high = friction.interval
-    if high >= DRY_SHARE * DRY or not friction.consistent:
+    if high >= DRY_SHARE * DRY_FRICTION or not friction.consistent:
         return ()
-    lost = effect("foot_slip", "all", float(np.clip(1.0 - friction.limit / DRY, 0.0, 0.95)))
-    return (Found(lost, (1.0 - high / DRY, 1.0 - low / DRY)),)
+    lost = effect(
+        "foot_slip", "all", float(np.clip(1.0 - friction.limit / DRY_FRICTION, 0.0, 0.95))
+    )
+    return (Found(lost, (1.0 - high / DRY_FRICTION, 1.0 - low / DRY_FRICTION)),)
 
 
 def slip_notes(friction: FootFriction | None, walks: bool) -> tuple[str, ...]:
@@ -174,11 +176,11 @@ def slip_notes(friction: FootFriction | None, walks: bool) -> tuple[str, ...]:
     many = f"{friction.slides} slides under load"
     if friction.limit is None:
         # The friction of a foot that sticks is at least what it uses.
-        share = max(0.0, 1.0 - friction.held / DRY)
+        share = max(0.0, 1.0 - friction.held / DRY_FRICTION)
         return (
             f"foot_slip: not identifiable, the feet hardly slide ({many}); they used a coefficient "
             f"of friction of up to {friction.held:.2f}, so a loss of up to {100 * share:.0f} % of "
-            f"{DRY:g} would not show; harder starts, stops and turns would show it",
+            f"{DRY_FRICTION:g} would not show; harder starts, stops and turns would show it",
         )
     low, high = friction.interval
     where = "all along the way" if friction.everywhere else "in places"
@@ -205,7 +207,7 @@ def _feet(case: LogUnderModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     log, motion, robot = case.log, case.motion, case.robot.legged
     assert robot is not None  # as `_is_determined`
     stands, dq = log.contact & motion.ok[:, None], joint_velocity(log)
-    rows = max(1, round(WINDOW * log.rate))
+    rows = max(1, round(_WINDOW * log.rate))
 
     def smooth(x: np.ndarray) -> np.ndarray:
         return uniform_filter1d(x, rows, axis=0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.bootstrap import BLOCK, block_bootstrap_counts
+from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
 from surefoot.models.residuals.channel import Channel
 from surefoot.models.residuals.registry import channels
 
@@ -47,6 +47,8 @@ class ChannelLevel:
     """Whether the increase, over a channel's few events, is within chance."""
     lowest: float = 0.0
     """Lower end of the 95 % interval of `after`, by a bootstrap over blocks."""
+    of_noise: float = np.inf
+    """Largest level that noise and the model's own error explain."""
     on_like_ground: bool = True
     """Whether the walks of the floor are on ground like the log's, which theirs is level."""
 
@@ -60,7 +62,7 @@ class ChannelLevel:
         """Whether the remaining residual is at the noise floor, even of a channel that no fit
         uses.
         """
-        if self.noise_floor is not None and self.lowest > NOISE_RATIO * self.noise_floor:
+        if self.lowest > self.of_noise:
             return False
         return not self.on_like_ground or self.after <= AT_FLOOR_RATIO * self.highest
 
@@ -152,6 +154,7 @@ def channel_levels(
             same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
             lowest=_lowest(after[:, columns], channel, known),
+            of_noise=max(np.inf if own is None else NOISE_RATIO * own, floor.levels.get(name, 0.0)),
             on_like_ground=on_like_ground,
         )
     return levels
@@ -179,7 +182,7 @@ def block_gains(
         sigma: noise of the columns (W,).
         weight: of the entries (M, W).
     """
-    stretch = np.floor((known.t - known.t.min()) / BLOCK).astype(int)
+    stretch = np.floor((known.t - known.t.min()) / BLOCK_SECONDS).astype(int)
     number = known.log * (stretch.max() + 1) + stretch
     gain = np.nan_to_num(weight * (before**2 - after**2)) / sigma**2
     both = np.isfinite(before) & np.isfinite(after) & (weight > 0.0)
@@ -223,7 +226,7 @@ def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
     if not there.any():
         return np.nan
     there &= square <= _bulk(square, channel)[-1]
-    block = known.log * 1_000_000 + np.floor(known.t / BLOCK).astype(int)
+    block = known.log * 1_000_000 + np.floor(known.t / BLOCK_SECONDS).astype(int)
     rows, block = there.any(axis=1), np.unique(block, return_inverse=True)[1]
     total, count = (
         np.bincount(block[rows], np.where(there, one, 0.0).sum(axis=1)[rows])

@@ -18,7 +18,7 @@ from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.weights import RobustWeights, robust_weights
-from surefoot.models.bootstrap import BLOCK
+from surefoot.models.bootstrap import BLOCK_SECONDS
 from surefoot.models.residuals.channels import commanded_torque
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import Layout
@@ -181,7 +181,7 @@ class Metric:
         """Sizes (K, k) of these candidates beside each other, to first order, with one block of the
         logs left out; precision (k,) of their prior.
         """
-        blocks = np.column_stack([self.known.log, self.known.t // BLOCK]).astype(int)
+        blocks = np.column_stack([self.known.log, self.known.t // BLOCK_SECONDS]).astype(int)
         blocks, part = np.unique(blocks, axis=0, return_inverse=True)
         y = self.data.y - self.expected
         parts = self.data.grams(y, self.root, self.columns, part.ravel())

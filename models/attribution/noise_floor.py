@@ -40,7 +40,7 @@ from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.torques import declared
-from surefoot.models.residuals.without_reference import can_dead_reckon, with_dead_reckoning
+from surefoot.models.residuals.without_reference import with_dead_reckoning
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
@@ -52,11 +52,11 @@ from surefoot.sim.walking.imitation import PIECE, body_twists
 
 Twists = tuple[tuple[float, ...], ...]
 """Forward and lateral velocity [m/s] and yaw rate [rad/s] of a course, in steps of 1 s."""
-GROUPS = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
+_GROUPS = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
 """Groups of a walk's columns that a measured log may lack."""
 FRICTIONS = (0.5, 0.7, 0.9, 1.1)
 """Coefficients of friction of the ground of each walk: feet creep more where it is low."""
-SECONDS = 12.0
+_SECONDS = 12.0
 """Length of each walk [s]."""
 STAND = 0.5
 """Time that the robot stands before each walk [s]."""
@@ -68,7 +68,7 @@ SETTLING = 4.0
 """Beginning of a walk whose residual does not count [s], unless it is short: feet are steadier in
 the first steps after standing.
 """
-SEED = 20_011
+_SEED = 20_011
 """Of the first walk, fixed so that the floor depends on the logs alone."""
 APPARENT_SIZE_DOUBT = 0.7
 """Relative uncertainty of sizes that effects seem to have: on slippery ground, the contacts
@@ -161,7 +161,7 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     so the floor is a function of the logs. A section on which the robot falls is repeated at lower
     speed. For a robot that cannot walk at all the floor is the sensors' noise by their data sheets,
     for a machine on a fixed base the noise of its readings, and for one that is known by its feet
-    alone that noise and `POINT_FEET`.
+    alone that noise and POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.
@@ -173,7 +173,7 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     plan = FloorPlan(
         file=first.robot.file,
         courses=tuple(_courses(cases)) if first.robot.limbs == QUADRUPED else (),
-        groups=tuple(g for g in GROUPS if all(case.log.has(g) for case in cases)),
+        groups=tuple(g for g in _GROUPS if all(case.log.has(g) for case in cases)),
         evenness=ground_evenness(cases),
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
@@ -303,14 +303,14 @@ def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
     if all(c.log.has("contact") and np.mean(c.log.contact) > STANDS for c in cases):
         return [()] * len(FRICTIONS)
     motion = []
-    for log, feet in ((case.log, case.robot.feet) for case in cases):
-        if not log.has("reference") and feet is not None and can_dead_reckon(log):
-            # Reckoned from IMU and legs, which is accurate enough.
-            log = with_dead_reckoning(log, feet)
-        if log.has("reference"):
+    for case in cases:
+        # Dead reckoning is accurate enough.
+        log = case.log
+        log = log if log.has("reference") else with_dead_reckoning(log, case.robot.feet)
+        if log is not None:
             # Rounded to two decimals, so that nearly equal courses share one simulated walk.
             motion += [tuple(round(float(x), 2) for x in twist) for twist in body_twists(log)]
-    length = max(1, min(round(SECONDS / PIECE), len(motion)))
+    length = max(1, min(round(_SECONDS / PIECE), len(motion)))
     starts = np.linspace(0, len(motion) - length, len(FRICTIONS)).round().astype(int)
     return [tuple(motion[start : start + length]) for start in starts] if motion else []
 
@@ -324,21 +324,21 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         course: of the walk; empty for standing.
         number: of the walk, from 0.
     """
-    robot, seed = declared(plan.file), SEED + number
+    robot, seed = declared(plan.file), _SEED + number
     for slower in SPEEDS if course else (1.0,):
         segments = tuple(
             Segment(PIECE, *(slower * x for x in twist)) for twist in course or ((0.0, 0.0, 0.0),)
         )
         ground = ground_of(segments, plan.evenness, FRICTIONS[number])
-        scenario = Scenario("floor", segments, ground, stand=STAND if course else SECONDS)
+        scenario = Scenario("floor", segments, ground, stand=STAND if course else _SECONDS)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
         if not course:
-            log = replace(log, frame=log.frame[log.t - log.t[0] < SECONDS - STAND])
+            log = replace(log, frame=log.frame[log.t - log.t[0] < _SECONDS - STAND])
         # Without the columns that the measured logs do not have.
-        lacking = [g for g in GROUPS if g not in plan.groups]
+        lacking = [g for g in _GROUPS if g not in plan.groups]
         gone = [n for g in lacking for n in group_columns(g, log.joints, log.legs)]
         log = replace(log, frame=log.frame.drop(columns=gone))
         if plan.sampling:

@@ -21,20 +21,18 @@ from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import AXES, Effect, with_columns
 from surefoot.sim.importing.reference_check import check_reference
-from surefoot.sim.importing.reference_noise import reference_noise
+from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, reference_noise
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.sensors.streams import Sensors
 
-SEED = 20_012
+_SEED = 20_012
 """Seed of the noise added to readings where their own noise is the floor."""
 COARSE_SHARE = 0.5
 """Share of rows with a sample of their own below which a reference is interpolated."""
-FEWEST_SAMPLES = 100
-"""Samples of a reference needed to estimate its noise."""
-MOST_LATE = 0.25
+_MOST_LATE = 0.25
 """Largest remaining clock offset of a logged reference [s]: half a stride."""
-LATE, FAR = 1e-3, 0.02
+_LATE, _FAR = 1e-3, 0.02
 """Clock offset [s] and distance of the tracked point [m] below which a trace hardly differs."""
 CONSTANT_STEPS = 1.5
 """Quantisation steps: a signal that changes by less over a bin may keep its error throughout."""
@@ -52,7 +50,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     As much noise again is added to the readings, and its effect on the residual measured, with the
     effects compensated.
     """
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(_SEED)
     change = [
         table_of(_with_more_noise(case, rng), effects) - table_of(case, effects) for case in cases
     ]
@@ -75,7 +73,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     """
     by_load = {name for name, kind in known_effects().items() if kind.uses_loads}
     keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(_SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = linearise(cases, (), keys), linearise(noisy, (), keys)
     change = np.nan_to_num(after.table - before.table) / sigma
@@ -211,14 +209,14 @@ def reference_notes(log: Log) -> tuple[str, ...]:
         f"{np.degrees(sampling.angle):.2g} deg and {1e3 * sampling.stamp:.2g} ms, "
         "included in the noise floor"
     )
-    found = align(log, most=MOST_LATE)
+    found = align(log, most=_MOST_LATE)
     late, far = abs(found.offset), float(np.linalg.norm(found.p_IM))
-    if late > max(LATE, found.offset_half_width):
+    if late > max(_LATE, found.offset_half_width):
         notes.append(
             f"reference: by the IMU, {1e3 * found.offset:.1f} ms (+-"
             f"{1e3 * found.offset_half_width:.1f}) must be added to its stamps: run surefoot align"
         )
-    if far > max(FAR, float(np.linalg.norm(found.p_IM_half_width))):
+    if far > max(_FAR, float(np.linalg.norm(found.p_IM_half_width))):
         notes.append(
             f"reference: the tracked point is {1e3 * far:.0f} mm from the IMU: run surefoot align"
         )

@@ -21,7 +21,7 @@ from surefoot.models.attribution.evidence import Key, LogUnderModel, with_change
 from surefoot.models.attribution.explain import Explanation
 from surefoot.models.attribution.metric import Metric
 from surefoot.models.attribution.weights import RobustWeights
-from surefoot.models.bootstrap import BLOCK
+from surefoot.models.bootstrap import BLOCK_SECONDS
 from surefoot.models.residuals.binning import bin_mean
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import Effect
@@ -36,7 +36,7 @@ CURVE_WORTH = 0.03
 """Share of what an effect explains that a curve of its joint's angle must add."""
 CURVE_OTHERS = 3.0
 """Ratio of a curve's gain to that of the same joint on legs without an effect."""
-TORQUE_WINDOW = 0.03
+_TORQUE_WINDOW = 0.03
 """Averaging time of a torque before differentiation [s]."""
 MOST_REGRESSORS = 3
 """Maximum number of regressors for one column."""
@@ -89,7 +89,7 @@ def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[
     places = result.metric.places + more * (result.metric.places >= len(known.keys) - more)
     metric = replace(result.metric, data=design(known), places=places)
     gains = {joint: _gain(metric, joint, found) for joint in joints}
-    blocks = sum(np.ptp(case.log.t) for case in cases) / BLOCK
+    blocks = sum(np.ptp(case.log.t) for case in cases) / BLOCK_SECONDS
     price = len(DEGREES + LOADED_DEGREES) * np.log(max(2.0, blocks))
     energy = sum(np.diag(G) for G in metric.grams)
     out = []
@@ -134,7 +134,7 @@ def angle_curves(log: Log, joint: str) -> dict[Key, Mapping[str, np.ndarray]]:
     q = log.columns[f"q_{joint}"]
     weights = [(np.ones_like(q), DEGREES)]
     if f"tau_{joint}" in log.frame:
-        rows = max(1, round(TORQUE_WINDOW * log.rate))
+        rows = max(1, round(_TORQUE_WINDOW * log.rate))
         weights.append((uniform_filter1d(log.columns[f"tau_{joint}"], rows), LOADED_DEGREES))
     changes: dict[Key, Mapping[str, np.ndarray]] = {}
     for weight, degrees in weights:

@@ -32,7 +32,7 @@ RAISED_STANCE = 0.001
 """Deviation of a stance's height from the foot's others from which it is on an edge [m]."""
 FEWEST_STANCES = 5
 """Stances of a foot from which one of them can stand out."""
-FAR = 3.0
+FAR_ABOVE = 3.0
 """Ratio to the floor from which what is left of a channel is an error of the model, which recurs in
 every stance and makes all sizes uncertain.
 """
@@ -88,7 +88,7 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     # certain: a column far above the floor counts as one entry, and the mean over the stance, which
     # is a channel of its own, decides.
     columns = layout.of("leg_velocity")
-    columns = columns[sigma[columns] > FAR * floor[columns]]
+    columns = columns[sigma[columns] > FAR_ABOVE * floor[columns]]
     alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
     return RobustWeights(sigma, weight, masked, share, alike)
 

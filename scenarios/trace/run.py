@@ -31,7 +31,7 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
-REPORT_SHARE = 0.35
+_REPORT_SHARE = 0.35
 """Share of each log, at its end, that filters run over."""
 
 
@@ -111,7 +111,7 @@ def trace_logs(
     cases = [run.case for run in found.runs]
     if found.attribution is not None and not cases:
         cases = logs_under_model(logs, robot, options.declared or ())
-    stretches = _filtered(cases, found.effects, learnt, REPORT_SHARE)
+    stretches = _filtered(cases, found.effects, learnt, _REPORT_SHARE)
     held_out = [run.case for run in found.held_out.runs] if found.held_out else []
     unseen = _filtered(held_out, found.effects, learnt, 1.0)
     filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
