@@ -16,8 +16,9 @@ from scipy.special import stdtrit
 from surefoot.models.attribution.effect_sizes import (
     PER_RUN_EFFECTS,
     Found,
+    interior_bounds,
     plausible_size,
-    with_clipped_size,
+    sized,
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.levels import ChannelLevel
@@ -34,6 +35,7 @@ from surefoot.models.attribution.model_error import (
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
 NAMED = 2.0 * np.log(1e3)
 """Twice the logarithm of the odds from which a change is named: a thousand to one."""
@@ -166,7 +168,16 @@ class _NewRuns:
     cases: Sequence[LogUnderModel]
     known: ModelError
     metric: Metric
-    limbs: Limbs
+
+    @property
+    def machine(self) -> Machine:
+        """With what is declared of it."""
+        return self.cases[0].robot
+
+    @property
+    def limbs(self) -> Limbs:
+        """Of the machine."""
+        return self.machine.limbs
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -181,15 +192,8 @@ class _NewRuns:
         return sizes
 
     def clipped(self, key: Key, size: float) -> float:
-        """A size that the effect may have: nothing loses more mass than it has."""
-        name, target = key
-        low, high = known_effects()[name].interior_bounds(target, self.limbs)
-        machine = self.cases[0].robot
-        if name == "link_mass" and target in self.limbs.joints and machine.dynamics is not None:
-            model = machine.dynamics.model
-            joint = machine.joint_names[self.limbs.joints.index(target)]
-            low = max(low, -float(model.body_mass[model.joint(joint).bodyid[0]]))
-        return float(np.clip(size, low, high))
+        """A size that the effect may have."""
+        return float(np.clip(size, *interior_bounds(*key, self.machine)))
 
     def overlap(self, one: Key, other: Key) -> float:
         """Cosine (0 to 1) between the regressors of two candidates."""
@@ -233,10 +237,7 @@ def _zeros(new: _NewRuns, found: Sequence[Found]) -> tuple[tuple[Found, ...], ..
     """Zeros of each run beside the change."""
     keys = [key for key in new.keys if key[0] == ZERO and new.metric.belongs_to_log(key)]
     return tuple(
-        tuple(
-            Found(with_clipped_size(effect(*key, 0.0), x, new.limbs), (x - 1.96 * e, x + 1.96 * e))
-            for key, (x, e) in zip(keys, zeros, strict=True)
-        )
+        tuple(sized(key, x, e, new.machine) for key, (x, e) in zip(keys, zeros, strict=True))
         for zeros in new.metric.zeros(keys, new.sizes(found))
     )
 
@@ -248,10 +249,10 @@ def _best(
     known: ModelError,
 ) -> tuple[Change, _NewRuns]:
     """The change that the runs tell, without residuals, and the runs."""
-    limbs, every = cases[0].robot.limbs, np.ones(len(evidence.t), dtype=bool)
+    every = np.ones(len(evidence.t), dtype=bool)
     for _ in range(_ROUNDS):
         metric = metric_of(cases, evidence, known, every, {ZERO}, not cases[0].fixed)
-        new = _NewRuns(cases, known, metric, limbs)
+        new = _NewRuns(cases, known, metric)
         first = _ranked(new)
         # What the best explanation leaves is noise that the unchanged runs did not have.
         entries = np.count_nonzero(metric.root)
@@ -266,14 +267,24 @@ def _best(
     as_good = [one for one in first if one.evidence > first[0].evidence - AS_LIKELY]
     alike = [one for one in as_good if one.of_sensor == first[0].of_sensor]
     inside = [one for one in alike if one.part <= first[0].part]
+    # That several parts change by the same size is less likely than that one of them does.
+    inside += [
+        one
+        for one in first
+        if one.part < first[0].part
+        and one.of_sensor == first[0].of_sensor
+        and one.evidence > max(first[0].evidence - NAMED, NAMED)
+    ]
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
+    if best.evidence <= first[0].evidence - AS_LIKELY:
+        as_good = [one for one in first if abs(one.evidence - best.evidence) < AS_LIKELY]
     if best.evidence < NAMED or best.excess < _least_excess(known):
         return Change("unchanged", (), (), (), least), new
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
         for one in _distinct([one for one in as_good if one is not best], best)
     )
-    if _is_lost_zero(best.keys) and not _within_bounds(best, limbs):
+    if _is_lost_zero(best.keys) and not _within_bounds(best, new.machine):
         return Change("not_identifiable", (_words(best),), (), rivals, least), new
     sensors = [one for one in (best, *rivals) if one.of_sensor]
     if sensors and not (best.of_sensor and len(best.keys) == 1):
@@ -281,7 +292,7 @@ def _best(
         reasons = tuple(dict.fromkeys(reasons))
         return Change("not_identifiable", reasons, (), rivals, least), new
     verdict = "confounded" if rivals else "attributed"
-    return Change(verdict, (), _found(best, limbs), rivals, least), new
+    return Change(verdict, (), _found(best, new.machine), rivals, least), new
 
 
 def _ranked(new: _NewRuns) -> list[Explanation]:
@@ -365,8 +376,9 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
     """An explanation by a single size, refined on the true residual."""
     (key,), prior = one.keys, _prior(one.keys[0], new.limbs)
     size, best = float(one.sizes[0]), replace(one, evidence=-np.inf)
-    if _is_lost_zero(one.keys) and abs(size) > FAR:
-        # The residual is a wave over a turn; start from the best of some zeros.
+    if _is_lost_zero(one.keys) and (abs(size) > FAR or new.cases[0].fixed):
+        # The residual is a wave over a turn, and half a turn away seems to be none; start from the
+        # best of some zeros.
         size = min((*FAR_STARTS, size), key=lambda start: new.at(key, start)[0, 0])
     for _ in range(REFINEMENTS):
         if _is_lost_zero(one.keys):
@@ -420,23 +432,20 @@ def _distinct(others: Sequence[Explanation], best: Explanation) -> tuple[Explana
     return tuple(kept)
 
 
-def _found(one: Explanation, limbs: Limbs) -> tuple[Found, ...]:
+def _found(one: Explanation, machine: Machine) -> tuple[Found, ...]:
     """The effects of an explanation; of several sizes, those that differ from zero."""
     pairs = zip(one.keys, one.sizes, one.deviations, strict=True)
-    sized = [(key, float(size), float(error)) for key, size, error in pairs]
-    shown = [x for x in sized if abs(x[1]) > 1.96 * x[2]] or [
-        max(sized, key=lambda x: abs(x[1]) / x[2])
+    every = [(key, float(size), float(error)) for key, size, error in pairs]
+    shown = [x for x in every if abs(x[1]) > 1.96 * x[2]] or [
+        max(every, key=lambda x: abs(x[1]) / x[2])
     ]
-    return tuple(
-        Found(with_clipped_size(effect(*key, 0.0), size, limbs), (size - 1.96 * e, size + 1.96 * e))
-        for key, size, e in sorted(shown, key=lambda x: -abs(x[1]) / x[2])
-    )
+    strongest = sorted(shown, key=lambda x: -abs(x[1]) / x[2])
+    return tuple(sized(key, size, error, machine) for key, size, error in strongest)
 
 
-def _within_bounds(one: Explanation, limbs: Limbs) -> bool:
+def _within_bounds(one: Explanation, machine: Machine) -> bool:
     """Whether a single size is one that its effect may have."""
-    name, target = one.keys[0]
-    low, high = known_effects()[name].interior_bounds(target, limbs)
+    low, high = interior_bounds(*one.keys[0], machine)
     return low < one.sizes[0] < high
 
 

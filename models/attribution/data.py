@@ -29,6 +29,10 @@ SHORTEST, SHORTEST_FIXED = 11.5, 3.0
 """Minimum length of the logs [s]: a log of 12 s, whose ends have no residual; and of all logs of a
 machine on a fixed base together, where every row is informative.
 """
+SHORTEST_NEW = 1.0
+"""Shortest of the runs that are compared with earlier ones, if the longest of them: some of the
+windows in which torques are averaged [s].
+"""
 REACH = 0.5
 """Distance that a robot cannot move without stepping; contacts that never change are then dead [m].
 """
@@ -93,8 +97,12 @@ def split_of(cases: Sequence[LogUnderModel]) -> Split:
     return Split(np.concatenate(fits), np.concatenate(reports))
 
 
-def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
-    """Say in one line why these logs cannot be traced; "" if they can."""
+def untraceable_reason(cases: Sequence[LogUnderModel], split: Split, new: bool = False) -> str:
+    """Say in one line why these logs cannot be traced; "" if they can.
+
+    new: whether they are compared with earlier runs. Nothing is fitted to a part and checked on
+    another then, and the least changes say how much short runs show.
+    """
     if not any(all_keys(case) for case in cases):
         groups = ("imu", "q", "contact", "tau", "reference")
         lacking = [g for g in groups if not all(case.log.has(g) for case in cases)]
@@ -108,14 +116,18 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
             f"no channel: the log lacks {', '.join(lacking)}; needs imu, or q and contact, beside "
             "the reference; without one imu, q and contact; or q and tau of a fixed base"
         )
-    span = sum(float(case.motion.t[-1] - case.motion.t[0]) for case in cases)
-    least = SHORTEST_FIXED if cases[0].fixed else SHORTEST
+    spans = [float(case.motion.t[-1] - case.motion.t[0]) for case in cases]
+    span, least = sum(spans), SHORTEST_FIXED if cases[0].fixed else SHORTEST
+    if new and cases[0].fixed:
+        span, least = max(spans), SHORTEST_NEW
     if span < least:
         # With the digits that show it.
         digits = next((k for k in range(1, 9) if f"{span:.{k}f}" != f"{least:.{k}f}"), 9)
         needed = f"{least:g} s are needed to fit and to check"
-        more = "; several logs of one machine add up" if cases[0].fixed else ""
+        more = "; several logs of one machine add up" if cases[0].fixed and not new else ""
         return f"too short: {span:.{digits}f} s where {needed}{more}"
+    if new and cases[0].fixed:
+        return ""
     known = np.concatenate([bin_mean(case.motion)(case.motion.ok.astype(float)) for case in cases])
     fit, report = (BIN * float(known[part].sum()) for part in (split.fit, split.report))
     if min(fit, report) < SHORTEST_PART:

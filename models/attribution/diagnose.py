@@ -23,6 +23,7 @@ from surefoot.models.attribution.evidence import (
     LogUnderModel,
     linearise,
     log_under_model,
+    passive_joints,
 )
 from surefoot.models.attribution.explain import (
     Candidate,
@@ -210,7 +211,7 @@ def diagnose(
     several = len(logs) > 1 or declared is not None
     cases = logs_under_model(logs, robot, model)
     split = split_of(cases)
-    cannot = untraceable_reason(cases, split)
+    cannot = untraceable_reason(cases, split, new=since is not None)
     if cannot:
         reasons = (cannot,)
         return Diagnosis(verdict="not_identifiable", reasons=reasons, channels={}, notes=reasons)
@@ -323,7 +324,7 @@ def diagnose(
             *_lag_notes(lags),
         ),
         unexplained=unexplained,
-        model_error=_error_of(sides.cases, effects) if several else None,
+        model_error=_error_of(cases, effects) if several else None,
     )
 
 
@@ -503,7 +504,9 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
     effects = tuple(one.effect for one in lags)
     return tuple(
         FittedRun(
-            log_under_model(*compensate_all(effects, run.case.log, run.case.robot)),
+            log_under_model(
+                *compensate_all(effects, run.case.log, run.case.robot), run.case.undriven
+            ),
             (*run.zeros, *lags),
             (*run.compensated, *effects),
         )
@@ -569,11 +572,10 @@ def logs_under_model(
 ) -> list[LogUnderModel]:
     """The logs' readings with the declared effects compensated, each with its model."""
     robot = _with_declared(robot, declared)
+    read = [readings(log, robot.limbs.feet_alone) for log in logs]
     return [
-        log_under_model(
-            *compensate_all(in_order(declared), readings(log, robot.limbs.feet_alone), robot)
-        )
-        for log in logs
+        log_under_model(*compensate_all(in_order(declared), log, robot), passive_joints(log))
+        for log in read
     ]
 
 
@@ -620,7 +622,9 @@ def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
 
 
 def _error_of(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> ModelError | None:
-    """Error of the model with these effects, as the runs show it."""
+    """Error of the model with these effects, as the runs show it. A run's own zeros are not
+    compensated, since those of new runs are not either.
+    """
     runs = [run_sums(run_evidence(case, effects)) for case in cases]
     return model_error(runs, cases[0].robot.limbs)
 

@@ -105,7 +105,13 @@ class Evidence:
 class LogUnderModel:
     """A log, the model that it is compared with, and the motion of its reference.
 
-    `zeros` are the effects of the log's own, such as encoder zeros, that it has compensated.
+    Attributes:
+        log: its readings, with the declared effects compensated.
+        robot: the model.
+        motion: of the base.
+        fixed: whether the base cannot move.
+        zeros: effects of the log's own, such as encoder zeros, that it has compensated.
+        undriven: joints without a drive (`passive_joints`); of a fixed base.
     """
 
     log: Log
@@ -113,6 +119,7 @@ class LogUnderModel:
     motion: ReferenceMotion
     fixed: bool = False
     zeros: tuple[Effect, ...] = ()
+    undriven: tuple[str, ...] = ()
 
     @property
     def by_feet(self) -> bool:
@@ -120,11 +127,14 @@ class LogUnderModel:
         return self.robot.limbs.feet_alone
 
 
-def log_under_model(log: Log, robot: Machine) -> LogUnderModel:
+def log_under_model(
+    log: Log, robot: Machine, undriven: tuple[str, ...] | None = None
+) -> LogUnderModel:
     """Prepare a log for comparison with a robot model.
 
     Without a reference, the base is assumed to be fixed if the log shows neither ground contact nor
-    rotation of the body.
+    rotation of the body. undriven: joints without a drive, by default of the log; compensated
+    friction would hide them.
     """
     stands = log.has("contact") and log.contact.any()
     turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > FIXED_BASE_RATE
@@ -134,7 +144,10 @@ def log_under_model(log: Log, robot: Machine) -> LogUnderModel:
     motion = motion_under_model(log, robot, fixed)
     if fixed and log.has("tau") and angles_are_quieter(log, motion):
         motion = replace(motion, rates_of_angles=True)
-    return LogUnderModel(log, robot, with_ground(motion, log, robot), fixed)
+    if undriven is None:
+        undriven = passive_joints(log) if fixed else ()
+    motion = with_ground(motion, log, robot)
+    return LogUnderModel(log, robot, motion, fixed, undriven=undriven)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
@@ -150,20 +163,30 @@ def channels_of(case: LogUnderModel) -> tuple[str, ...]:
 
 def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that can be compensated and has a channel in the log."""
-    there, legged, keys = {*channels_of(case)}, case.robot.legged, []
+    there, legged, limbs, keys = {*channels_of(case)}, case.robot.legged, case.robot.limbs, []
     for kind in known_effects().usable()[0].values():
         lacks = case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
             continue
         if case.by_feet and not kind.on_given_feet:
             continue
+        of_torques = getattr(kind, "readings", ()) == ("tau",)
         keys += [
             (kind.name, target)
-            for target in kind.targets_on(case.robot.limbs)
+            for target in kind.targets_on(limbs)
             if there & {*kind.channels_of(target)}
+            # A joint without a drive has no reading of a torque that may err.
+            and not (of_torques and {*kind.members_of(target, limbs)} <= {*case.undriven})
             and not (legged is not None and kind.equals_another(target, legged))
         ]
     return tuple(keys)
+
+
+def passive_joints(log: Log) -> tuple[str, ...]:
+    """Joints without a drive: their torque is always zero."""
+    if not log.has("tau"):
+        return ()
+    return tuple(j for j, tau in zip(log.joints, log.tau.T, strict=True) if not tau.any())
 
 
 def candidates_digest() -> str:

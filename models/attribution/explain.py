@@ -18,6 +18,7 @@ from surefoot.models.attribution.effect_sizes import (
     PER_RUN_EFFECTS,
     Found,
     in_order,
+    interior_bounds,
     plausible_size,
     price_of_some_parts,
     with_clipped_size,
@@ -32,14 +33,16 @@ from surefoot.models.attribution.evidence import (
     table_of,
 )
 from surefoot.models.attribution.metric import Metric, metric_of
-from surefoot.models.attribution.model_error import ModelError
+from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_middles
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
+from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
 NAMED = 2.0 * np.log(1e3)
 """Twice the logarithm of the odds from which an effect is named, and up to which another one
@@ -171,14 +174,26 @@ class Problem:
     shift: np.ndarray
 
     @property
+    def machine(self) -> Machine:
+        """The declared model."""
+        return self.cases[0].robot
+
+    @property
     def limbs(self) -> Limbs:
         """Limbs of the machine."""
-        return self.cases[0].robot.limbs
+        return self.machine.limbs
 
     @property
     def per_run(self) -> frozenset[str]:
         """Names of the effects that each log has at a size of its own."""
         return PER_RUN_EFFECTS if self.several else frozenset()
+
+    @property
+    def by_windows(self) -> bool:
+        """Whether torques are averaged over windows, as for the error of the model: with several
+        runs of a machine on a fixed base. Rows whose torques jump tell no accelerations.
+        """
+        return self.several and all(c.fixed and c.log.has("tau") for c in self.cases)
 
     def at(self, keys: Sequence[Key]) -> np.ndarray:
         """Places of these candidates (k,)."""
@@ -432,8 +447,7 @@ class _State:
             evidence -= INEXACT * np.sum(self.metric.shares[at] * self.explained, axis=-1)
             excess = np.abs(sizes) / np.sqrt(variance)
         least = self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
-        kinds, limbs = known_effects(), self.problem.limbs
-        bounds = [kinds[name].interior_bounds(target, limbs) for name, target in keys]
+        bounds = [interior_bounds(*key, self.problem.machine) for key in keys]
         inside = np.array(
             [low < x < high for x, (low, high) in zip(sizes, bounds, strict=True)], bool
         )
@@ -452,16 +466,32 @@ def _metric(
     problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
 ) -> Metric:
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
+    before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    known = replace(known, table=_moving(problem, known, effects, known.table))
+    known = _moving(problem, effects, known)
+    if problem.by_windows:
+        noise = {group: OF_MEAN * level for group, level in error.noise.items()}
+        error = replace(error, noise=noise)
     return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 
 
-def _moving(
-    problem: Problem, known: Evidence, effects: Sequence[Effect], table: np.ndarray
-) -> np.ndarray:
-    """A table (M, W) without the entries in which a joint of a fixed base may stick."""
-    return np.where(sticks(problem.cases, effects, known.layout), np.nan, table)
+def _moving(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
+    """The evidence without the entries in which a joint of a fixed base may stick at effects, over
+    windows if the problem is.
+    """
+    there = np.where(sticks(problem.cases, effects, known.layout), np.nan, known.table)
+    known = replace(known, table=there)
+    return at_middles(known) if problem.by_windows else known
+
+
+def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) -> np.ndarray:
+    """The table (M, W) with effects compensated, as of `_moving` at other effects."""
+    if problem.by_windows:
+        known = linearise(problem.cases, effects, (), evaluation_channels=False)
+        return _moving(problem, at, known).table
+    tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
+    layout = layout_for(problem.limbs)
+    return np.where(sticks(problem.cases, at, layout), np.nan, np.concatenate(tables))
 
 
 def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
@@ -486,8 +516,7 @@ def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
     exact = [one for one in chosen.effects if not is_compensated_approximately(one)]
     if len(exact) == len(chosen.effects):
         return np.zeros(1)
-    cases = state.problem.cases
-    without = np.concatenate([table_of(case, exact, evaluation_channels=False) for case in cases])
+    without = _table(state.problem, exact, exact)
     square = state.metric.squares
     return np.maximum(square(without) - square(chosen.table), 0.0)
 
@@ -517,13 +546,16 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
                     sizes.pop(key, None)
             zeros.append(
                 tuple(
-                    with_clipped_size(effect(*k, 0.0), x, problem.limbs) for k, x in sizes.items()
+                    with_clipped_size(effect(*k, 0.0), x, problem.machine) for k, x in sizes.items()
                 )
             )
         if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
-            replace(log_under_model(*compensate_all(these, case.log, case.robot)), zeros=these)
+            replace(
+                log_under_model(*compensate_all(these, case.log, case.robot), case.undriven),
+                zeros=these,
+            )
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)
@@ -534,8 +566,8 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
 
 def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
     """Refine the sizes of effects on the true residual, by Gauss-Newton steps."""
-    problem, metric, limbs = state.problem, state.metric, state.problem.limbs
-    effects = in_order([with_clipped_size(one, one.value, limbs) for one in start])
+    problem, metric, machine = state.problem, state.metric, state.problem.machine
+    effects = in_order([with_clipped_size(one, one.value, machine) for one in start])
     keys = [(one.name, one.target) for one in effects]
     precision = problem.prior[problem.at(keys)] ** -2.0
     # Size at which each derivative was taken, and the derivative.
@@ -550,14 +582,13 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         ]
         if stale or best is None:
             evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
+            evidence = _moving(problem, state.effects, evidence)
             table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
             derived |= {
                 key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
             }
         else:
-            tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
-            table = np.concatenate(tables)
-        table = _moving(problem, metric.known, state.effects, table)
+            table = _table(problem, effects, state.effects)
         X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
         S = metric.products(table, X, keys)
         A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)
@@ -568,7 +599,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         inverse = np.linalg.pinv(A, hermitian=True)
         moved = sizes + inverse @ (S[1:, 0] - precision * sizes)
         effects = tuple(
-            with_clipped_size(one, x, limbs) for one, x in zip(effects, moved, strict=True)
+            with_clipped_size(one, x, machine) for one, x in zip(effects, moved, strict=True)
         )
         change = np.array([one.value for one in effects]) - sizes
         if np.all(np.abs(change) <= SETTLED * np.sqrt(np.diag(inverse))):
@@ -630,7 +661,7 @@ def _extended(
     for keys, sizes in _proposals(state, beside):
         new = [effect(*key, 0.0) for key in keys]
         new = [
-            with_clipped_size(one, x, state.problem.limbs)
+            with_clipped_size(one, x, state.problem.machine)
             for one, x in zip(new, sizes, strict=True)
         ]
         one = _refined(state, [*chosen.effects, *new])
@@ -674,7 +705,7 @@ def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.n
     for i in islice(_distinct(near, problem), SINGLES):
         yield [keys[i]], beside.sizes[[i]]
     pairs = np.triu(_of_pairs(problem, beside), 1)
-    ends = np.argpartition(-pairs, PAIRS, axis=None)[:PAIRS]
+    ends = np.argpartition(-pairs, min(PAIRS, pairs.size) - 1, axis=None)[:PAIRS]
     for flat in sorted(ends, key=lambda flat: -pairs.flat[flat]):
         pair = np.array(np.unravel_index(flat, pairs.shape))
         if pairs[tuple(pair)] > max(best, 0.0):
@@ -727,7 +758,9 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
         able &= np.isfinite(beside.evidence)
         order = (int(i) for i in np.argsort(-beside.evidence) if able[i])
         for i in islice(_distinct(order, problem), SINGLES):
-            other = with_clipped_size(effect(*problem.keys[i], 0.0), beside.sizes[i], problem.limbs)
+            other = with_clipped_size(
+                effect(*problem.keys[i], 0.0), beside.sizes[i], problem.machine
+            )
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
             if not np.all(state.earned_by(one) > 0.0):
@@ -741,7 +774,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
 
 def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     """Every candidate of a round, those that earn a place first, by evidence."""
-    problem, limbs = state.problem, state.problem.limbs
+    problem = state.problem
     earned = state.earned(problem.keys, beside.sizes, beside.deviations)
     total = max(float(beside.S[0, 0]), 1e-300)
     gains = beside.sizes * beside.S[1:, 0]
@@ -753,7 +786,7 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     least = np.maximum(enough, state.least_excess) * deviations
     out = []
     for i in np.argsort(-beside.evidence):
-        low, high = known_effects()[problem.keys[i][0]].interior_bounds(problem.keys[i][1], limbs)
+        low, high = interior_bounds(*problem.keys[i], problem.machine)
         if problem.keys[i][0] not in problem.per_run and np.isfinite(beside.deviations[i]):
             out.append(
                 Candidate(
@@ -804,7 +837,7 @@ def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
         known = {(e.name, e.target): e.value for e in case.zeros}
         found = []
         for key, (size, deviation) in zip(keys, fitted, strict=True):
-            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.limbs)
+            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.machine)
             half = 1.96 * deviation
             if key in known or key[0] in ("gyro_bias", "accel_bias"):
                 found.append(Found(one, (one.value - half, one.value + half)))

@@ -30,6 +30,7 @@ from surefoot.models.attribution.evidence import (
 )
 from surefoot.models.attribution.sensor_noise import data_sheet_noise
 from surefoot.models.attribution.weights import robust_weights
+from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
@@ -39,6 +40,8 @@ WINDOW = 0.45
 """Length of the windows in which the torques of a machine on a fixed base are averaged [s]: long
 compared with rows whose torques jump, short compared with a swing.
 """
+OF_MEAN = float(np.sqrt(1.5 * BIN / WINDOW))
+"""Noise of such a mean, relative to the white noise of its bins."""
 WHOLE = 0.8
 """Share of its bins that a window has at least."""
 ZERO = "encoder_offset"
@@ -179,8 +182,8 @@ def evidence_of(
     if not first.fixed:
         return known, [{} for _ in cases]
     if first.log.has("dq") and first.log.has("tau"):
-        limbs = first.robot.limbs
-        known = with_changes(known, cases, effects, lambda log: angle_errors(log, limbs))
+        undriven = first.undriven
+        known = with_changes(known, cases, effects, lambda log: angle_errors(log, undriven))
     known = averaged(known, windows(known))
     of_rates, rates = known.layout.of("joint_rate"), []
     for run in range(len(cases)):
@@ -262,6 +265,28 @@ def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
     )
 
 
+def at_middles(known: Evidence) -> Evidence:
+    """An evidence with the means over windows (`windows`) in the bins at their middles, and nothing
+    in all others.
+    """
+    mean, place = averaged(known, windows(known)), []
+    for run in range(known.log.max(initial=0) + 1):
+        own = np.flatnonzero(known.log == run)
+        place.append(own[np.searchsorted(known.t[own], mean.t[mean.log == run])])
+    at = np.concatenate(place)
+
+    def placed(values: np.ndarray, nothing: float) -> np.ndarray:
+        out = np.full((len(known.t), values.shape[1]), nothing)
+        out[at] = values
+        return out
+
+    X, Z = (
+        tuple(replace(one, values=placed(one.values, 0.0)) for one in columns)
+        for columns in (mean.X, mean.Z)
+    )
+    return replace(known, table=placed(mean.table, np.nan), X=X, Z=Z)
+
+
 def means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Means of the columns of a table (M, W) over the windows of each log; NaN where a column has
     values for less than half of a window.
@@ -301,7 +326,7 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     return w[whole] / total[whole, None]
 
 
-def angle_errors(log: Log, limbs: Limbs) -> dict[Key, Mapping[str, np.ndarray]]:
+def angle_errors(log: Log, undriven: Sequence[str]) -> dict[Key, Mapping[str, np.ndarray]]:
     """What may be added to the angle and the rate of a joint without a drive, apart from a zero: a
     drift, and shares of all angles.
 
@@ -310,19 +335,19 @@ def angle_errors(log: Log, limbs: Limbs) -> dict[Key, Mapping[str, np.ndarray]]:
     """
     drift = log.t - np.mean(log.t)
     out: dict[Key, Mapping[str, np.ndarray]] = {}
-    passive = [joint for joint, tau in zip(limbs.joints, log.tau.T, strict=True) if not tau.any()]
-    for joint in passive:
+    for joint in undriven:
         out[ANGLE_ERROR, f"{joint} drift"] = {f"q_{joint}": drift}
-        for of, angle, rate in zip(limbs.joints, log.q.T, log.dq.T, strict=True):
+        for of, angle, rate in zip(log.joints, log.q.T, log.dq.T, strict=True):
             out[ANGLE_ERROR, f"{joint} {of}"] = {f"q_{joint}": angle, f"dq_{joint}": rate}
     return out
 
 
 def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
-    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, or
-    runs with different readings.
+    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, for
+    runs with different readings, and without torques on a fixed base.
     """
-    if len(runs) < FEWEST_RUNS or len({(one.keys, one.groups) for one in runs}) > 1:
+    alike = len({(one.keys, one.groups) for one in runs}) == 1
+    if len(runs) < FEWEST_RUNS or not alike or not runs[0].groups:
         return None
     keys, sums, count = runs[0].keys, sum(r.sums for r in runs), sum(r.count for r in runs)
     scale = np.sqrt(sums[:, 0, 0] / count)
