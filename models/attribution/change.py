@@ -13,31 +13,31 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtrit
 
+from surefoot.models.attribution.effect_sizes import (
+    PER_RUN_EFFECTS,
+    Found,
+    interior_bounds,
+    plausible_size,
+    sized,
+)
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
-from surefoot.models.attribution.found import Found, with_clipped_size
+from surefoot.models.attribution.explain import CHANCE, NAMED
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.metric import Metric, groups_of, metric_of, noise_of
+from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
     NOTHING,
     ZERO,
     ModelError,
-    averaged,
     evidence_of,
+    window_averaged,
     windows,
 )
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
-NAMED = 2.0 * np.log(1e3)
-"""Twice the logarithm of the odds from which a change is named: a thousand to one."""
-CHANCE = 0.005
-"""Probability by which Student's t of as many runs, less one, exceeds the least excess on one side:
-how runs differ is known no better than that.
-"""
 AS_LIKELY = 2.0 * np.log(20.0)
 """The same up to which another explanation is as good: twenty to one."""
 SURE = 1.645
@@ -76,12 +76,12 @@ _ROUNDS = 4
 """Most rounds in which the noise is adapted to what the best explanation leaves."""
 _AS_UNCHANGED = 1.05
 """Ratio of what it leaves to the noise at which it is as in the unchanged runs."""
-NEAR = 0.3
+_NEAR = 0.3
 """Share of the best evidence from which an explanation may turn out better in the refinement."""
 
 
 @dataclass(frozen=True)
-class Explanation:
+class Hypothesis:
     """One explanation of the runs.
 
     Attributes:
@@ -131,7 +131,7 @@ class Change:
     verdict: str
     reasons: tuple[str, ...]
     found: tuple[Found, ...]
-    rivals: tuple[Explanation, ...]
+    rivals: tuple[Hypothesis, ...]
     least: dict[Key, float]
     channels: dict[str, ChannelLevel] = field(default_factory=dict)
     zeros: tuple[tuple[Found, ...], ...] = ()
@@ -143,7 +143,8 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
     Raises LogError where the runs have other readings than those that the model's error is of.
     """
     evidence, rates = evidence_of(cases)
-    shown = {*groups_of(evidence.layout, np.isfinite(evidence.table).any(axis=0))}
+    there = np.isfinite(evidence.table).any(axis=0)
+    shown = {kind for kind, seen in zip(evidence.layout.kinds, there, strict=True) if seen}
     lacking = {*known.noise} - shown
     if lacking or {*known.keys} - {*evidence.keys}:
         names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"
@@ -162,7 +163,16 @@ class _NewRuns:
     cases: Sequence[LogUnderModel]
     known: ModelError
     metric: Metric
-    limbs: Limbs
+
+    @property
+    def machine(self) -> Machine:
+        """With what is declared of it."""
+        return self.cases[0].robot
+
+    @property
+    def limbs(self) -> Limbs:
+        """Of the machine."""
+        return self.machine.limbs
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -177,15 +187,8 @@ class _NewRuns:
         return sizes
 
     def clipped(self, key: Key, size: float) -> float:
-        """A size that the effect may have: nothing loses more mass than it has."""
-        name, target = key
-        low, high = known_effects()[name].interior_bounds(target, self.limbs)
-        machine = self.cases[0].robot
-        if name == "link_mass" and target in self.limbs.joints and machine.dynamics is not None:
-            model = machine.dynamics.model
-            joint = machine.joint_names[self.limbs.joints.index(target)]
-            low = max(low, -float(model.body_mass[model.joint(joint).bodyid[0]]))
-        return float(np.clip(size, low, high))
+        """A size that the effect may have."""
+        return float(np.clip(size, *interior_bounds(*key, self.machine)))
 
     def overlap(self, one: Key, other: Key) -> float:
         """Cosine (0 to 1) between the regressors of two candidates."""
@@ -204,7 +207,7 @@ class _NewRuns:
             cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
         evidence = linearise(cases, chosen, [key], evaluation_channels=False)
         if cases[0].fixed:
-            evidence = averaged(evidence, windows(evidence))
+            evidence = window_averaged(evidence, windows(evidence))
         return self.metric.products(evidence.table, evidence.X)
 
 
@@ -229,10 +232,7 @@ def _zeros(new: _NewRuns, found: Sequence[Found]) -> tuple[tuple[Found, ...], ..
     """Zeros of each run beside the change."""
     keys = [key for key in new.keys if key[0] == ZERO and new.metric.belongs_to_log(key)]
     return tuple(
-        tuple(
-            Found(with_clipped_size(effect(*key, 0.0), x, new.limbs), (x - 1.96 * e, x + 1.96 * e))
-            for key, (x, e) in zip(keys, zeros, strict=True)
-        )
+        tuple(sized(key, x, e, new.machine) for key, (x, e) in zip(keys, zeros, strict=True))
         for zeros in new.metric.zeros(keys, new.sizes(found))
     )
 
@@ -244,10 +244,10 @@ def _best(
     known: ModelError,
 ) -> tuple[Change, _NewRuns]:
     """The change that the runs tell, without residuals, and the runs."""
-    limbs, every = cases[0].robot.limbs, np.ones(len(evidence.t), dtype=bool)
+    every = np.ones(len(evidence.t), dtype=bool)
     for _ in range(_ROUNDS):
         metric = metric_of(cases, evidence, known, every, {ZERO}, not cases[0].fixed)
-        new = _NewRuns(cases, known, metric, limbs)
+        new = _NewRuns(cases, known, metric)
         first = _ranked(new)
         # What the best explanation leaves is noise that the unchanged runs did not have.
         entries = np.count_nonzero(metric.root)
@@ -262,14 +262,24 @@ def _best(
     as_good = [one for one in first if one.evidence > first[0].evidence - AS_LIKELY]
     alike = [one for one in as_good if one.of_sensor == first[0].of_sensor]
     inside = [one for one in alike if one.part <= first[0].part]
+    # That several parts change by the same size is less likely than that one of them does.
+    inside += [
+        one
+        for one in first
+        if one.part < first[0].part
+        and one.of_sensor == first[0].of_sensor
+        and one.evidence > max(first[0].evidence - NAMED, NAMED)
+    ]
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
+    if best.evidence <= first[0].evidence - AS_LIKELY:
+        as_good = [one for one in first if abs(one.evidence - best.evidence) < AS_LIKELY]
     if best.evidence < NAMED or best.excess < _least_excess(known):
         return Change("unchanged", (), (), (), least), new
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
         for one in _distinct([one for one in as_good if one is not best], best)
     )
-    if _is_lost_zero(best.keys) and not _within_bounds(best, limbs):
+    if _is_lost_zero(best.keys) and not _within_bounds(best, new.machine):
         return Change("not_identifiable", (_words(best),), (), rivals, least), new
     sensors = [one for one in (best, *rivals) if one.of_sensor]
     if sensors and not (best.of_sensor and len(best.keys) == 1):
@@ -277,17 +287,17 @@ def _best(
         reasons = tuple(dict.fromkeys(reasons))
         return Change("not_identifiable", reasons, (), rivals, least), new
     verdict = "confounded" if rivals else "attributed"
-    return Change(verdict, (), _found(best, limbs), rivals, least), new
+    return Change(verdict, (), _found(best, new.machine), rivals, least), new
 
 
-def _ranked(new: _NewRuns) -> list[Explanation]:
+def _ranked(new: _NewRuns) -> list[Hypothesis]:
     """Every explanation, the one with the greatest evidence first."""
     tried = [_explained(keys, part, new) for keys, part in _explanations(new)]
     first = sorted((one for one in tried if one is not None), key=lambda one: -one.evidence)
     if first[0].evidence < NAMED:
         return first
     single = [one for one in first if len(one.keys) == 1]
-    near = [one for one in single if one.evidence > NEAR * first[0].evidence][:CONTENDERS]
+    near = [one for one in single if one.evidence > _NEAR * first[0].evidence][:CONTENDERS]
     # Far from zero, a lost zero does not look like its derivative.
     near += [one for one in single if _is_lost_zero(one.keys) and one.part <= first[0].part]
     refined = {one.keys: _refined(one, new) for one in near}
@@ -327,7 +337,7 @@ def _prior(key: Key, limbs: Limbs) -> float:
     return ATTITUDE if name == ZERO else plausible_size(name, target, limbs) / 1.96
 
 
-def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Explanation | None:
+def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hypothesis | None:
     """An explanation with its sizes, to first order; None where the runs do not show it."""
     place = [1 + new.keys.index(key) for key in keys]
     S = new.metric.S
@@ -349,7 +359,7 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Ex
     )
     sizes = prior**2 * np.linalg.solve(both, alone)
     gain = float(alone @ S[place, 0])
-    return Explanation(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence), gain)
+    return Hypothesis(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence), gain)
 
 
 def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
@@ -357,12 +367,13 @@ def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
     return keys[0][0] == ZERO and len(keys) == 1
 
 
-def _refined(one: Explanation, new: _NewRuns) -> Explanation:
+def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
     """An explanation by a single size, refined on the true residual."""
     (key,), prior = one.keys, _prior(one.keys[0], new.limbs)
     size, best = float(one.sizes[0]), replace(one, evidence=-np.inf)
-    if _is_lost_zero(one.keys) and abs(size) > FAR:
-        # The residual is a wave over a turn; start from the best of some zeros.
+    if _is_lost_zero(one.keys) and (abs(size) > FAR or new.cases[0].fixed):
+        # The residual is a wave over a turn, and half a turn away seems to be none; start from the
+        # best of some zeros.
         size = min((*FAR_STARTS, size), key=lambda start: new.at(key, start)[0, 0])
     for _ in range(REFINEMENTS):
         if _is_lost_zero(one.keys):
@@ -382,7 +393,7 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
     return best
 
 
-def _least(one: Explanation, new: _NewRuns) -> float:
+def _least(one: Hypothesis, new: _NewRuns) -> float:
     """The least size that is named in 95 of 100 runs like these."""
     deviation, prior = float(one.deviations[0]), _prior(one.keys[0], new.limbs)
     ratio = (prior / deviation) ** 2
@@ -406,9 +417,9 @@ def _contradicted(rates: Sequence[Mapping[str, float]], known: ModelError) -> tu
     )
 
 
-def _distinct(others: Sequence[Explanation], best: Explanation) -> tuple[Explanation, ...]:
+def _distinct(others: Sequence[Hypothesis], best: Hypothesis) -> tuple[Hypothesis, ...]:
     """The best of each other part, and of each sensor."""
-    kept: list[Explanation] = []
+    kept: list[Hypothesis] = []
     for one in others:
         same = [k for k in (best, *kept) if k.of_sensor == one.of_sensor and k.part & one.part]
         if not same:
@@ -416,27 +427,24 @@ def _distinct(others: Sequence[Explanation], best: Explanation) -> tuple[Explana
     return tuple(kept)
 
 
-def _found(one: Explanation, limbs: Limbs) -> tuple[Found, ...]:
+def _found(one: Hypothesis, machine: Machine) -> tuple[Found, ...]:
     """The effects of an explanation; of several sizes, those that differ from zero."""
     pairs = zip(one.keys, one.sizes, one.deviations, strict=True)
-    sized = [(key, float(size), float(error)) for key, size, error in pairs]
-    shown = [x for x in sized if abs(x[1]) > 1.96 * x[2]] or [
-        max(sized, key=lambda x: abs(x[1]) / x[2])
+    every = [(key, float(size), float(error)) for key, size, error in pairs]
+    shown = [x for x in every if abs(x[1]) > 1.96 * x[2]] or [
+        max(every, key=lambda x: abs(x[1]) / x[2])
     ]
-    return tuple(
-        Found(with_clipped_size(effect(*key, 0.0), size, limbs), (size - 1.96 * e, size + 1.96 * e))
-        for key, size, e in sorted(shown, key=lambda x: -abs(x[1]) / x[2])
-    )
+    strongest = sorted(shown, key=lambda x: -abs(x[1]) / x[2])
+    return tuple(sized(key, size, error, machine) for key, size, error in strongest)
 
 
-def _within_bounds(one: Explanation, limbs: Limbs) -> bool:
+def _within_bounds(one: Hypothesis, machine: Machine) -> bool:
     """Whether a single size is one that its effect may have."""
-    name, target = one.keys[0]
-    low, high = known_effects()[name].interior_bounds(target, limbs)
+    low, high = interior_bounds(*one.keys[0], machine)
     return low < one.sizes[0] < high
 
 
-def _words(one: Explanation) -> str:
+def _words(one: Hypothesis) -> str:
     """Such as 'an error of the angle of hook' or 'link_mass tail'."""
     if _is_lost_zero(one.keys):
         return f"q_{one.keys[0][1]} is off by {one.sizes[0]:+.2g}"

@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
     angles_are_quieter,
@@ -18,6 +17,7 @@ from surefoot.models.residuals.binning import (
 from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.contact_timing import CHANGE_WINDOW
 from surefoot.models.residuals.jacobians import (
+    CHAINED_CHANNELS,
     Regressor,
     ResidualJacobians,
     explained_share,
@@ -48,6 +48,12 @@ Key = tuple[str, str]
 """A candidate: name and target of an effect."""
 
 
+FIXED_BASE_RATE = 0.1
+"""RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
+bias of a bad gyro 0.05.
+"""
+_CHANGE_STEP = 1e-3
+"""Relative step of the finite differences of channels without a chain rule."""
 FEW_BINS = 0.02
 """Share of a table's entries that may appear or vanish before its derivatives are recomputed."""
 
@@ -68,7 +74,6 @@ class Evidence:
         deviations: prior standard deviations of the nuisance parameters (B,), infinite where free.
         bias_of: for each of Z that is a turn-on bias, the candidate that describes the same error
             without a bound, else None.
-        settings: of the trace.
         groups: candidates whose regressor is the sum of those of other candidates.
         reading_scale: factors of the columns of each log (`_reading_scale`).
     """
@@ -82,7 +87,6 @@ class Evidence:
     Z: tuple[Regressor, ...]
     deviations: np.ndarray
     bias_of: tuple[Key | None, ...]
-    settings: TraceSettings = DEFAULT
     groups: frozenset[Key] = frozenset()
     reading_scale: tuple[tuple[float, ...], ...] = ()
 
@@ -99,13 +103,23 @@ class Evidence:
 
 @dataclass(frozen=True)
 class LogUnderModel:
-    """A log, the model that it is compared with, and the motion of its reference."""
+    """A log, the model that it is compared with, and the motion of its reference.
+
+    Attributes:
+        log: its readings, with the declared effects compensated.
+        robot: the model.
+        motion: of the base.
+        fixed: whether the base cannot move.
+        zeros: effects of the log's own, such as encoder zeros, that it has compensated.
+        undriven: joints without a drive (`passive_joints`); of a fixed base.
+    """
 
     log: Log
     robot: Machine
     motion: ReferenceMotion
     fixed: bool = False
-    settings: TraceSettings = DEFAULT
+    zeros: tuple[Effect, ...] = ()
+    undriven: tuple[str, ...] = ()
 
     @property
     def by_feet(self) -> bool:
@@ -113,21 +127,27 @@ class LogUnderModel:
         return self.robot.limbs.feet_alone
 
 
-def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
+def log_under_model(
+    log: Log, robot: Machine, undriven: tuple[str, ...] | None = None
+) -> LogUnderModel:
     """Prepare a log for comparison with a robot model.
 
     Without a reference, the base is assumed to be fixed if the log shows neither ground contact nor
-    rotation of the body.
+    rotation of the body. undriven: joints without a drive, by default of the log; compensated
+    friction would hide them.
     """
     stands = log.has("contact") and log.contact.any()
-    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.fixed_base_rate
+    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > FIXED_BASE_RATE
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
     fixed = robot.fixed or hung
     log = MemoisedLog.of(log)
     motion = motion_under_model(log, robot, fixed)
     if fixed and log.has("tau") and angles_are_quieter(log, motion):
         motion = replace(motion, rates_of_angles=True)
-    return LogUnderModel(log, robot, with_ground(motion, log, robot), fixed, settings)
+    if undriven is None:
+        undriven = passive_joints(log) if fixed else ()
+    motion = with_ground(motion, log, robot)
+    return LogUnderModel(log, robot, motion, fixed, undriven=undriven)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
@@ -143,20 +163,30 @@ def channels_of(case: LogUnderModel) -> tuple[str, ...]:
 
 def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that can be compensated and has a channel in the log."""
-    there, legged, keys = {*channels_of(case)}, case.robot.legged, []
+    there, legged, limbs, keys = {*channels_of(case)}, case.robot.legged, case.robot.limbs, []
     for kind in known_effects().usable()[0].values():
         lacks = case.fixed and "reference" in kind.needs
         if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
             continue
         if case.by_feet and not kind.on_given_feet:
             continue
+        of_torques = getattr(kind, "readings", ()) == ("tau",)
         keys += [
             (kind.name, target)
-            for target in kind.targets_on(case.robot.limbs)
+            for target in kind.targets_on(limbs)
             if there & {*kind.channels_of(target)}
+            # A joint without a drive has no reading of a torque that may err.
+            and not (of_torques and {*kind.members_of(target, limbs)} <= {*case.undriven})
             and not (legged is not None and kind.equals_another(target, legged))
         ]
     return tuple(keys)
+
+
+def passive_joints(log: Log) -> tuple[str, ...]:
+    """Joints without a drive: their torque is always zero."""
+    if not log.has("tau"):
+        return ()
+    return tuple(j for j, tau in zip(log.joints, log.tau.T, strict=True) if not tau.any())
 
 
 def candidates_digest() -> str:
@@ -219,7 +249,6 @@ def linearise(
         Z=tuple(Z),
         deviations=np.array(deviations),
         bias_of=tuple(bias_of),
-        settings=cases[0].settings,
         reading_scale=reading_scale,
         groups=frozenset(
             (name, target)
@@ -229,14 +258,27 @@ def linearise(
     )
 
 
-def wrt_columns(
-    case: LogUnderModel,
+def with_changes(
+    known: Evidence,
+    cases: Sequence[LogUnderModel],
     chosen: Sequence[Effect],
-    altered: Callable[[Log], Sequence[Mapping[str, np.ndarray]]],
-) -> list[Regressor]:
-    """Regressors of given changes to a log's columns, each (N,), with `chosen` compensated."""
-    linear = _Linear(case, chosen)
-    return [linear.by_columns(columns) for columns in altered(linear.log)]
+    changes: Callable[[Log], Mapping[Key, Mapping[str, np.ndarray]]],
+) -> Evidence:
+    """The evidence with further candidates.
+
+    Args:
+        known: evidence of the cases.
+        cases: the logs.
+        chosen: effects that are compensated.
+        changes: candidate -> what one unit of it adds to columns of a log, each (N,).
+    """
+    starts, per_log = np.searchsorted(known.log, np.arange(len(cases) + 1)), []
+    for case in cases:
+        linear = _Linear(case, chosen)
+        added = changes(linear.log)
+        per_log.append([linear.by_columns(columns) for columns in added.values()])
+    X = [joined_regressor(parts, starts) for parts in zip(*per_log, strict=True)]
+    return replace(known, keys=(*known.keys, *added), X=(*known.X, *X))
 
 
 def table_of(
@@ -281,7 +323,11 @@ def _parts(
     log, robot = compensate_all(chosen, case.log, case.robot)
     motion = case.motion
     if log is not case.log and _changes_motion(changed_columns(case.log, log)):
-        motion = replace(motion_under_model(log, robot, case.fixed), level=case.motion.level)
+        motion = replace(
+            motion_under_model(log, robot, case.fixed),
+            level=case.motion.level,
+            normal_G=case.motion.normal_G,
+        )
     names = [
         name
         for name, channel in channels().items()
@@ -355,6 +401,9 @@ class _Linear:
             change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(key, log, robot, step)
+        if key[0] in _SCALED:
+            by_scale = (_reading_scale(self.case, [effect(*key, step)]) - 1.0) / step
+            change = change + by_scale * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
@@ -366,10 +415,9 @@ class _Linear:
         """Regressor of additions (N,) to columns of the log."""
         columns = {name: self.log.columns[name] + x for name, x in added.items()}
         change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
-        share = self.case.settings.difference_step
-        small = {n: self.log.columns[n] + share * x for n, x in added.items()}
+        small = {n: self.log.columns[n] + _CHANGE_STEP * x for n, x in added.items()}
         self._add_change_without_chain_rule(
-            change, with_columns(self.log, small), self.robot, share
+            change, with_columns(self.log, small), self.robot, _CHANGE_STEP
         )
         return self._to_reading_scale(sparse(change, self.parts.table))
 
@@ -384,10 +432,11 @@ class _Linear:
         self, change: np.ndarray, log: Log, robot: Machine, step: float
     ) -> None:
         """Add to `change` (M, W), by differences, the channels without a chain rule."""
-        inputs = ResidualInputs(log, robot, self.motion)
-        names = [name for name, channel in channels().items() if not channel.has_chain_rule]
-        after = filled(self.parts.layout, inputs, names)
-        change += np.nan_to_num(after - self.parts.table) / step
+        layout, inputs = self.parts.layout, ResidualInputs(log, robot, self.motion)
+        names = [name for name in layout.channels if name not in CHAINED_CHANNELS]
+        columns = layout.of(*names)
+        after = filled(layout, inputs, names)[:, columns]
+        change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
 
     def _derivative_at_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])

@@ -14,6 +14,15 @@ from itertools import islice
 import numpy as np
 from scipy.special import stdtrit
 
+from surefoot.models.attribution.effect_sizes import (
+    PER_RUN_EFFECTS,
+    Found,
+    in_order,
+    interior_bounds,
+    plausible_size,
+    price_of_some_parts,
+    with_clipped_size,
+)
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -23,18 +32,17 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
-from surefoot.models.attribution.found import Found, in_order, with_clipped_size
 from surefoot.models.attribution.metric import Metric, metric_of
-from surefoot.models.attribution.model_error import ModelError
+from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_middles
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
-from surefoot.models.attribution.priors import plausible_size, prior_penalty
-from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
-from surefoot.models.attribution.sticking import sticks
+from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
+from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
 NAMED = 2.0 * np.log(1e3)
 """Twice the logarithm of the odds from which an effect is named, and up to which another one
@@ -46,15 +54,17 @@ how runs differ is known no better than that.
 """
 LEAST_EXCESS = 6.0
 """The same where nothing but the noise of readings is known."""
+BLOCKS_AGREE = 3.0
+"""Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 3, 1
 """Single candidates and pairs that are refined in each round."""
-NEAR = 0.5
+_NEAR = 0.5
 """Share of the best evidence from which a candidate may turn out better in the refinement."""
 MOST_EFFECTS = 5
 """Most effects of a trace."""
-STEPS = 10
+MOST_STEPS = 10
 """Most Gauss-Newton steps of a refinement; noise in a derivative makes each fall short."""
 SETTLED = 0.02
 """Standard deviations by which sizes move once they have settled."""
@@ -66,7 +76,7 @@ INEXACT = 1e-4
 """Share of the squared residual that effects of the body explain which their models leave: 1 % of
 its amplitude.
 """
-EXACT = 1e-3
+EXACT_SHARE = 1e-3
 """Share of an effect's plausible size to which any model is exact."""
 ZERO_MOVED = 4.0
 """Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
@@ -121,7 +131,8 @@ class Explanation:
         found: effects, strongest first.
         rounds: candidates of each round.
         rivals: key and overlap of the candidates that explain the logs as well as an effect found.
-        harmful: effects that were dropped, and the channel that each made worse.
+        harmful: effects that were dropped, and the channel or filter that each made worse.
+        rejected: other effects that were considered last, and why each is not found.
         runs: each log with its own effects.
         metric: linearised at the effects.
     """
@@ -130,6 +141,7 @@ class Explanation:
     rounds: tuple[tuple[Candidate, ...], ...]
     rivals: tuple[tuple[Key, float], ...]
     harmful: tuple[tuple[Effect, str], ...]
+    rejected: tuple[tuple[Effect, str], ...]
     runs: tuple[FittedRun, ...]
     metric: Metric
 
@@ -162,14 +174,26 @@ class Problem:
     shift: np.ndarray
 
     @property
+    def machine(self) -> Machine:
+        """The declared model."""
+        return self.cases[0].robot
+
+    @property
     def limbs(self) -> Limbs:
         """Limbs of the machine."""
-        return self.cases[0].robot.limbs
+        return self.machine.limbs
 
     @property
     def per_run(self) -> frozenset[str]:
         """Names of the effects that each log has at a size of its own."""
         return PER_RUN_EFFECTS if self.several else frozenset()
+
+    @property
+    def by_windows(self) -> bool:
+        """Whether torques are averaged over windows, as for the error of the model: with several
+        runs of a machine on a fixed base. Rows whose torques jump tell no accelerations.
+        """
+        return self.several and all(c.fixed and c.log.has("tau") for c in self.cases)
 
     def at(self, keys: Sequence[Key]) -> np.ndarray:
         """Places of these candidates (k,)."""
@@ -228,6 +252,14 @@ class Chosen:
         """Standard deviations of the sizes (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    @cached_property
+    def between_blocks(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
+        with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
+        """
+        sizes = self.metric.without_blocks(self.keys, self.precision)
+        return np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0))
+
     def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]
         return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
@@ -254,7 +286,7 @@ def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -
     price = [
         np.inf
         if key[0] in per_run
-        else prior_penalty(*key, 0.0, limbs) + (0.0 if sure else of_choice)
+        else price_of_some_parts(*key, limbs) + (0.0 if sure else of_choice)
         for key, sure in zip(keys, certain, strict=True)
     ]
     return Problem(
@@ -277,7 +309,7 @@ def _unknown_size(key: Key, limbs: Limbs) -> float:
     name, target = key
     shows_in = [channels()[c] for c in known_effects()[name].channels_of(target) if c in channels()]
     levels = [channel.level_spread.get(target, 0.0) for channel in shows_in]
-    return max(EXACT * plausible_size(name, target, limbs), *levels, 0.0)
+    return max(EXACT_SHARE * plausible_size(name, target, limbs), *levels, 0.0)
 
 
 def explain(
@@ -303,12 +335,15 @@ def explain(
     state, chosen = _settled(_State.of(problem, error_of), ())
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
+    rejected: tuple[tuple[Effect, str], ...] = ()
     tried = {frozenset(chosen.keys)}
     while True:
         progress(min(len(rounds) / (MOST_EFFECTS + 1), 1.0))
         beside = _beside(state, chosen)
         rounds.append(_as_candidates(state, beside))
-        better = _extended(state, chosen, beside) if len(chosen.keys) < MOST_EFFECTS else None
+        better = None
+        if len(chosen.keys) < MOST_EFFECTS:
+            better, rejected = _extended(state, chosen, beside)
         if better is None:
             better, rivals = _replaced(state, chosen)
         if better is None:
@@ -326,6 +361,7 @@ def explain(
         rounds=tuple(rounds),
         rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
         harmful=tuple(harm),
+        rejected=rejected,
         runs=_fitted_runs(state),
         metric=state.metric,
     )
@@ -347,7 +383,6 @@ class _State:
     Attributes:
         declared: the logs under the declared model.
         problem: the logs, with their own zeros and clocks compensated.
-        zeros: those of each log.
         error_of: as of `explain`.
         effects: that are compensated.
         error: of the model with the effects.
@@ -358,7 +393,6 @@ class _State:
 
     declared: Sequence[LogUnderModel]
     problem: Problem
-    zeros: tuple[tuple[Effect, ...], ...]
     error_of: Callable[[Sequence[Effect]], ModelError]
     effects: tuple[Effect, ...]
     error: ModelError
@@ -367,10 +401,9 @@ class _State:
 
     @staticmethod
     def of(problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError]) -> "_State":
-        error, none = error_of(()), tuple(() for _ in problem.cases)
-        return _State(
-            problem.cases, problem, none, error_of, (), error, _metric(problem, (), None, error)
-        )
+        error = error_of(())
+        metric = _metric(problem, (), None, error)
+        return _State(problem.cases, problem, error_of, (), error, metric)
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
@@ -414,28 +447,51 @@ class _State:
             evidence -= INEXACT * np.sum(self.metric.shares[at] * self.explained, axis=-1)
             excess = np.abs(sizes) / np.sqrt(variance)
         least = self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
-        kinds, limbs = known_effects(), self.problem.limbs
-        bounds = [kinds[name].interior_bounds(target, limbs) for name, target in keys]
+        bounds = [interior_bounds(*key, self.problem.machine) for key in keys]
         inside = np.array(
             [low < x < high for x, (low, high) in zip(sizes, bounds, strict=True)], bool
         )
         return np.where((excess > least) & inside, evidence, np.minimum(evidence, -1.0))
+
+    def earned_by(self, chosen: Chosen) -> np.ndarray:
+        """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
+        earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        if not (earned > 0.0).any():
+            return earned
+        agreed = np.abs(chosen.sizes) > BLOCKS_AGREE * chosen.between_blocks
+        return np.where(agreed, earned, np.minimum(earned, -1.0))
 
 
 def _metric(
     problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
 ) -> Metric:
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
+    before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    known = replace(known, table=_moving(problem, known, effects, known.table))
+    known = _moving(problem, effects, known)
+    if problem.by_windows:
+        noise = {group: OF_MEAN * level for group, level in error.noise.items()}
+        error = replace(error, noise=noise)
     return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 
 
-def _moving(
-    problem: Problem, known: Evidence, effects: Sequence[Effect], table: np.ndarray
-) -> np.ndarray:
-    """A table (M, W) without the entries in which a joint of a fixed base may stick."""
-    return np.where(sticks(problem.cases, effects, known.layout), np.nan, table)
+def _moving(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
+    """The evidence without the entries in which a joint of a fixed base may stick at effects, over
+    windows if the problem is.
+    """
+    there = np.where(sticks(problem.cases, effects, known.layout), np.nan, known.table)
+    known = replace(known, table=there)
+    return at_middles(known) if problem.by_windows else known
+
+
+def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) -> np.ndarray:
+    """The table (M, W) with effects compensated, as of `_moving` at other effects."""
+    if problem.by_windows:
+        known = linearise(problem.cases, effects, (), evaluation_channels=False)
+        return _moving(problem, at, known).table
+    tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
+    layout = layout_for(problem.limbs)
+    return np.where(sticks(problem.cases, at, layout), np.nan, np.concatenate(tables))
 
 
 def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
@@ -446,7 +502,7 @@ def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
         state = _with_zeros(state, effects)
         chosen = _refined(state, effects)
         state = replace(state, explained=_explained_by_body(state, chosen))
-        earned = state.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        earned = state.earned_by(chosen)
         worst = int(np.argmin(earned)) if len(earned) else -1
         if worst < 0 or earned[worst] > 0.0:
             return state, chosen
@@ -460,8 +516,7 @@ def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
     exact = [one for one in chosen.effects if not is_compensated_approximately(one)]
     if len(exact) == len(chosen.effects):
         return np.zeros(1)
-    cases = state.problem.cases
-    without = np.concatenate([table_of(case, exact, evaluation_channels=False) for case in cases])
+    without = _table(state.problem, exact, exact)
     square = state.metric.squares
     return np.maximum(square(without) - square(chosen.table), 0.0)
 
@@ -481,42 +536,45 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
     doubt = problem.unknown[problem.at(keys)]
     for _ in range(ZERO_ROUNDS if keys else 0):
         zeros = []
-        for known, fitted in zip(state.zeros, state.metric.zeros(keys), strict=True):
-            sizes = {(e.name, e.target): e.value for e in known}
+        for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
+            sizes = {(e.name, e.target): e.value for e in case.zeros}
             for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
                 least = ZERO_MOVED * np.hypot(deviation, more)
-                if abs(size) > least:
-                    sizes[key] = sizes.get(key, 0.0) + size
+                if abs(size - sizes.get(key, 0.0)) > least:
+                    sizes[key] = size
                 if abs(sizes.get(key, 0.0)) <= least:
                     sizes.pop(key, None)
             zeros.append(
                 tuple(
-                    with_clipped_size(effect(*k, 0.0), x, problem.limbs) for k, x in sizes.items()
+                    with_clipped_size(effect(*k, 0.0), x, problem.machine) for k, x in sizes.items()
                 )
             )
-        if tuple(zeros) == state.zeros:
+        if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
-            log_under_model(*compensate_all(these, case.log, case.robot), case.settings)
+            replace(
+                log_under_model(*compensate_all(these, case.log, case.robot), case.undriven),
+                zeros=these,
+            )
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)
         metric = _metric(problem, effects, None, state.error)
-        state = replace(state, problem=problem, zeros=tuple(zeros), metric=metric)
+        state = replace(state, problem=problem, metric=metric)
     return state
 
 
 def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
     """Refine the sizes of effects on the true residual, by Gauss-Newton steps."""
-    problem, metric, limbs = state.problem, state.metric, state.problem.limbs
-    effects = in_order([with_clipped_size(one, one.value, limbs) for one in start])
+    problem, metric, machine = state.problem, state.metric, state.problem.machine
+    effects = in_order([with_clipped_size(one, one.value, machine) for one in start])
     keys = [(one.name, one.target) for one in effects]
     precision = problem.prior[problem.at(keys)] ** -2.0
     # Size at which each derivative was taken, and the derivative.
     known = {(e.name, e.target): e.value for e in state.effects}
     derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
     best = None
-    for _ in range(STEPS):
+    for _ in range(MOST_STEPS):
         stale = [
             key
             for key, one in zip(keys, effects, strict=True)
@@ -524,14 +582,13 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         ]
         if stale or best is None:
             evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
+            evidence = _moving(problem, state.effects, evidence)
             table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
             derived |= {
                 key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
             }
         else:
-            tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
-            table = np.concatenate(tables)
-        table = _moving(problem, metric.known, state.effects, table)
+            table = _table(problem, effects, state.effects)
         X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
         S = metric.products(table, X, keys)
         A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)
@@ -542,7 +599,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         inverse = np.linalg.pinv(A, hermitian=True)
         moved = sizes + inverse @ (S[1:, 0] - precision * sizes)
         effects = tuple(
-            with_clipped_size(one, x, limbs) for one, x in zip(effects, moved, strict=True)
+            with_clipped_size(one, x, machine) for one, x in zip(effects, moved, strict=True)
         )
         change = np.array([one.value for one in effects]) - sizes
         if np.all(np.abs(change) <= SETTLED * np.sqrt(np.diag(inverse))):
@@ -594,23 +651,46 @@ def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Be
     )
 
 
-def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
+def _extended(
+    state: _State, chosen: Chosen, beside: _Beside
+) -> tuple[Chosen | None, tuple[tuple[Effect, str], ...]]:
     """The effects with the candidate or pair added that leaves the least cost, if it earns its
-    place; else None.
+    place, else None; and what was tried and does not, with the reason.
     """
-    tried = []
+    tried, rejected = [], []
     for keys, sizes in _proposals(state, beside):
         new = [effect(*key, 0.0) for key in keys]
         new = [
-            with_clipped_size(one, x, state.problem.limbs)
+            with_clipped_size(one, x, state.problem.machine)
             for one, x in zip(new, sizes, strict=True)
         ]
         one = _refined(state, [*chosen.effects, *new])
         gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
         at = one.at(keys)
-        if gained > 0.0 and np.all(state.earned(keys, one.sizes[at], one.deviations[at]) > 0.0):
+        if gained > 0.0 and np.all(state.earned_by(one)[at] > 0.0):
             tried.append((gained, one))
-    return max(tried, key=lambda pair: pair[0])[1] if tried else None
+        else:
+            rejected += [(one.effects[i], _why_not(state, one, i, gained)) for i in at]
+    best = max(tried, key=lambda pair: pair[0])[1] if tried else None
+    return best, tuple(rejected)
+
+
+def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
+    """Why a refined effect at this place does not earn it."""
+    one, size = chosen.effects[place], abs(chosen.sizes[place])
+    low, high = type(one).interior_bounds(one.target, state.problem.limbs)
+    if not low < one.value < high:
+        return "its size is at its bound"
+    if size <= BLOCKS_AGREE * chosen.between_blocks[place]:
+        excess = size / chosen.between_blocks[place]
+        return (
+            f"the log's blocks disagree on it: {excess:.1f} of {BLOCKS_AGREE:g} standard deviations"
+        )
+    if gained <= 0.0:
+        return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
+    doubt = state.doubt(state.problem.at([chosen.keys[place]]), chosen.deviations[[place]])[0]
+    excess = size / np.hypot(chosen.deviations[place], doubt)
+    return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
 
 
 def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.ndarray]]:
@@ -623,11 +703,11 @@ def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.n
         able = first
     order = [int(i) for i in np.argsort(-beside.evidence)]
     best = float(np.max(beside.evidence, where=able, initial=0.0))
-    near = (i for i in order if able[i] and beside.evidence[i] > NEAR * best)
+    near = (i for i in order if able[i] and beside.evidence[i] > _NEAR * best)
     for i in islice(_distinct(near, problem), SINGLES):
         yield [keys[i]], beside.sizes[[i]]
     pairs = np.triu(_of_pairs(problem, beside), 1)
-    ends = np.argpartition(-pairs, PAIRS, axis=None)[:PAIRS]
+    ends = np.argpartition(-pairs, min(PAIRS, pairs.size) - 1, axis=None)[:PAIRS]
     for flat in sorted(ends, key=lambda flat: -pairs.flat[flat]):
         pair = np.array(np.unravel_index(flat, pairs.shape))
         if pairs[tuple(pair)] > max(best, 0.0):
@@ -680,11 +760,12 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
         able &= np.isfinite(beside.evidence)
         order = (int(i) for i in np.argsort(-beside.evidence) if able[i])
         for i in islice(_distinct(order, problem), SINGLES):
-            other = with_clipped_size(effect(*problem.keys[i], 0.0), beside.sizes[i], problem.limbs)
+            other = with_clipped_size(
+                effect(*problem.keys[i], 0.0), beside.sizes[i], problem.machine
+            )
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
-            earned = state.earned(one.keys, one.sizes, one.deviations)
-            if not np.all(earned > 0.0):
+            if not np.all(state.earned_by(one) > 0.0):
                 continue
             if one.cost + costs < chosen.cost:
                 return one, ()
@@ -695,7 +776,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
 
 def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     """Every candidate of a round, those that earn a place first, by evidence."""
-    problem, limbs = state.problem, state.problem.limbs
+    problem = state.problem
     earned = state.earned(problem.keys, beside.sizes, beside.deviations)
     total = max(float(beside.S[0, 0]), 1e-300)
     gains = beside.sizes * beside.S[1:, 0]
@@ -707,7 +788,7 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     least = np.maximum(enough, state.least_excess) * deviations
     out = []
     for i in np.argsort(-beside.evidence):
-        low, high = known_effects()[problem.keys[i][0]].interior_bounds(problem.keys[i][1], limbs)
+        low, high = interior_bounds(*problem.keys[i], problem.machine)
         if problem.keys[i][0] not in problem.per_run and np.isfinite(beside.deviations[i]):
             out.append(
                 Candidate(
@@ -731,11 +812,17 @@ def _with_intervals(state: _State, chosen: Chosen) -> tuple[Found, ...]:
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
     square = 1.96**2 * (noise + state.doubt(at, np.sqrt(both)) ** 2)
     half = np.sqrt(square + of_model * np.maximum(both - noise, 0.0))
+    blocks = chosen.between_blocks if len(chosen.effects) else ()
     found = [
-        (abs(one.value) / np.sqrt(variance), Found(one, (one.value - h, one.value + h)))
-        for one, h, variance in zip(chosen.effects, half, both, strict=True)
+        Found(
+            one,
+            (one.value - h, one.value + h),
+            excess=abs(one.value) / np.sqrt(variance),
+            agreement=abs(one.value) / max(block, 1e-300),
+        )
+        for one, h, variance, block in zip(chosen.effects, half, both, blocks, strict=True)
     ]
-    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+    return tuple(sorted(found, key=lambda one: -one.excess))
 
 
 def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
@@ -748,17 +835,13 @@ def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
     ]
     fits = state.metric.zeros(keys) if keys else [[] for _ in problem.cases]
     runs = []
-    for case, zeros, fitted in zip(problem.cases, state.zeros, fits, strict=True):
-        known = {(e.name, e.target): e.value for e in zeros}
+    for case, fitted in zip(problem.cases, fits, strict=True):
+        known = {(e.name, e.target): e.value for e in case.zeros}
         found = []
         for key, (size, deviation) in zip(keys, fitted, strict=True):
-            one = with_clipped_size(
-                effect(*key, 0.0),
-                known.get(key, 0.0) + (0.0 if key in known else size),
-                problem.limbs,
-            )
+            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.machine)
             half = 1.96 * deviation
             if key in known or key[0] in ("gyro_bias", "accel_bias"):
                 found.append(Found(one, (one.value - half, one.value + half)))
-        runs.append(FittedRun(case, tuple(found), zeros))
+        runs.append(FittedRun(case, tuple(found), case.zeros))
     return tuple(runs)

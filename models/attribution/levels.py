@@ -4,11 +4,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import Evidence
-from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
+from surefoot.models.residuals.channel import Channel
 from surefoot.models.residuals.registry import channels
+
+AT_FLOOR_RATIO = 1.05
+"""Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
+NOISE_RATIO = 1.5
+"""Ratio to the floor from which a channel is above it, at the lower end of its interval."""
+WORSE_RATIO = 1.02
+"""Ratio of after to before from which a channel is worse."""
+REFUTED_RATIO = 1.1
+"""Ratio of after to before from which a channel above all walks of its floor is worse, however much
+these scatter.
+"""
 
 
 @dataclass(frozen=True)
@@ -26,7 +37,6 @@ class ChannelLevel:
     """Upper limit of the noise floor: the highest of the simulated walks plus their range and a
     standard error (two of events) or, where noise alone is the floor, two standard errors above it.
     """
-    settings: TraceSettings = DEFAULT
     evaluation_only: bool = False
     """Whether no fit uses the channel: it need not reach its floor, but must not get worse."""
     same_bins: tuple[float, float] | None = None
@@ -35,6 +45,12 @@ class ChannelLevel:
     """
     by_chance: bool = False
     """Whether the increase, over a channel's few events, is within chance."""
+    lowest: float = 0.0
+    """Lower end of the 95 % interval of `after`, by a bootstrap over blocks."""
+    of_noise: float = np.inf
+    """Largest level that noise and the model's own error explain."""
+    on_like_ground: bool = True
+    """Whether the walks of the floor are on ground like the log's, which theirs is level."""
 
     @property
     def at_floor(self) -> bool:
@@ -46,7 +62,9 @@ class ChannelLevel:
         """Whether the remaining residual is at the noise floor, even of a channel that no fit
         uses.
         """
-        return self.after <= self.settings.at_floor_ratio * self.highest
+        if self.lowest > self.of_noise:
+            return False
+        return not self.on_like_ground or self.after <= AT_FLOOR_RATIO * self.highest
 
     @property
     def below_floor(self) -> bool:
@@ -59,15 +77,15 @@ class ChannelLevel:
     def worse(self) -> bool:
         """Whether compensation increases the residual on unseen data.
 
-        Judged on the bins that both have. Either the residual reaches `refuted_ratio` of its value
+        Judged on the bins that both have. Either the residual reaches REFUTED_RATIO of its value
         before and lies above all walks of the noise floor; or the increase is not by chance,
         exceeds the scatter of walks simulated with these effects, and the residual is above their
         floor.
         """
         before, after = self.same_bins or (self.before, self.after)
-        if after > max(self.settings.refuted_ratio * before, self.highest):
+        if after > max(REFUTED_RATIO * before, self.highest):
             return True
-        if self.by_chance or after <= self.settings.worse_ratio * before:
+        if self.by_chance or after <= WORSE_RATIO * before:
             return False
         if self.noise_floor is None:
             return True
@@ -76,7 +94,11 @@ class ChannelLevel:
 
 
 def channel_levels(
-    before: np.ndarray, after: np.ndarray, known: Evidence, floor: NoiseFloor
+    before: np.ndarray,
+    after: np.ndarray,
+    known: Evidence,
+    floor: NoiseFloor,
+    on_like_ground: bool = True,
 ) -> dict[str, ChannelLevel]:
     """Residual of each channel of a table.
 
@@ -85,8 +107,9 @@ def channel_levels(
         after: the same with the effects found compensated.
         known: evidence whose columns these are.
         floor: noise floor of the model with the effects.
+        on_like_ground: as of `ChannelLevel`.
     """
-    floors = [_settled(one) for one in floor.walks]
+    floors = [one.left for one in floor.walks]
     levels = {}
     for name, columns in known.layout.channels.items():
         if not np.isfinite(before[:, columns]).any():
@@ -94,7 +117,7 @@ def channel_levels(
         channel = channels()[name]
         least = channel.least_noise if channel.on_level_ground else 0.0
         level = [
-            max(trimmed_rms(part[:, columns]), least)
+            max(trimmed_rms(part[:, columns], channel), least)
             for part in floors
             if np.isfinite(part[:, columns]).any()
         ]
@@ -105,9 +128,9 @@ def channel_levels(
             count = np.isfinite(after[:, columns]).sum()
             # A log has few changes of contact, and some are far outliers.
             if channel.of_events:
-                most *= 1.0 + 2.0 * scatter_of_rms(square[np.isfinite(square)], count)
+                most *= 1.0 + 2.0 * scatter_of_rms(_bulk(square, channel), count)
             else:
-                most *= 1.0 + scatter_of_rms(_bulk(square), count)
+                most *= 1.0 + scatter_of_rms(_bulk(square, channel), count)
         if own is None and not floor.walks:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Noise of neighbouring bins is correlated, so n bins determine the RMS to about
@@ -117,20 +140,22 @@ def channel_levels(
         most = max(most, floor.levels.get(name, 0.0))
         both = np.isfinite(before[:, columns]) & np.isfinite(after[:, columns])
         same = (
-            [trimmed_rms(part[:, columns][both]) for part in (before, after)]
+            [trimmed_rms(part[:, columns][both], channel) for part in (before, after)]
             if both.any()
             else [0, 0]
         )
         levels[name] = ChannelLevel(
-            before=trimmed_rms(before[:, columns]),
-            after=trimmed_rms(after[:, columns]),
+            before=trimmed_rms(before[:, columns], channel),
+            after=trimmed_rms(after[:, columns], channel),
             noise_floor=own,
             unit=" and ".join(dict.fromkeys(c.unit for c in known.layout.columns[columns])),
             highest=most,
-            settings=known.settings,
             evaluation_only=channel.evaluation_only,
             same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
+            lowest=_lowest(after[:, columns], channel, known),
+            of_noise=max(np.inf if own is None else NOISE_RATIO * own, floor.levels.get(name, 0.0)),
+            on_like_ground=on_like_ground,
         )
     return levels
 
@@ -157,7 +182,7 @@ def block_gains(
         sigma: noise of the columns (W,).
         weight: of the entries (M, W).
     """
-    stretch = np.floor((known.t - known.t.min()) / known.settings.block).astype(int)
+    stretch = np.floor((known.t - known.t.min()) / BLOCK_SECONDS).astype(int)
     number = known.log * (stretch.max() + 1) + stretch
     gain = np.nan_to_num(weight * (before**2 - after**2)) / sigma**2
     both = np.isfinite(before) & np.isfinite(after) & (weight > 0.0)
@@ -170,14 +195,6 @@ def block_gains(
     return gains
 
 
-def _settled(one: FloorWalk) -> np.ndarray:
-    """Residual (M, W) of a walk without its first steps; all of a short one."""
-    t, settling = one.evidence.t, one.evidence.settings.settling
-    weights, every = one.robust_weights, np.ones(len(t), dtype=bool)
-    left = without_nuisance(one.evidence, weights.sigma, weights.weight, every)
-    return left[t > t[0] + settling] if t[-1] - t[0] > 2.0 * settling else left
-
-
 def scatter_of_rms(square: np.ndarray, count: int) -> float:
     """Relative standard deviation of the RMS of `count` independent draws from a distribution.
 
@@ -187,15 +204,34 @@ def scatter_of_rms(square: np.ndarray, count: int) -> float:
     return float(np.sqrt(max(kurtosis - 1.0, 0.0) / (4.0 * max(count, 1))))
 
 
-def trimmed_rms(values: np.ndarray) -> float:
-    """Root mean square of the finite values without the largest 1 %; NaN if there are none."""
-    return float(np.sqrt(_bulk(values**2).mean()))
+def trimmed_rms(values: np.ndarray, channel: Channel) -> float:
+    """Root mean square of the finite values without the largest (`_bulk`); NaN without any."""
+    return float(np.sqrt(_bulk(values**2, channel).mean()))
 
 
-def _bulk(square: np.ndarray) -> np.ndarray:
-    """The finite squares without the largest 1 %.
+def _bulk(square: np.ndarray, channel: Channel) -> np.ndarray:
+    """The finite squares without the largest 1 %, of events 10 %.
 
-    A few bins with an impact between two samples would otherwise dominate a torque's RMS.
+    A few bins with an impact between two samples would otherwise dominate a torque's RMS, and feet
+    that hit an edge or bounce that of contacts.
     """
     square = np.sort(square[np.isfinite(square)])
-    return square[: max(1, round(0.99 * len(square)))]
+    return square[: max(1, round((0.9 if channel.of_events else 0.99) * len(square)))]
+
+
+def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
+    """Lower end of the 95 % interval of the trimmed RMS of values (M, n), by blocks."""
+    square = values**2
+    there = np.isfinite(square)
+    if not there.any():
+        return np.nan
+    there &= square <= _bulk(square, channel)[-1]
+    block = known.log * 1_000_000 + np.floor(known.t / BLOCK_SECONDS).astype(int)
+    rows, block = there.any(axis=1), np.unique(block, return_inverse=True)[1]
+    total, count = (
+        np.bincount(block[rows], np.where(there, one, 0.0).sum(axis=1)[rows])
+        for one in (square, np.ones_like(square))
+    )
+    drawn = block_bootstrap_counts(np.count_nonzero(count), np.random.default_rng(0))
+    mean = (drawn @ total[count > 0]) / np.maximum(drawn @ count[count > 0], 1.0)
+    return float(np.sqrt(np.percentile(mean, 2.5)))

@@ -19,27 +19,29 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from surefoot.models.attribution.design import design, nuisance_precision, scaled_inverse
+from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
     LogUnderModel,
     all_keys,
-    joined_regressor,
     linearise,
-    wrt_columns,
+    with_changes,
 )
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.sensor_noise import data_sheet_noise
+from surefoot.models.attribution.weights import robust_weights
+from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import Limbs
 
-WINDOW = 0.45
+TORQUE_WINDOW = 0.45
 """Length of the windows in which the torques of a machine on a fixed base are averaged [s]: long
 compared with rows whose torques jump, short compared with a swing.
 """
+OF_MEAN = float(np.sqrt(1.5 * BIN / TORQUE_WINDOW))
+"""Noise of such a mean, relative to the white noise of its bins."""
 WHOLE = 0.8
 """Share of its bins that a window has at least."""
 ZERO = "encoder_offset"
@@ -180,15 +182,9 @@ def evidence_of(
     if not first.fixed:
         return known, [{} for _ in cases]
     if first.log.has("dq") and first.log.has("tau"):
-        limbs, starts = first.robot.limbs, np.searchsorted(known.log, np.arange(len(cases) + 1))
-        names = tuple(angle_errors(first.log, limbs))
-        more = [
-            wrt_columns(case, effects, lambda log: [*angle_errors(log, limbs).values()])
-            for case in cases
-        ]
-        X = tuple(joined_regressor(list(parts), starts) for parts in zip(*more, strict=True))
-        known = replace(known, keys=(*known.keys, *names), X=(*known.X, *X))
-    known = averaged(known, windows(known))
+        undriven = first.undriven
+        known = with_changes(known, cases, effects, lambda log: angle_errors(log, undriven))
+    known = window_averaged(known, windows(known))
     of_rates, rates = known.layout.of("joint_rate"), []
     for run in range(len(cases)):
         table = known.table[known.log == run][:, of_rates]
@@ -212,15 +208,15 @@ def run_sums(
     used = layout.of("joint_torque") if run.case.fixed else layout.fitted
     groups, sums, count, kept = [], [], [], []
     sheet = data_sheet_noise(run.case.log.rate, layout)
-    channel_of = {c: name for name, at in layout.channels.items() for c in range(at.start, at.stop)}
     for columns in layout.alike:
         own = np.zeros_like(run.weight)
         here = [c for c in columns if c in used]
         own[:, here] = run.weight[:, here]
         if own.any():
             kept.append(here)
-            groups.append((channel_of[here[0]], layout.columns[here[0]].kind))
-            sums.append(table.gram(table.y, np.sqrt(own), here))
+            groups.append(layout.kinds[here[0]])
+            every = np.zeros(len(own), int)
+            sums.append(table.grams(table.y, np.sqrt(own), here, every)[0])
             count.append(np.count_nonzero(own))
     return RunSums(
         keys=known.keys,
@@ -242,7 +238,7 @@ def windows(known: Evidence) -> list[np.ndarray]:
     return [window_weights(known.t[known.log == i]) for i in range(known.log.max(initial=0) + 1)]
 
 
-def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
+def window_averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
     """An evidence whose rows are means over windows (`windows`), of each column over its values."""
     log = known.log
     table = known.table
@@ -263,13 +259,35 @@ def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
         known,
         t=np.concatenate([w @ known.t[log == i] for i, w in enumerate(weights)]),
         log=np.repeat(np.arange(len(weights)), [len(w) for w in weights]),
-        table=means(weights, log, table),
+        table=window_means(weights, log, table),
         X=tuple(of(one) for one in known.X),
         Z=tuple(of(one) for one in known.Z),
     )
 
 
-def means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
+def at_middles(known: Evidence) -> Evidence:
+    """An evidence with the means over windows (`windows`) in the bins at their middles, and nothing
+    in all others.
+    """
+    mean, place = window_averaged(known, windows(known)), []
+    for run in range(known.log.max(initial=0) + 1):
+        own = np.flatnonzero(known.log == run)
+        place.append(own[np.searchsorted(known.t[own], mean.t[mean.log == run])])
+    at = np.concatenate(place)
+
+    def placed(values: np.ndarray, nothing: float) -> np.ndarray:
+        out = np.full((len(known.t), values.shape[1]), nothing)
+        out[at] = values
+        return out
+
+    X, Z = (
+        tuple(replace(one, values=placed(one.values, 0.0)) for one in columns)
+        for columns in (mean.X, mean.Z)
+    )
+    return replace(known, table=placed(mean.table, np.nan), X=X, Z=Z)
+
+
+def window_means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Means of the columns of a table (M, W) over the windows of each log; NaN where a column has
     values for less than half of a window.
     """
@@ -300,15 +318,17 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     # The first and the last bin have no neighbour for the slope of a rate.
     if len(t) < 3:
         return np.zeros((0, len(t)))
-    middles = np.arange(t[1] + 0.5 * WINDOW, t[-2] - 0.5 * WINDOW, 0.5 * WINDOW)
-    x = (t - middles[:, None]) / WINDOW
+    middles = np.arange(
+        t[1] + 0.5 * TORQUE_WINDOW, t[-2] - 0.5 * TORQUE_WINDOW, 0.5 * TORQUE_WINDOW
+    )
+    x = (t - middles[:, None]) / TORQUE_WINDOW
     w = np.where(np.abs(x) < 0.5, 1.0 + np.cos(2.0 * np.pi * x), 0.0)
     total = w.sum(axis=1)
-    whole = total > WHOLE * WINDOW / np.median(np.diff(t))
+    whole = total > WHOLE * TORQUE_WINDOW / np.median(np.diff(t))
     return w[whole] / total[whole, None]
 
 
-def angle_errors(log: Log, limbs: Limbs) -> dict[Key, dict[str, np.ndarray]]:
+def angle_errors(log: Log, undriven: Sequence[str]) -> dict[Key, Mapping[str, np.ndarray]]:
     """What may be added to the angle and the rate of a joint without a drive, apart from a zero: a
     drift, and shares of all angles.
 
@@ -316,20 +336,20 @@ def angle_errors(log: Log, limbs: Limbs) -> dict[Key, dict[str, np.ndarray]]:
     angles of other joints.
     """
     drift = log.t - np.mean(log.t)
-    out: dict[Key, dict[str, np.ndarray]] = {}
-    passive = [joint for joint, tau in zip(limbs.joints, log.tau.T, strict=True) if not tau.any()]
-    for joint in passive:
+    out: dict[Key, Mapping[str, np.ndarray]] = {}
+    for joint in undriven:
         out[ANGLE_ERROR, f"{joint} drift"] = {f"q_{joint}": drift}
-        for of, angle, rate in zip(limbs.joints, log.q.T, log.dq.T, strict=True):
+        for of, angle, rate in zip(log.joints, log.q.T, log.dq.T, strict=True):
             out[ANGLE_ERROR, f"{joint} {of}"] = {f"q_{joint}": angle, f"dq_{joint}": rate}
     return out
 
 
 def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
-    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, or
-    runs with different readings.
+    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, for
+    runs with different readings, and without torques on a fixed base.
     """
-    if len(runs) < FEWEST_RUNS or len({(one.keys, one.groups) for one in runs}) > 1:
+    alike = len({(one.keys, one.groups) for one in runs}) == 1
+    if len(runs) < FEWEST_RUNS or not alike or not runs[0].groups:
         return None
     keys, sums, count = runs[0].keys, sum(r.sums for r in runs), sum(r.count for r in runs)
     scale = np.sqrt(sums[:, 0, 0] / count)

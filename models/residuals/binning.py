@@ -8,11 +8,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.common.series import low_pass, white_noise, without_low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import shown_feet
 from surefoot.sim.robot.limbs import Limbs
@@ -28,8 +27,6 @@ LEAST_NOISE_RATIO = 1.5
 """Noise ratio of accelerations from rates to those from angles above which angles are used; below
 it rates are preferred, since they need no smoothing window.
 """
-END_WINDOW = 0.006
-"""Averaging time at either end of a bin for the change of a rate over it [s]."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +74,8 @@ class ReferenceMotion:
     """Whether the motion is from a reference. Without one, velocity and position are zero, and feet
     are compared with each other (`models.residuals.without_reference`).
     """
+    normal_G: np.ndarray | None = None
+    """Normal of the ground (N, 3) in the world, where it is not vertical."""
     rates_of_angles: bool = False
     """Whether inverse dynamics uses slopes of the angles for the rates (`angles_are_quieter`)."""
 
@@ -86,6 +85,13 @@ class ReferenceMotion:
         return self.R_GI[:, 2]
 
     @cached_property
+    def normal_I(self) -> np.ndarray:
+        """The ground's normal (N, 3) in I."""
+        if self.normal_G is None:
+            return self.up_I
+        return np.einsum("nji,nj->ni", self.R_GI, self.normal_G)
+
+    @cached_property
     def means(self) -> dict[str, np.ndarray]:
         """Those fields of `Bins` that follow from the motion and the stances alone."""
         mean = bin_mean(self)
@@ -93,6 +99,7 @@ class ReferenceMotion:
             "v_I": mean(self.v_I),
             "p_GI": mean(self.p_GI),
             "R_GI": mean(self.R_GI),
+            "normal_I": mean(self.normal_I),
             "standing": mean(self.standing.astype(float)) >= 0.5,
             "lifted": mean(self.lifted.astype(float)) >= 0.999,
         }
@@ -114,6 +121,7 @@ class Bins:
         v_I: reference velocity (M, 3) [m/s].
         p_GI: reference position (M, 3) [m].
         R_GI: reference attitude (M, 3, 3).
+        normal_I: the ground's normal (M, 3).
         standing: feet in stance (M, L).
         lifted: feet in swing (M, L).
         lag: angles less the integral of the rates (M, J) [rad].
@@ -137,6 +145,7 @@ class Bins:
     v_I: np.ndarray
     p_GI: np.ndarray
     R_GI: np.ndarray
+    normal_I: np.ndarray
     standing: np.ndarray
     lifted: np.ndarray
     lag: np.ndarray
@@ -294,8 +303,7 @@ def mean_rate_of_change(x: np.ndarray, t: np.ndarray, motion: ReferenceMotion) -
 
     The first bin has no preceding row and starts at its first row.
     """
-    rows = max(1, round(END_WINDOW / np.median(np.diff(t))))
-    x = uniform_filter1d(x, rows - 1 + rows % 2, axis=0)
+    x = steady_rate(t, x)
     if not motion.moved.any():
         x = np.concatenate([0.5 * (x[1:] + x[:-1]), x[-1:]])
     last = motion.first + motion.count - 1

@@ -24,11 +24,11 @@ import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
 from surefoot.models.residuals.feet import HALFWAY, between_feet, leg_velocities
-from surefoot.models.residuals.foot_loads import foot_loads
-from surefoot.models.residuals.soft_ground import foot_sinking
+from surefoot.models.residuals.soft_ground import foot_loads, foot_sinking
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
+    curvature,
     dynamics_inputs,
     inverse_dynamics,
     link_jacobians,
@@ -94,6 +94,8 @@ class ResidualInputs:
     def steps(self) -> DynamicsInputs:
         """Inputs of inverse dynamics."""
         steps, depth = dynamics_inputs(self.bins, self.robot), self.bins.depth
+        if self.robot.fixed and self.robot.dynamics is not None and self.log.has("q"):
+            steps = replace(steps, curved=curvature(self.log, self.motion, self.robot.dynamics))
         return steps if depth is None else replace(steps, sunk=HALFWAY * depth)
 
     @cached_property
@@ -173,10 +175,6 @@ class Channel:
     """
     evaluation_only: ClassVar[bool] = False
     """Whether the channel is used for evaluation only and never fitted."""
-    has_chain_rule: ClassVar[bool] = False
-    """Whether `jacobians` has its derivatives with respect to readings; else finite differences are
-    used.
-    """
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         """Its columns for a machine with these legs and joints; empty where it has no meaning."""

@@ -19,14 +19,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN, Bins
+from surefoot.models.residuals.binning import BIN, Bins, bin_mean
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
-from surefoot.models.residuals.feet import foot_heights, travel_regressors
-from surefoot.models.residuals.stance_motion import stance_displacement, stance_means
+from surefoot.models.residuals.feet import (
+    foot_heights,
+    stance_displacement,
+    stance_means,
+    travel_regressors,
+)
 from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
 from surefoot.sim.effects.base import AXES
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot.feet import shown_feet
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Sensors
@@ -44,7 +48,6 @@ class ImuGyro(Channel):
     unit = "rad/s"
     needs = ("imu", "reference")
     on_given_feet = True
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_axes("gyro", self.unit, limbs)
@@ -67,7 +70,6 @@ class ImuAccel(Channel):
     unit = "m/s^2"
     needs = ("imu", "reference")
     on_given_feet = True
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_axes("accel", self.unit, limbs)
@@ -94,7 +96,6 @@ class LegVelocity(Channel):
     on_given_feet = True
     imu_replaces_reference = True
     masked_by = ("slid", "elsewhere")
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         return _of_legs("leg", self.unit, limbs)
@@ -120,9 +121,7 @@ class StanceVelocity(LegVelocity):
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         v = inputs.leg_velocities
-        if v is None:
-            return None
-        return _means_of_stances(inputs.bins, v)
+        return None if v is None else _means_of_stances(inputs.bins, v)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.velocity_noise * LEVER_ARM * np.sqrt(3 / rows_of_bin(rate) / STANCE_BINS)
@@ -157,7 +156,6 @@ class StanceDisplacement(Channel):
     unit = "m"
     needs = ("q", "contact", "reference")
     masked_by = ("slid", "elsewhere")
-    has_chain_rule = True
     of_events = True
     evaluation_only = True
 
@@ -185,7 +183,6 @@ class FootHeight(Channel):
     masked_by = ("slid", "elsewhere")
     least_noise = 2e-4
     """Simulated ground is level to 0.01 mm, finer than any reference measures [m]."""
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         legs = enumerate(limbs.legs)
@@ -215,15 +212,13 @@ class JointTorque(Channel):
     needs = ("q", "tau", "contact")
     imu_replaces_reference = True
     on_fixed_base = True
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        return per_joint("torque", self.unit, limbs)
+        return _per_joint("torque", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if inputs.inverse_dynamics is None:
-            return None
-        return torque_residual(inputs.steps, inputs.inverse_dynamics)
+        needed = inputs.inverse_dynamics
+        return None if needed is None else torque_residual(inputs.steps, needed)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))
@@ -236,7 +231,6 @@ class BaseWrench(Channel):
     unit = "N and N m"
     needs = ("q", "tau", "contact", "reference")
     masked_by = ("elsewhere",)
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
         if not limbs.point_feet:  # a flat foot gives moments too
@@ -260,10 +254,9 @@ class JointRate(Channel):
     unit = "rad/s"
     needs = ("q", "dq")
     on_fixed_base = True
-    has_chain_rule = True
 
     def columns(self, limbs: Limbs) -> tuple[Column, ...]:
-        return per_joint("rate", self.unit, limbs)
+        return _per_joint("rate", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
         if not (inputs.log.has("q") and inputs.log.has("dq")):
@@ -290,7 +283,6 @@ class ContactTiming(Channel):
     on_given_feet = True
     least_noise = 1e-3
     """A contact changes at a row, so its time is known to half a sample [s]."""
-    has_chain_rule = True
     of_events = True
     level_spread: ClassVar[Mapping[str, float]] = {"touchdown": 0.0015, "liftoff": 0.006}
     """On models of seven robots, contacts begin within 1 ms of one another, 3 ms earlier where a
@@ -306,12 +298,62 @@ class ContactTiming(Channel):
         )
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        if inputs.feet is None:
-            return None
-        return contact_timing(inputs.log, inputs.feet, inputs.motion, inputs.robot.extras)
+        known = inputs.motion, inputs.robot.extras
+        return None if inputs.feet is None else contact_timing(inputs.log, inputs.feet, *known)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return 1.0 / rate
+
+
+class CommandedTorque(Channel):
+    """Measured torque minus the commanded one, or that of the motor law."""
+
+    name = "command"
+    unit = "N m"
+    needs = ("q", "tau", "tau_ff")
+    on_fixed_base = True
+
+    def columns(self, limbs: Limbs) -> tuple[Column, ...]:
+        return _per_joint("command", self.unit, limbs)
+
+    def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
+        log, late = inputs.log, inputs.robot.extras.command_late
+        law = ("q_des", "dq_des", "q", "dq") if log.meta.motor_law else ()
+
+        def made() -> np.ndarray | None:
+            asked = commanded_torque(log)
+            if asked is None or not log.has("tau"):
+                return None
+            if late:
+                then = log.t - late
+                asked = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
+            return bin_mean(inputs.motion)(log.tau - asked)
+
+        uses = ("tau", "tau_ff", *law)
+        return log.once("torque less the command", uses, made, late, inputs.motion.first)
+
+    def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
+        return sensors.torque_noise / np.sqrt(rows_of_bin(rate))
+
+    def is_available(self, log: Log, fixed: bool, level: bool, by_feet: bool = False) -> bool:
+        return log.has("tau") and commanded_torque(log) is not None
+
+
+def commanded_torque(log: Log) -> np.ndarray | None:
+    """Commanded torques kp (q_des - q) + kd (dq_des - dq) + tau_ff (N, J) [N m].
+
+    Uses the terms that the log has; None where it has none, or where its torques were derived from
+    them.
+    """
+    if "tau" in log.meta.derived:
+        return None
+    total = log.tau_ff if log.has("tau_ff") else None
+    if log.meta.motor_law and log.has("q_des"):
+        kp, kd = (np.asarray(log.meta.motor_law[gain], dtype=float) for gain in ("kp", "kd"))
+        wanted = log.dq_des if log.has("dq_des") else 0.0
+        law = kp * (log.q_des - log.q) + kd * (wanted - joint_velocity(log))
+        total = law if total is None else law + total
+    return total
 
 
 def _of_axes(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
@@ -332,7 +374,7 @@ _OF_SLIDES = {"N m": "N", "rad/s": "m/s"}
 """Unit of a hinge -> that of a joint that slides."""
 
 
-def per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
+def _per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
     """A column for each joint, with the same noise on all legs."""
     units = [_OF_SLIDES.get(unit, unit) if name in limbs.slides else unit for name in limbs.joints]
     return tuple(

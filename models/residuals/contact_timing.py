@@ -52,7 +52,7 @@ def contact_timing(
         "when touching points stop and start",
         (*feet.groups, "imu", "contact", "reference", "ref_v"),
         lambda: _all_motion_changes(log, feet, motion, turns, rows, bounce),
-        *(motion.R_GI, motion.v_I, motion.gyro, motion.ok),
+        *(motion.R_GI, motion.v_I, motion.gyro, motion.ok, motion.normal_G),
         *vars(feet).values(),  # the same objects until they change
     )
     late = np.full((len(motion.first), 2 * len(turns)), np.nan)
@@ -167,7 +167,7 @@ def speed_over_ground(
     elsewhere.
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
-    v = feet.imu_velocity(*feet.readings(log), omega, motion.up_I, where)
+    v = feet.imu_velocity(*feet.readings(log), omega, motion.normal_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
     return np.sqrt(x * x + y * y + z * z)
 

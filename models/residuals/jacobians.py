@@ -11,10 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from surefoot.models.residuals.channel import ResidualInputs
-from surefoot.models.residuals.feet import between_feet, foot_heights, leg_velocities
+from surefoot.models.residuals.feet import between_feet, foot_heights, leg_velocities, stance_means
 from surefoot.models.residuals.registry import BUNDLED_CHANNELS, channels
 from surefoot.models.residuals.residual import ResidualTable, filled
-from surefoot.models.residuals.stance_motion import stance_means
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
@@ -36,6 +35,10 @@ DIFFERENCE_STEP = 1e-5  # rad, rad/s
 ON_LEGS = ("leg_velocity", "stance_velocity", "foot_height")
 ON_CONTACTS = ("contact_timing", "stance_displacement")
 ON_TORQUES = ("joint_torque", "base_wrench")
+CHAINED_CHANNELS = ("imu_gyro", "imu_accel", *ON_LEGS, *ON_CONTACTS, *ON_TORQUES, "joint_rate")
+"""Channels whose derivatives with respect to readings `wrt_readings` has; of the times of events,
+which a small change of a reading does not move, they are zero.
+"""
 CHANNELS_OF_FIELD = {
     **dict.fromkeys(("legs", "foot_radius"), (*ON_LEGS, *ON_CONTACTS, *ON_TORQUES)),
     **dict.fromkeys(("payload", "com_shift", "links"), ON_TORQUES),
@@ -197,26 +200,21 @@ def wrt_readings(
     gyro, accel, legs = (layout.of(n) for n in ("imu_gyro", "imu_accel", "leg_velocity"))
     velocity, height = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
     torque, wrench, rate = (layout.of(n) for n in ("joint_torque", "base_wrench", "joint_rate"))
-    forces = np.zeros((len(out), joints + 6))
     for axis, x in change.get("gyro", {}).items():
         out[:, gyro[axis]] += x
     for axis, x in change.get("omega", {}).items():
         out[:, legs] += known.leg_omega[:, :, axis] * x[:, None]
     for axis, x in change.get("accel", {}).items():
         out[:, accel[axis]] += x
-    for joint, x in change.get("q", {}).items():
-        leg = leg_of[joint]
-        if leg is not None:
-            j = layout.limbs.chains[leg].index(joint)
-            out[:, velocity[leg]] += known.leg_q[:, leg, :, j] * x[:, None]
-            out[:, height[leg, 0]] += known.height_q[:, leg, j] * x
-        out[:, rate[joint]] += slope(x)
-    for joint, x in change.get("dq", {}).items():
-        leg = leg_of[joint]
-        if leg is not None:
-            j = layout.limbs.chains[leg].index(joint)
-            out[:, velocity[leg]] += known.leg_dq[:, leg, :, j] * x[:, None]
-        out[:, rate[joint]] -= smooth_121(x)
+    for stream, by_leg in (("q", known.leg_q), ("dq", known.leg_dq)):
+        for joint, x in change.get(stream, {}).items():
+            leg = leg_of[joint]
+            if leg is not None:
+                j = layout.limbs.chains[leg].index(joint)
+                out[:, velocity[leg]] += by_leg[:, leg, :, j] * x[:, None]
+                if stream == "q":
+                    out[:, height[leg, 0]] += known.height_q[:, leg, j] * x
+            out[:, rate[joint]] += slope(x) if stream == "q" else -smooth_121(x)
     if len(legs) and any(change.get(stream) for stream in ("omega", "q", "dq")):
         if not parts.inputs.motion.by_reference:
             stood = np.repeat(parts.inputs.bins.standing, 3, axis=1)
@@ -225,15 +223,12 @@ def wrt_readings(
         stands = np.isfinite(parts.table[:, velocity[moved, 0]])
         means = stance_means(parts.t, out[:, velocity[moved]], stands)
         out[:, layout.by_leg("stance_velocity")[moved]] = np.nan_to_num(means)
-    for joint, x in change.get("q_step", {}).items():
-        forces += known.dynamics_jacobians[0, joint] * x[:, None]
-    for joint, x in change.get("dq_step", {}).items():
-        forces += known.dynamics_jacobians[1, joint] * x[:, None]
-    for joint, x in change.get("ddq", {}).items():
-        forces += known.dynamics_jacobians[2, joint] * x[:, None]
-    for joint, x in change.get("tau", {}).items():
-        forces += known.dynamics_jacobians[3, joint] * x[:, None]
-    if any(change.get(stream) for stream in ("q_step", "dq_step", "ddq", "tau")):
+    of_torques = ("q_step", "dq_step", "ddq", "tau")
+    if any(change.get(stream) for stream in of_torques):
+        forces = np.zeros((len(out), joints + 6))
+        for stream, by_joint in zip(of_torques, known.dynamics_jacobians, strict=True):
+            for joint, x in change.get(stream, {}).items():
+                forces += by_joint[joint] * x[:, None]
         forces = smooth_121(forces)
         out[:, torque] += forces[:, :joints]
         if len(wrench):
@@ -301,32 +296,23 @@ def _same_joints(robot: Machine, one: Machine) -> bool:
 
 
 def sparse(change: np.ndarray, table: np.ndarray) -> Regressor:
-    """Keep the columns that change, with zeros where the table has no value."""
-    columns = np.flatnonzero(_largest(change, table) > 1e-9)
-    return Regressor(columns, _picked(change, table, columns))
+    """Keep the columns of a change that are not zero, with zeros where the table has no value."""
+    columns = np.flatnonzero(_zeroed(change, table) > 1e-9)
+    return Regressor(columns, change[:, columns])
 
 
 @kernel
-def _largest(change, table):
-    """Largest absolute change (W,) of each column, where both (M, W) have a value."""
-    out = np.zeros(change.shape[1])
+def _zeroed(change, table):
+    """Set a change (M, W) to zero where it or the table has no value, and return its largest
+    absolute value (W,) in each column.
+    """
+    largest = np.zeros(change.shape[1])
     for k in range(change.shape[0]):
         for c in range(change.shape[1]):
-            size = abs(change[k, c])
-            if size > out[c] and np.isfinite(size) and np.isfinite(table[k, c]):
-                out[c] = size
-    return out
-
-
-@kernel
-def _picked(change, table, columns):
-    """These columns (n,) of the change (M, n), zero where it or the table (M, W) has no value."""
-    out = np.zeros((change.shape[0], len(columns)))
-    for k in range(change.shape[0]):
-        for i, c in enumerate(columns):
-            if np.isfinite(change[k, c]) and np.isfinite(table[k, c]):
-                out[k, i] = change[k, c]
-    return out
+            if not (np.isfinite(change[k, c]) and np.isfinite(table[k, c])):
+                change[k, c] = 0.0
+            largest[c] = max(largest[c], abs(change[k, c]))
+    return largest
 
 
 def explained_share(one: Regressor, table: np.ndarray) -> float:

@@ -33,6 +33,16 @@ class Layout:
         return tuple(column.name for column in self.columns)
 
     @cached_property
+    def channel_of(self) -> tuple[str, ...]:
+        """Channel of each column."""
+        return tuple(n for n, at in self.channels.items() for _ in range(at.start, at.stop))
+
+    @cached_property
+    def kinds(self) -> tuple[tuple[str, str], ...]:
+        """Channel and kind of each column, which tell its noise."""
+        return tuple(zip(self.channel_of, (one.kind for one in self.columns), strict=True))
+
+    @cached_property
     def groups(self) -> tuple[list[int], ...]:
         """Columns that come from one reading."""
         return self._collected("group")
@@ -45,11 +55,7 @@ class Layout:
     @cached_property
     def masked_by(self) -> tuple[tuple[str, ...], ...]:
         """What invalidates each column (see `Channel.masked_by`)."""
-        return tuple(
-            channels()[name].masked_by
-            for name, columns in self.channels.items()
-            for _ in range(columns.stop - columns.start)
-        )
+        return tuple(channels()[name].masked_by for name in self.channel_of)
 
     @cached_property
     def fitted(self) -> np.ndarray:
@@ -63,24 +69,16 @@ class Layout:
 
     def by_leg(self, name: str) -> np.ndarray:
         """Columns (legs, n) of a channel, by foot."""
-        if name not in self._columns_by_leg:
-            own, legs = self.of(name), range(len(self.limbs.legs))
-            by_leg = [[c for c in own if self.columns[c].leg == leg] for leg in legs]
-            self._columns_by_leg[name] = np.array(by_leg)
-        return self._columns_by_leg[name]
-
-    @cached_property
-    def _columns_by_leg(self) -> dict[str, np.ndarray]:
-        return {}
+        own, legs = self.of(name), len(self.limbs.legs)
+        return np.array([[c for c in own if self.columns[c].leg == leg] for leg in range(legs)])
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels
 
     def _collected(self, what: str) -> tuple[list[int], ...]:
         found: dict[tuple[str, str], list[int]] = {}
-        for name, columns in self.channels.items():
-            for c in range(columns.start, columns.stop):
-                found.setdefault((name, getattr(self.columns[c], what)), []).append(c)
+        for c, name in enumerate(self.channel_of):
+            found.setdefault((name, getattr(self.columns[c], what)), []).append(c)
         return tuple(found.values())
 
 

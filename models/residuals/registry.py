@@ -5,7 +5,6 @@ from typing import Any
 
 from surefoot.models.residuals import channels as bundled
 from surefoot.models.residuals.channel import Channel
-from surefoot.models.residuals.command import CommandedTorque
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry
 
@@ -22,7 +21,7 @@ BUNDLED_CHANNELS: tuple[type[Channel], ...] = (
     bundled.BaseWrench,
     bundled.JointRate,
     bundled.ContactTiming,
-    CommandedTorque,
+    bundled.CommandedTorque,
 )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.models.residuals.binning import ReferenceMotion, binned, reference_motion
 from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.contact_timing import within_windows
-from surefoot.models.residuals.feet import level_ground
+from surefoot.models.residuals.feet import ground_normals, leg_velocities, level_ground
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.registry import channels
 from surefoot.models.residuals.without_reference import motion_without_reference
@@ -76,8 +76,25 @@ def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion
 
 
 def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
-    """Detect whether the ground is level, so that heights of feet can be compared."""
+    """Detect whether the ground is level, so that heights of feet can be compared, and its normal
+    where it slopes.
+
+    A staircase rises as a slope does, but its treads are level: the slope's normal is taken only if
+    the feet then move less over the ground.
+    """
     feet = shown_feet(log, robot.feet)
     if feet is None or not (motion.by_reference and motion.standing.any()):
         return motion
-    return replace(motion, level=level_ground(binned(log, robot, motion), feet))
+    bins = binned(log, robot, motion)
+    if level_ground(bins, feet):
+        return replace(motion, level=True)
+    slope = ground_normals(bins, feet)
+    sloping = replace(
+        motion,
+        normal_G=np.column_stack([np.interp(log.t, bins.t, component) for component in slope.T]),
+    )
+    moves = [
+        np.nanmedian(np.abs(leg_velocities(binned(log, robot, one), feet)))
+        for one in (motion, sloping)
+    ]
+    return sloping if moves[1] < moves[0] else motion

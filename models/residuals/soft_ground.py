@@ -20,11 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.models.residuals.binning import Bins, ReferenceMotion, bin_mean
+from surefoot.models.residuals.binning import Bins, ReferenceMotion, at_torques, bin_mean
+from surefoot.models.residuals.torques import DynamicsInputs, feet_wrenches
 from surefoot.sim.common.copies import copy_row
+from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.tiles import SOLIMP, SOLREF
 from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.physics.momentum_balance import once_for_loads
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances_between_swings
@@ -101,6 +104,43 @@ def foot_sinking(
             _add_stances(log.t, height[:, leg], rows[:, leg], s, give[leg], T, sign, *moved)
     mean = bin_mean(motion)
     return mean(depth), np.einsum("nji,nlj->nli", bins.R_GI, mean(v_G))
+
+
+def foot_loads(
+    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, steps: DynamicsInputs
+) -> np.ndarray:
+    """Force (N, legs) [N] along the ground's normal on each standing foot, zero on the others.
+
+    J^T f = inverse dynamics - measured torque, the former as means over bins. Without torques, or
+    for legs with other than three joints, the standing feet share the weight evenly.
+
+    Args:
+        log: the measured log.
+        robot: as declared.
+        motion: reference motion of the log.
+        bins: means over bins of torques and standing feet.
+        steps: inputs of inverse dynamics.
+    """
+
+    def made() -> np.ndarray:
+        stands = log.contact
+        if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
+            weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
+            return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
+        _, taken = robot.dynamics.inverse(steps.q, steps.dq, steps.ddq, steps.base)
+
+        def normal(q: np.ndarray, up_B: np.ndarray, on: np.ndarray, taken: np.ndarray):
+            wrench = feet_wrenches(robot.legs, np.zeros(on.shape), q, up_B, on, taken)
+            # Torques of a leg that is straight do not depend on its load.
+            return np.nan_to_num(np.einsum("nla,na->nl", wrench[..., :3], up_B))
+
+        from_motion = normal(steps.q, steps.up_B, np.ones_like(bins.standing), taken)
+        motor = normal(at_torques(log.q, motion), motion.normal_I @ robot.R_BI.T, stands, log.tau)
+        rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
+        return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
+
+    given = motion, robot.extras.payload
+    return once_for_loads("foot loads along the normal", log, robot, made, *given)
 
 
 def foot_mobilities(robot: Robot) -> np.ndarray:

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN, Bins
+from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, bin_mean
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.inverse_dynamics import Dynamics
@@ -35,6 +37,8 @@ class DynamicsInputs:
         swings: joints whose foot is in the air for three bins (M, J).
         steady: bins in which, and next to which, no foot lands or lifts (M,).
         sunk: reduction of the distance from a foot's centre to its contact point (M, L) [m].
+        curved: means over the rows of each bin of the torques by inverse dynamics, less those at
+            the means (M, J) [N m]; zero on a walk.
     """
 
     q: np.ndarray
@@ -47,6 +51,7 @@ class DynamicsInputs:
     swings: np.ndarray
     steady: np.ndarray
     sunk: np.ndarray
+    curved: np.ndarray
 
 
 def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
@@ -54,10 +59,12 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     whole = np.zeros(len(bins.t), dtype=bool)
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
+    # The equation is smoothed over three bins, each of which needs the rate before it.
+    whole = _always(whole)
     stays, lifted = _always(bins.standing), _always(bins.lifted)
     up_B = np.zeros((len(bins.t), 3))
     if robot.legged is not None:
-        up_B = bins.R_GI[:, 2] @ robot.legged.R_BI.T
+        up_B = bins.normal_I @ robot.legged.R_BI.T
         # Joints that belong to no leg carry no foot's load.
         swings = np.ones_like(bins.q, dtype=bool)
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
@@ -77,7 +84,25 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
         swings=swings & whole[:, None],
         steady=steady & whole,
         sunk=np.zeros(bins.standing.shape),
+        curved=np.zeros_like(bins.q),
     )
+
+
+def curvature(log: Log, motion: ReferenceMotion, dynamics: Dynamics) -> np.ndarray:
+    """Means over the rows of each bin of the torques by inverse dynamics, less those at the means
+    (M, J) [N m]: within a bin, inertia and weight do not change linearly.
+    """
+
+    def made() -> np.ndarray:
+        q, mean = log.q, bin_mean(motion)
+        slow = derivative(log.t, q, JOINT_WINDOW, causal=False) if motion.rates_of_angles else None
+        dq = steady_rate(log.t, joint_velocity(log) if slow is None else slow)
+        rates = q, dq, np.gradient(dq, log.t, axis=0)
+        _, of_rows = dynamics.inverse(*rates)
+        _, of_means = dynamics.inverse(*map(mean, rates))
+        return mean(of_rows) - of_means
+
+    return log.once("curvature of torques", ("q", "dq"), made, dynamics, motion)
 
 
 def smooth_121(x: np.ndarray) -> np.ndarray:
@@ -112,7 +137,7 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics | Non
     use = needed_bins(s)
     wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
     wrench[use], torque[use] = robot.dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use])
-    return InverseDynamics(wrench + load_wrench(s, robot), torque)
+    return InverseDynamics(wrench + load_wrench(s, robot), torque + s.curved)
 
 
 def needed_bins(s: DynamicsInputs) -> np.ndarray:

@@ -1,106 +1,210 @@
-"""Detection of a change of a machine since its calibration, from one new run.
+"""What a trace says of changes and of sensor faults that are put into runs of one machine.
 
-A change is one effect on one joint or link. Its size and standard deviation follow from the new
-run's rows by generalised least squares, with the covariance of an unchanged run: noise, zeros, the
-error of the calibration, and the variation between runs.
+Each run is taken as new once: the others are traced together, and the new one is compared with
+them, with the effects that they show declared.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
-from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import gaussian_filter1d
-from scipy.stats import norm
 
-from studies.hardware.drives import FIRST
-from studies.hardware.impulses import SizeKey, WindowRows, window_rows
-from studies.hardware.shared_sizes import Calibration, HeldOutRun
-from surefoot import Log
-from surefoot.extend import STICTION_RATE, LinkChange, Modelled, known_effects
+from studies.hardware.traces import traced
+from surefoot import Log, Trace, TraceOptions, import_log
+from surefoot.extend import STICTION_RATE, Effect, LinkChange, Modelled, known_effects
 from surefoot.scenarios.reporting import finished_case
 
-NAMED = 4.0
-"""Standard deviations from which a change is reported. The variation between runs is estimated from
-four runs only; Student's t exceeds this value once in 36 times, a normal law once in 16 000.
-"""
-SURE = 1.645
-"""Standard deviations above that at which a change is reported in 95 of 100 runs."""
-LIKELY = 2.0 * np.log(20.0)
-"""Difference of squared standardised sizes at which a change of another link is 20 times less
-likely.
-"""
+Key = tuple[str, str]
+"""Name and target of an effect."""
 KINDS = ("link_mass", "link_com", "coulomb_friction", "encoder_offset")
 """Kinds of the changes that are drawn."""
 DRAWN_RATIOS = (0.5, 5.0)
-"""Range of a drawn size, relative to the least that is reported in 95 of 100 runs like the one that
-it is injected into.
+"""Range of a drawn size, relative to the least that is named in 95 of 100 runs like the one that it
+is put into.
 """
 FARTHEST_COM = 0.3
 """Largest plausible offset of a centre of mass [m]: the links are 0.3 m long."""
+FAULTS = ("attitude off", "attitude drifts", "gyro scaled", "encoder held")
+ATTITUDE = np.radians([2.0, 6.0])
+"""Range of an attitude's error, and of its drift by the end of a swing [rad]."""
+GYRO_SCALE = 0.05
+HELD = 1.0 / 3.0
+"""Share of a swing during which an encoder is held."""
+_SMOOTH = 0.010
+"""Width of the kernel that smooths positions before differentiation [s]."""
 
 
 @dataclass(frozen=True)
-class Change:
-    """A change of a machine, with its standard deviation."""
+class Runs:
+    """Runs of one machine.
 
-    key: SizeKey
-    size: float
-    deviation: float
+    Attributes:
+        files: CSV of each swing, by run.
+        rules: the map by which they are imported.
+        machine: as published.
+        out: folder of the traces.
+        kept: folder of the finished rows.
+        inputs: digests of the recordings.
+    """
+
+    files: Mapping[str, Sequence[Path]]
+    rules: str
+    machine: Modelled
+    out: Path
+    kept: Path
+    inputs: Mapping[str, str]
+
+    def logs(self, run: str) -> list[Log]:
+        """The swings of a run, as recorded."""
+        return [import_log(file, self.rules) for file in self.files[run]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is put into a run: nothing, a change with a key, or a sensor's fault.
+
+    Attributes:
+        run: that is new.
+        change: effect and target; None for none.
+        fault: one of FAULTS, "" for none.
+        size: of the change or the fault.
+        seed: of the fault's draws.
+        least: of the change, the least that is named in 95 of 100 runs like this one.
+    """
+
+    run: str
+    change: Key | None = None
+    fault: str = ""
+    size: float = 0.0
+    seed: int = 0
+    least: float = 1.0
 
     @property
-    def excess(self) -> float:
-        """Its size in standard deviations."""
-        return abs(self.size) / self.deviation
-
-    @property
-    def link(self) -> str:
-        """The joint that it concerns, or that moves the link that it concerns."""
-        return link_of(self.key)
-
-    @property
-    def least(self) -> float:
-        """The least size that is reported in 95 of 100 runs."""
-        return (NAMED + SURE) * self.deviation
+    def ratio(self) -> float:
+        """Size of the change relative to the least that is named."""
+        return abs(self.size) / self.least
 
 
-def link_of(key: SizeKey) -> str:
+Tried = tuple[Case, dict[str, Any]]
+"""A case, and its row: verdict, reasons, effects, rivals and channels as of trace.json."""
+
+
+def link_of(key: Sequence[str]) -> str:
     """The joint that an effect concerns, or that moves the link that it concerns."""
     name, target = key
     return target.rsplit("_", 1)[0] if name == "link_com" else target
 
 
-def every_change(before: Calibration, rows: Sequence[WindowRows]) -> list[Change]:
-    """Each possible change, fitted alone to the rows of one new run; the most significant first."""
-    factor = cho_factor(before.spread(rows), lower=True)
-    rest = cho_solve(factor, before.left(rows))
-    found = []
-    for key in rows[0].changes:
-        x = np.concatenate([log.changes[key].ravel() for log in rows])
-        weight = float(x @ cho_solve(factor, x))
-        found.append(Change(key, float(x @ rest) / weight, weight**-0.5))
-    return sorted(found, key=lambda one: -one.excess)
+def tried_cases(runs: Runs, each: int = 5, faults: int = 10) -> list[Tried]:
+    """What the trace says of each unchanged run, of drawn changes and of drawn faults.
 
-
-def named_changes(found: Sequence[Change]) -> tuple[Change, ...]:
-    """The changes to report from `every_change`: none, one or, if changes of other links are nearly
-    as likely, the best of each such link.
+    each: changes of each kind on each link. faults: faults of each kind.
     """
-    first = found[0]
-    if first.excess < NAMED:
-        return ()
-    best: dict[str, Change] = {}
-    for one in found:
-        if one.excess**2 > first.excess**2 - LIKELY:
-            best.setdefault(one.link, one)
-    return tuple(best.values())
+    before = _traces_without(runs)
+    whole = [_tried(f"unchanged_{run}", Case(run), runs, before) for run in runs.files]
+    rng = np.random.default_rng(0)
+    changes = drawn_changes(whole, runs.machine.joint_names, each, rng)
+    drawn = {
+        **{f"change_{k:02d}": case for k, case in enumerate(changes)},
+        **{f"fault_{k:02d}": case for k, case in enumerate(drawn_faults(runs.files, faults, rng))},
+    }
+    return [*whole, *(_tried(name, case, runs, before) for name, case in drawn.items())]
 
 
-def with_change(log: Log, machine: Modelled, key: SizeKey, size: float) -> Log:
+def _traces_without(runs: Runs) -> Callable[[str], Trace]:
+    """The trace of all runs but one, made when it is first asked for."""
+
+    @cache
+    def without(run: str) -> Trace:
+        others = [log for other in runs.files if other != run for log in runs.logs(other)]
+        return traced(others, runs.machine, runs.out / f"without_{run}")
+
+    return without
+
+
+def _tried(name: str, case: Case, runs: Runs, before: Callable[[str], Trace]) -> Tried:
+    def said() -> dict[str, Any]:
+        known = before(case.run)
+        options = TraceOptions(declared=known.effects, since=known.model_error)
+        found = traced(_logs_of(case, runs), runs.machine, runs.out / "since", options).as_dict()
+        kept = {k: found.get(k, []) for k in ("verdict", "reasons", "effects", "rivals")}
+        if case.change is None and not case.fault:
+            kept |= {"least": found.get("least", []), "channels": found["channels"]}
+        return kept
+
+    given = {**runs.inputs, **asdict(case)}
+    return case, finished_case(runs.kept, name, given, __name__, said)
+
+
+def _logs_of(case: Case, runs: Runs) -> list[Log]:
+    """The swings of a case's run; a fault is put into their files before they are imported."""
+    if case.change is not None:
+        logs = runs.logs(case.run)
+        return [with_change(log, runs.machine, case.change, case.size) for log in logs]
+    if not case.fault:
+        return runs.logs(case.run)
+    rng, logs = np.random.default_rng(case.seed), []
+    with TemporaryDirectory() as folder:
+        for file in runs.files[case.run]:
+            path = Path(folder) / file.name
+            with_fault(pd.read_csv(file), case, rng).to_csv(path, index=False)
+            logs.append(import_log(path, runs.rules))
+    return logs
+
+
+def drawn_changes(
+    unchanged: Sequence[Tried], links: Sequence[str], each: int, rng: np.random.Generator
+) -> list[Case]:
+    """Draw changes of every kind on every link.
+
+    Sizes are log-uniform within DRAWN_RATIOS of the least that is named. Offsets of a centre of
+    mass beyond FARTHEST_COM are left out. Masses and friction only increase.
+
+    Args:
+        unchanged: the unchanged runs, whose rows have the least changes.
+        links: joints that move them.
+        each: number of changes of each kind on each link.
+        rng: draws runs, axes, sizes and signs.
+    """
+    least = {
+        case.run: {(one["name"], one["target"]): one["value"] for one in row["least"]}
+        for case, row in unchanged
+    }
+    names, drawn = list(least), []
+    for kind in KINDS:
+        for link in links:
+            for _ in range(each):
+                run = names[int(rng.integers(len(names)))]
+                keys = [k for k in sorted(least[run]) if k[0] == kind and link_of(k) == link]
+                key = keys[rng.integers(len(keys))]
+                low, high = np.log(DRAWN_RATIOS)
+                size = least[run][key] * float(np.exp(rng.uniform(low, high)))
+                sign = rng.choice([-1.0, 1.0]) if kind in ("link_com", "encoder_offset") else 1.0
+                if kind != "link_com" or size <= FARTHEST_COM:
+                    drawn.append(Case(run, key, size=sign * size, least=least[run][key]))
+    return drawn
+
+
+def drawn_faults(runs: Mapping[str, Any], each: int, rng: np.random.Generator) -> list[Case]:
+    """Draw sensor faults: `each` of every kind, in runs drawn by `rng`."""
+    names, drawn = list(runs), []
+    for fault in FAULTS:
+        for _ in range(each):
+            run, sign = names[int(rng.integers(len(names)))], rng.choice([-1.0, 1.0])
+            size = GYRO_SCALE if fault == "gyro scaled" else rng.uniform(*ATTITUDE)
+            seed = int(rng.integers(2**31))
+            drawn.append(Case(run, None, fault, float(sign * size), seed))
+    return drawn
+
+
+def with_change(log: Log, machine: Modelled, key: Key, size: float) -> Log:
     """Inject a change into a log of the machine, keeping its noise and jolts.
 
     A zero is added to the angle. For any other change, the torque that it requires along the motion
@@ -119,7 +223,7 @@ def with_change(log: Log, machine: Modelled, key: SizeKey, size: float) -> Log:
     # Rates computed differently from those of the balance.
     step = float(np.median(np.diff(log.t)))
     t = np.arange(log.t[0], log.t[-1] + step, step)
-    q = gaussian_filter1d(CubicSpline(log.t, log.q)(t), FIRST / step, axis=0, mode="nearest")
+    q = gaussian_filter1d(CubicSpline(log.t, log.q)(t), _SMOOTH / step, axis=0, mode="nearest")
     smooth = CubicSpline(t, q)
     q, dq, ddq = (smooth(log.t, order) for order in range(3))
     if name == "coulomb_friction":
@@ -137,184 +241,123 @@ def with_change(log: Log, machine: Modelled, key: SizeKey, size: float) -> Log:
     return log.with_columns({f"tau_{name}": log.tau[:, k] + added[:, k] for k, name in read})
 
 
-def drawn_changes(
-    done: Sequence[HeldOutRun], each: int, rng: np.random.Generator
-) -> list[tuple[str, SizeKey, float]]:
-    """Draw changes to inject: run, effect and target, and size, for every kind on every link.
+def with_fault(rows: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.DataFrame:
+    """The rows of a swing's CSV with a fault of one of its sensors.
 
-    Sizes are log-uniform within DRAWN_RATIOS of the least that is reported. Offsets of a centre of
-    mass beyond FARTHEST_COM are left out. Masses and friction only increase.
-
-    Args:
-        done: runs with the calibration by the others.
-        each: number of changes of each kind on each link.
-        rng: draws runs, axes, sizes and signs.
+    The hook's angle is that of the body's attitude less the tail's, and its rate that of the gyro
+    less the tail's; the attitude is the integrated gyro. rng: draws which encoder is held, and
+    when.
     """
-    least = {one.name: least_changes(one) for one in done}
-    drawn = []
-    for kind in KINDS:
-        for link in done[0].rows[0].joints:
-            for _ in range(each):
-                run = done[int(rng.integers(len(done)))].name
-                keys = [k for k in least[run] if k[0] == kind and link_of(k) == link]
-                key = keys[rng.integers(len(keys))]
-                low, high = np.array(DRAWN_RATIOS) * least[run][key]
-                size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-                sign = rng.choice([-1.0, 1.0]) if kind in ("link_com", "encoder_offset") else 1.0
-                if kind != "link_com" or size <= FARTHEST_COM:
-                    drawn.append((run, key, sign * size))
-    return drawn
-
-
-def least_changes(one: HeldOutRun) -> dict[SizeKey, float]:
-    """The least size of each change that is reported in 95 of 100 runs like this one."""
-    return {change.key: change.least for change in every_change(one.others, one.rows)}
-
-
-@dataclass(frozen=True)
-class KeptRows:
-    """Folder of finished rows, and the digests of the recordings that they are of."""
-
-    folder: Path
-    inputs: Mapping[str, Any]
-
-
-def tried_changes(
-    logs: Mapping[str, Sequence[Log]],
-    machine: Modelled,
-    done: Sequence[HeldOutRun],
-    length: float,
-    kept: KeptRows,
-    each: int = 5,
-) -> list[dict[str, Any]]:
-    """Changes found in unchanged runs, in their pieces, and in runs with an injected change.
-
-    Each run is compared with the calibration by the other runs.
-
-    Args:
-        logs: by run.
-        machine: as declared.
-        done: the runs with the calibration by the others.
-        length: of the windows [s].
-        kept: rows that are finished.
-        each: injected changes of each kind on each link.
-    """
-    others = {one.name: one.others for one in done}
-    whole = [(run, slice(None), None, 0.0) for run in logs]
-    pieces = [(r, slice(k, k + 1), None, 0.0) for r in logs for k in range(len(logs[r]))]
-    drawn = drawn_changes(done, each, np.random.default_rng(0))
-    cases = [
-        *whole,
-        *(piece for piece in pieces if len(logs[piece[0]]) > 1),
-        *((run, slice(None), key, size) for run, key, size in drawn),
-    ]
-    rows = []
-    for number, (run, part, key, size) in enumerate(cases):
-        own = logs[run][part]
-
-        def judged(run=run, own=own, key=key, size=size) -> dict[str, Any]:
-            if key is not None:
-                own = [with_change(log, machine, key, size) for log in own]
-            windows = [window_rows(log, machine, length) for log in own]
-            found = every_change(others[run], windows)
-            best = [
-                {"key": list(one.key), "size": one.size, "deviation": one.deviation}
-                for one in named_changes(found)
-            ]
-            least = next((one.least for one in found if one.key == key), None)
-            return {"named": best, "least": least, "most": found[0].excess}
-
-        name = own[0].name if len(own) < len(logs[run]) else run
-        given = {**kept.inputs, "run": name, "key": key, "size": size, "length": length}
-        row = finished_case(kept.folder, f"{number:02d}", given, __name__, judged)
-        rows.append({"run": name, "key": key, "size": size, **row})
+    rows, size, t = rows.copy(), case.size, rows["t"] - rows["t"].iloc[0]
+    if case.fault == "attitude off":
+        rows["q_hook"] += size
+    elif case.fault == "attitude drifts":
+        rows["q_hook"] += size * t / t.iloc[-1]
+    elif case.fault == "gyro scaled":
+        attitude = rows["q_hook"] + rows["q_tail"]
+        rows["q_hook"] += size * (attitude - attitude.iloc[0])
+        rows["dq_hook"] += size * (rows["dq_hook"] + rows["dq_tail"])
+    else:
+        joint = rng.choice(["tail", "phi"])
+        first = int(rng.uniform(0.2, 0.8 - HELD) * len(rows))
+        held = slice(first, first + int(HELD * len(rows)))
+        rows.loc[rows.index[held], f"q_{joint}"] = rows[f"q_{joint}"].iloc[first]
     return rows
 
 
-def changes_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """One row for each case: the change, its size relative to the least that shows, and what was
-    reported.
+def judged(case: Case, row: Mapping[str, Any]) -> str:
+    """Outcome of a case: right, not alone (another part is also possible), nothing, not
+    identifiable, or wrong.
+
+    A change of the machine is right on its link, and a zero as an error of the joint's angle. Where
+    nothing changed but a sensor is at fault, only an error of a sensor is right.
     """
-    return pd.DataFrame(
-        {
-            "run": row["run"],
-            "changed": _words(row["key"]) if row["key"] else "nothing",
-            "by": _sized(row["key"], row["size"]) if row["key"] else "",
-            "of the least named": f"{_ratio(row):.2f}" if row["key"] else "",
-            "named": " or ".join(_of(one) for one in row["named"]) or "nothing",
-            "verdict": verdict(row),
-        }
-        for row in rows
-    )
-
-
-def verdict(row: Mapping[str, Any]) -> str:
-    """Outcome of a row: right, nothing, not alone (another link is also possible), or wrong."""
-    links = [link_of(tuple(one["key"])) for one in row["named"]]
-    if not links:
+    named = [(one["name"], one["target"]) for one in row["effects"]]
+    of_body = [key for key in named if not _of_sensor(key[0])]
+    if row["verdict"] == "unchanged":
         return "nothing"
-    if row["key"] is None or link_of(tuple(row["key"])) not in links:
+    if case.change is None:
+        if not named:
+            return "not identifiable"
+        return "right" if case.fault and not of_body else "wrong"
+    kind, link = case.change[0], link_of(case.change)
+    if kind == "encoder_offset" and of_body:
         return "wrong"
-    return "right" if len(links) == 1 else "not alone"
+    if not named:
+        sensor = bool(row["reasons"]) and f"q_{link} " in row["reasons"][0] + " "
+        return "right" if kind == "encoder_offset" and sensor else "not identifiable"
+    rivals = [(one["name"], one["target"]) for one in row["rivals"]]
+    if link not in {link_of(key) for key in [*named, *rivals]}:
+        return "wrong"
+    return "not alone" if rivals else "right"
 
 
-def counts_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Number of cases with each outcome, by size, and the number expected from chance alone."""
+def _of_sensor(name: str) -> bool:
+    """Whether an effect is an error of a sensor, and not of the machine's body."""
+    return known_effects()[name].edit_spec is Effect.edit_spec
 
-    def part(words: str, own: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        verdicts = [verdict(row) for row in own]
-        ends = ("right", "not alone", "wrong", "nothing")
-        counts = {end: verdicts.count(end) for end in ends}
-        expected = f"{sum(map(chance_of_a_name, own)):.1f}"
-        return {"changed": words, "cases": len(own), "expected named": expected} | counts
 
-    changed = [row for row in rows if row["key"]]
-    passes = NAMED / (NAMED + SURE)
+def counts_table(tried: Sequence[Tried]) -> pd.DataFrame:
+    """Number of cases with each outcome: by size of the change, and by kind of fault."""
+    ends = ("right", "not alone", "nothing", "not identifiable", "wrong")
+
+    def part(words: str, own: Callable[[Case], object]) -> dict[str, Any]:
+        found = [judged(case, row) for case, row in tried if own(case)]
+        return {"put in": words, "cases": len(found)} | {end: found.count(end) for end in ends}
+
     return pd.DataFrame([
-        part("at least the least that is named", [r for r in changed if _ratio(r) >= 1.0]),
-        part("less, but beyond the threshold", [r for r in changed if passes <= _ratio(r) < 1.0]),
-        part("less than the threshold", [r for r in changed if _ratio(r) < passes]),
-        part("nothing", [r for r in rows if not r["key"]]),
+        part("a change, at least the least named", lambda one: one.change and one.ratio >= 1.0),
+        part("a smaller change", lambda one: one.change and one.ratio < 1.0),
+        part("nothing", lambda one: not (one.change or one.fault)),
+        *(part(fault, lambda one, fault=fault: one.fault == fault) for fault in FAULTS),
     ])  # fmt: skip
 
 
-def chance_of_a_name(row: Mapping[str, Any]) -> float:
-    """Probability that the estimate of this case's change exceeds the threshold, given its true
-    size and its standard deviation alone; for an unchanged run, with either sign.
-    """
-    true = (NAMED + SURE) * _ratio(row) if row["key"] else 0.0
-    return float(norm.cdf(true - NAMED) + norm.cdf(-true - NAMED))
+def unchanged_table(tried: Sequence[Tried]) -> pd.DataFrame:
+    """One row for each unchanged run: its residual torque, and what the trace says of it."""
+    rows = []
+    for case, row in tried:
+        if not (case.change or case.fault):
+            level = row["channels"]["joint_torque"]
+            rows.append(
+                {
+                    "run": case.run,
+                    "verdict": row["verdict"].replace("_", " "),
+                    "others' effects declared [N m]": f"{level['before']:.3f}",
+                    "and errors as theirs, own zeros [N m]": f"{level['after']:.3f}",
+                    "noise [N m]": f"{level['noise_floor']:.3f}",
+                }
+            )
+    return pd.DataFrame(rows)
 
 
-def least_table(done: Sequence[HeldOutRun]) -> pd.DataFrame:
-    """One row for each change: the least size that is reported in 95 of 100 runs, by run."""
-    by_run = {one.name: least_changes(one) for one in done}
+def least_table(tried: Sequence[Tried]) -> pd.DataFrame:
+    """One row for each change that is drawn: the least that is named in 95 of 100 runs, by run."""
+    rows: dict[Key, dict[str, str]] = {}
+    for case, row in tried:
+        for one in row.get("least", ()):
+            key = one["name"], one["target"]
+            first = {"change": _words(key), "unit": known_effects()[key[0]].unit}
+            if key[0] in KINDS:
+                rows.setdefault(key, first)[case.run] = f"{one['value']:.3f}"
+    return pd.DataFrame([rows[key] for key in sorted(rows)])
+
+
+def cases_table(tried: Sequence[Tried]) -> pd.DataFrame:
+    """One row for each change and fault: what was put in, and what the trace said."""
     return pd.DataFrame(
         {
-            "change": _words(key),
-            "unit": known_effects()[key[0]].unit,
-            **{run: f"{least[key]:.3f}" for run, least in by_run.items()},
+            "run": case.run,
+            "put in": case.fault or _sized(case.change or ("", ""), case.size),
+            "of the least named": f"{case.ratio:.2f}" if case.change else "",
+            "verdict": row["verdict"].replace("_", " "),
+            "named": "; ".join(_sized((e["name"], e["target"]), e["value"]) for e in row["effects"])
+            or "; ".join(row["reasons"][:1]),
+            "outcome": judged(case, row),
         }
-        for key in done[0].rows[0].changes
+        for case, row in tried
+        if case.change or case.fault
     )
-
-
-def unchanged_table(by_length: Mapping[float, Sequence[HeldOutRun]]) -> pd.DataFrame:
-    """One row for each unchanged run: the most significant change and its size in standard
-    deviations, by windows of several lengths [s].
-    """
-    rows: dict[str, dict[str, str]] = {}
-    for length, done in by_length.items():
-        for one in done:
-            first = every_change(one.others, one.rows)[0]
-            row = rows.setdefault(one.name, {"run": one.name})
-            row[f"{length:g} s"] = f"{_words(first.key)}, {first.excess:.1f}"
-    return pd.DataFrame(rows.values())
-
-
-def _ratio(row: Mapping[str, Any]) -> float:
-    """Ratio of a change's size to the least that is reported in 95 of 100 runs."""
-    return abs(row["size"]) / row["least"]
 
 
 def _words(key: Sequence[str]) -> str:
@@ -322,9 +365,4 @@ def _words(key: Sequence[str]) -> str:
 
 
 def _sized(key: Sequence[str], size: float) -> str:
-    return f"{size:+.3f} {known_effects()[key[0]].unit}"
-
-
-def _of(one: Mapping[str, Any]) -> str:
-    twice = 1.96 * one["deviation"]
-    return f"{_words(one['key'])} {_sized(one['key'], one['size'])} ± {twice:.3f}"
+    return f"{_words(key)} {size:+.3f} {known_effects()[key[0]].unit}"

@@ -1,7 +1,6 @@
 """Study of a walking Go1 with motion capture: effects that the model of its legs lacks.
 
-The reference has no time stamps of its own, so its lag relative to each stream is estimated first.
-Then `trace` finds the missing effects, and the leg filter is run with and without them.
+`trace` finds the missing effects, and the leg filter is run with and without them.
 """
 
 from collections.abc import Sequence
@@ -11,8 +10,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from studies.hardware.drives import BLOCK, between, ratio_interval
-from studies.hardware.stream_lags import WALKING, Lag
 from surefoot import Learnt, Log, Robot, Trace, evaluate
 from surefoot.extend import (
     Effect,
@@ -25,24 +22,20 @@ from surefoot.extend import (
     reference,
     stance_phase,
 )
-from surefoot.models.attribution.evidence import log_under_model, table_of
-from surefoot.models.attribution.split import split_of
-from surefoot.models.residuals.layout import layout_for
+from surefoot.models.attribution.evidence import log_under_model
 from surefoot.scenarios.reporting import AFTER, BEFORE, INK, METRICS, new_figure, set_title
 from surefoot.scenarios.trace.filters import filtered
 
+BLOCK = 2.0
+"""Length of the blocks of the bootstrap [s], whose errors are nearly independent."""
+WALKING = 0.15
+"""Speed of the base from which a row counts as walking [m/s]."""
 TENTHS = 10
 MISSED = "#AA4499"
 """Colour of the model with effects that the trace did not find."""
 STANCES = {"all of it": (0.0, 1.0), "10 to 90 %": (0.1, 0.9), "25 to 60 %": (0.25, 0.6)}
 """Parts of the stance in which the radius of the feet is estimated."""
 SHOWN_METRICS = {k: v for k, v in METRICS.items() if k not in ("pi<gamma [%]", "NEES_att")}
-
-
-def lags_table(found: Sequence[Lag]) -> pd.DataFrame:
-    """One row for each stream: its lag and interval."""
-    late = [between(1e3 * one.late, [1e3 * x for x in one.interval], 1) for one in found]
-    return pd.DataFrame({"stream": [one.stream for one in found], "late by [ms]": late})
 
 
 def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndarray:
@@ -64,42 +57,6 @@ def stance_profile(log: Log, robot: Robot, effects: Sequence[Effect]) -> np.ndar
             rows &= np.isfinite(square[:, leg])
             out[k, leg] = np.sqrt(square[rows, leg].mean()) if rows.any() else np.nan
     return out
-
-
-def shares_table(log: Log, robot: Robot, found: Trace, seed: int = 0) -> pd.DataFrame:
-    """Share of the legs' velocity residual that each effect explains on the REPORT part."""
-    rng = np.random.default_rng(seed)
-    case = log_under_model(log, robot)
-    late = split_of([case]).report
-    block = np.floor(case.motion.t / BLOCK).astype(int)[late]
-    velocity = layout_for(robot.limbs).channels["leg_velocity"]
-
-    def squares(chosen: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
-        left = table_of(case, chosen)[late][:, velocity] ** 2
-        count = np.isfinite(left).sum(axis=1)
-        total = np.nansum(left, axis=1)
-        numbers = np.unique(block)
-        return (
-            np.array([total[block == b].sum() for b in numbers]),
-            np.array([count[block == b].sum() for b in numbers]),
-        )
-
-    before, count = squares(())
-    draws = block_bootstrap_counts(len(before), rng)
-    rows = []
-    for words, chosen in ladder(found.effects, robot, late_ends(found)):
-        after, _ = squares(chosen)
-        share = 100 * (1 - after.sum() / before.sum())
-        spread = 100 * (1 - (draws @ after) / (draws @ before))
-        level = np.sqrt(after.sum() / count.sum())
-        rows.append(
-            {
-                "model": words,
-                "leg velocity left [m/s]": f"{level:.4f}",
-                "explained [% of squares]": between(share, np.percentile(spread, [2.5, 97.5]), 1),
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
@@ -127,8 +84,8 @@ def rolling_table(log: Log, robot: Robot, seed: int = 0) -> pd.DataFrame:
             y, x = np.where(use, point[..., axis], 0.0), np.where(use, slope[..., axis], 0.0)
             sums = [np.bincount(block, values.sum(axis=1)) for values in (-x * y, x * x)]
             size = 1e3 * sums[0].sum() / sums[1].sum()
-            interval = 1e3 * ratio_interval(sums[0], sums[1], rng)
-            row[f"radius by {name} velocity [mm]"] = between(size, interval, 1)
+            interval = 1e3 * _ratio_interval(sums[0], sums[1], rng)
+            row[f"radius by {name} velocity [mm]"] = _between(size, interval)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -171,36 +128,12 @@ def _named(one: Effect) -> str:
     return f"{one.name.replace('_', ' ')} {one.target}, {one.value:+.4g} {one.unit}"
 
 
-def leg_filter_table(
-    log: Log, robot: Robot, found: Trace, shifts: Sequence[float], seed: int = 0
-) -> pd.DataFrame:
-    """Errors of the leg filter over the whole log: as declared, with each effect, with all, with
-    sizes drawn from their intervals, and against a reference shifted by `shifts` [s].
-
-    Args:
-        log: the measured log.
-        robot: as declared.
-        found: trace of the log.
-        shifts: of the reference [s].
-        seed: of the drawn sizes.
+def leg_filter_table(log: Log, robot: Robot, found: Trace, shifts: Sequence[float]) -> pd.DataFrame:
+    """Errors of the leg filter over the whole log: as declared, with each effect, with all, and
+    against a reference shifted by `shifts` [s].
     """
-    rng = np.random.default_rng(seed)
     steps = ladder(found.effects, robot, late_ends(found))
     rows = [_judged(words, log, robot, chosen) for words, chosen in steps]
-    if found.attribution is not None and found.effects:
-        drawn = [
-            _judged(
-                "", log, robot, [_drawn(f.effect, f.interval, rng) for f in found.attribution.found]
-            )
-            for _ in range(30)
-        ]
-        for end, percent in (("lower", 2.5), ("upper", 97.5)):
-            row: dict[str, str | float] = {
-                "model": f"all, sizes drawn from their intervals, {end} end"
-            }
-            for key in SHOWN_METRICS:
-                row[key] = float(np.percentile([float(one[key]) for one in drawn], percent))
-            rows.append(row)
     for shift in shifts:
         moved = compensate_all([effect("reference_delay", "all", shift)], log, robot)[0]
         words = f"reference moved by {1e3 * shift:+.0f} ms"
@@ -209,24 +142,16 @@ def leg_filter_table(
     return pd.DataFrame(rows)
 
 
-def _drawn(one: Effect, interval: tuple[float, float], rng: np.random.Generator) -> Effect:
-    spread = (interval[1] - interval[0]) / (2 * 1.96)
-    low, high = one.bounds
-    return replace(one, value=float(np.clip(rng.normal(one.value, spread), low, high)))
-
-
 def _judged(words: str, log: Log, robot: Robot, chosen: Sequence[Effect]) -> dict[str, str | float]:
     compensated, model = compensate_all(chosen, log, robot)
     m = evaluate(reference(log), filtered("leg", compensated, model, Learnt()))
     return {"model": words} | {name: getattr(m, metric) for name, metric in SHOWN_METRICS.items()}
 
 
-def square_figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> Figure:
-    """Figure: the walk from above, speeds of standing feet by tenths of the stance, and lags of
-    streams.
-    """
-    drawn, axes = new_figure(1, 3, (12.0, 4.2))
-    above, stance, times = axes[0]
+def square_figure(log: Log, robot: Robot, found: Trace) -> Figure:
+    """Figure: the walk from above, and speeds of standing feet by tenths of the stance."""
+    drawn, axes = new_figure(1, 2, (9.0, 4.2))
+    above, stance = axes[0]
     truth = reference(log)
     models: list[tuple[str, Sequence[Effect], str, str]] = [
         ("as declared", (), BEFORE, "--"),
@@ -252,17 +177,20 @@ def square_figure(log: Log, robot: Robot, found: Trace, late: Sequence[Lag]) -> 
     stance.set_ylabel("speed of the foot [m/s]")
     stance.legend(fontsize=8.0, frameon=False)
     set_title(stance, "how fast 'standing' feet move")
-    rows = np.arange(len(late))
-    middle = 1e3 * np.array([one.late for one in late])
-    half = np.abs(1e3 * np.array([one.interval for one in late]).T - middle)
-    times.errorbar(middle, rows, xerr=half, fmt="o", color=AFTER)
-    times.axvline(0.0, color=INK, linestyle=":", linewidth=1.2)
-    times.set_yticks(rows, [one.stream.split(",")[0].replace(" ", "\n", 1) for one in late])
-    times.set_ylim(len(late) - 0.5, -0.5)
-    times.set_xlabel("late against motion capture [ms]")
-    set_title(times, "do the clocks agree? (95 %)")
     return drawn
 
 
 def _plan(path: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return path.p_GI[:, 0], path.p_GI[:, 1]
+
+
+def _ratio_interval(top: np.ndarray, bottom: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """95 % interval (2,) of sum(top) / sum(bottom) over blocks (B,), by bootstrap."""
+    draws = block_bootstrap_counts(len(top), rng)
+    return np.percentile((draws @ top) / (draws @ bottom), [2.5, 97.5])
+
+
+def _between(value: float, interval: Sequence[float] | np.ndarray) -> str:
+    """'12.0 (11.0 – 13.0)'."""
+    low, high = interval
+    return f"{value:.1f} ({low:.1f} – {high:.1f})"

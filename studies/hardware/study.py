@@ -15,13 +15,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from studies.command import OutputFolder
-from studies.hardware import biped, changes, creeping_feet, servos, shared_sizes
-from studies.hardware import go1 as go1
-from studies.hardware import go2 as go2
-from studies.hardware import pendulum as pendulum
+from studies.hardware import biped, changes, creeping_feet, go1
+from studies.hardware import traces as by_traces
 from studies.hardware import walks_by_feet as feet
-from studies.hardware.impulses import window_rows
-from studies.hardware.stream_lags import lags
 from studies.measured import measured_folder
 from surefoot import (
     Log,
@@ -31,7 +27,6 @@ from surefoot import (
     import_log,
     load_machine,
     read_recording,
-    trace,
     trace_summary,
 )
 from surefoot.extend import SurefootError, known_robots
@@ -41,7 +36,6 @@ from surefoot.scenarios.reporting import (
     file_digest,
     finished_case,
     origin_of,
-    percent_bar,
     refuse_overwrite,
     save_png,
     write_page,
@@ -62,9 +56,6 @@ SCALER_DAYS = {
 """Walks by the day of recording, as published."""
 SO101_FITTED = ("friction_gravity", "backlash_detection", "chirp_sweep")
 SO101_UNSEEN = ("multisine", "prbs_excitation", "step_response")
-RICMONK_WINDOW = 0.45
-RICMONK_WINDOWS = (0.2, 0.3, RICMONK_WINDOW, 0.6)
-"""Lengths of the windows [s]: torques jump from row to row, 6 ms apart, and a swing takes 1.6 s."""
 
 
 @dataclass(frozen=True)
@@ -104,91 +95,64 @@ def ak80_pendulum(folder: Path, options: HardwareStudy) -> Chapter:
         run: replace(import_log(folder / f"{run}_measured.csv", "ak80_pendulum"), name=run)
         for run in RUNS
     }
-    done = pendulum.held_out_runs(logs, load_machine("ak80_pendulum"))
-    unseen = "Residual torque of runs that no fit has seen (root mean square)"
-    rivals = "Rival explanations, fitted on three runs, residual [N m] on the fourth"
+    machine, out = load_machine("ak80_pendulum"), options.out / "ak80_pendulum"
+    found = by_traces.runs_held_out(logs, machine, out)
+    whole = by_traces.traced(list(logs.values()), machine, out / "all")
+    sizes = {"all four runs": whole.as_dict(), **{f"without {r}": s for r, s in found.items()}}
     tables = {
-        unseen: pendulum.held_out_table(done),
-        "Sizes: from all four runs, and from each alone": pendulum.sizes_table(done),
-        rivals: pendulum.rivals_table(done),
+        "Residual of runs that no fit has seen (root mean square)": by_traces.held_out_table(found),
+        "Sizes (95 % interval)": by_traces.sizes_table(sizes),
     }
     words = (
         "Which effects does the rigid model of a drive lack? The recording is of one AK80-6 that "
-        "swings a rod (dfki-ric-underactuated-lab/torque_limited_simple_pendulum). The residual is "
-        "the torque that the drive reports minus that of the model with the published masses, both "
-        f"smoothed by a kernel of {1e3 * pendulum.PENDULUM_WIDTH:g} ms. Each run is held out once; "
-        "terms are selected and fitted on the others. A heavier rod and a torque scale give the "
-        "same equation; only another load would distinguish them."
+        "swings a rod (dfki-ric-underactuated-lab/torque_limited_simple_pendulum). Each run is "
+        "imported by the map `ak80_pendulum` and held out once: `surefoot trace` of the other "
+        "three, with it after `--holdout`. A heavier rod and a torque scale give the same "
+        "equation; only another load would distinguish them. All four runs together:\n\n"
     )
-    caption = (
-        "A row per run. Left: the torque that the drive reports, and those that the model needs "
-        "without and with the effects that were fitted to the other runs. Right: the residuals."
-    )
-    return Chapter("AK80-6 pendulum", words, tables, pendulum.pendulum_figure(done), caption)
+    caption = "Each held-out run: its residual without and with the effects that the others show."
+    channels = {run: said["holdout"]["channels"] for run, said in found.items()}
+    drawn = by_traces.levels_figure(channels)
+    return Chapter("AK80-6 pendulum", words + trace_summary(whole), tables, drawn, caption)
 
 
 def go2_in_air(folder: Path, options: HardwareStudy) -> Chapter:
-    """Twelve drives: the period of a row, and the effects that their model lacks."""
-    log, machine = import_log(folder, "go2_in_air"), _known("go2")
-    times = go2.clock(log)
-    found = {period: go2.drives(log, machine, period) for period in go2.ROW_PERIODS}
+    """Twelve drives of a suspended robot: implausible streams, and effects of the drives."""
+    log, machine = import_log(folder, "go2_in_air"), _known("go2").in_log
+    found = by_traces.traced([log], machine(log), options.out / "go2_in_air")
     tables = {
-        "Time of a row by each joint": go2.clock_table(times, log.joints),
-        "Rows come in two lengths": go2.ticks_table(times),
+        "What is not plausible in the log": feet.findings_table([log]),
+        "Sizes (95 % interval)": by_traces.sizes_table({"the log": found.as_dict()}),
     }
-    for period, one in found.items():
-        tables[f"Drives, a row taken as {1e3 * period:g} ms"] = go2.drives_table(one)
-    nominal = found[go2.ROW_PERIODS[0]]
-    tables["Rival explanations on the last third, a row taken as 5 ms"] = go2.hanging_rivals_table(
-        nominal
-    )
     words = (
-        "Is the period of the rows as stated, and which effects does the model of the drives lack? "
-        "The log is of a suspended Go2, without time stamps (lupinjia/genesis_lr); its torques "
-        "follow from the motor law in the map. Positions and rates together give the period of "
-        "each row, by each joint. The torque balance is smoothed by a kernel of "
-        f"{1e3 * go2.HANGING_WIDTH:g} ms; terms are selected and fitted on the first "
-        f"{1 - go2.REPORT_SHARE:.0%} of the log and evaluated on the rest. Rows within "
-        f"{go2.STOPS:g} rad of a joint's stop are left out, and the base is assumed to be at rest. "
-        "Since a row takes the same time for all joints, their differences in the first table are "
-        "errors of the rates, such as a scale or a filter, and not of the drives. The motor law "
-        "uses the rates as logged."
+        "Are the rows as stated, and which effects does the model of the drives lack? The log is "
+        "of a suspended Go2, without time stamps (lupinjia/genesis_lr); its torques follow from "
+        "the motor law in the map `go2_in_air`. `surefoot import` compares rates with angles, and "
+        "`surefoot trace` takes the base to be at rest.\n\n"
     )
-    caption = (
-        "Left: periods of the rows, of which there are two. Middle: mean period by joint, with its "
-        "interval, and the stated one. Right: residual torque of each joint before and after."
-    )
-    figure = go2.hanging_figure(times, log.joints, nominal)
-    return Chapter("Go2 in the air", words, tables, figure, caption)
+    caption = "Residual on the part that no fit has seen."
+    drawn = by_traces.levels_figure({"the log": found.as_dict()["channels"]})
+    return Chapter("Go2 in the air", words + trace_summary(found), tables, drawn, caption)
 
 
 def go1_square(folder: Path, options: HardwareStudy) -> Chapter:
     """Legs against motion capture: alignment, trace, and the leg filter."""
     log = import_log(folder, "go1_square")
     robot = Robot.for_log(log, _known("go1").name)
-    late = lags(log, robot)
-    with percent_bar("trace") as progress:
-        found = trace(
-            [log], robot, options.out / "go1_trace", progress=progress, force=options.force
-        )
+    found = by_traces.traced([log], robot, options.out / "go1_trace")
     tables = {
-        "Streams against the reference": go1.lags_table(late),
         "Radius of the feet, estimated in parts of the stance": go1.rolling_table(log, robot),
-        "Velocity by standing legs, on the third used by no fit": go1.shares_table(
-            log, robot, found
-        ),
         "Leg filter over the whole walk": go1.leg_filter_table(log, robot, found, STAMP_SHIFTS),
     }
-    drawn = go1.square_figure(log, robot, found, late)
+    drawn = go1.square_figure(log, robot, found)
     words = (
         "Which effects does the kinematic model lack, compared with motion capture? A Go1 trots "
         "around a square (mrsp/serow); the stamps of its reference were reconstructed. The tables "
-        "show the lag of each stream, the result of `trace`, and the leg filter with the effects "
-        "found and with those not found.\n\n"
+        "show the leg filter with the effects that `trace` found and with those not found.\n\n"
     )
     caption = (
-        "Left: motion capture, and the leg filter before and after. Middle: RMS speed over the "
-        "ground of feet sensed to stand. Right: lag of each stream, with its 95 % interval."
+        "Left: motion capture, and the leg filter before and after. Right: RMS speed over the "
+        "ground of feet sensed to stand."
     )
     return Chapter("Go1 around a square", words + trace_summary(found), tables, drawn, caption)
 
@@ -246,14 +210,7 @@ def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
     """A humanoid that walks a metre, and sways on the spot."""
     logs = {name: import_log(folder / f"{name}.mat", "icub_biped") for name in biped.ICUB_RUNS}
     robot = Robot.for_log(logs["walking"])
-    with percent_bar("trace") as progress:
-        found = trace(
-            [logs["com_sinusoid"]],
-            robot,
-            options.out / "icub_trace",
-            progress=progress,
-            force=options.force,
-        )
+    found = by_traces.traced([logs["com_sinusoid"]], robot, options.out / "icub_trace")
     tables = {
         "What is not plausible in the logs": feet.findings_table(list(logs.values())),
         "Filters over the whole log": biped.filters_table(logs, robot),
@@ -270,73 +227,54 @@ def icub_biped(folder: Path, options: HardwareStudy) -> Chapter:
 
 
 def ricmonk(folder: Path, options: HardwareStudy) -> Chapter:
-    """A swinging chain of three links: calibration, held-out runs, and injected changes."""
-    logs: dict[str, list[Log]] = {}
-    files = sorted((folder / "swings").glob("*.csv"))
-    for file in files:
-        log = replace(import_log(file, "ricmonk_swing"), name=file.stem)
-        logs.setdefault(file.stem.split("_")[0], []).append(log)
-    machine = load_machine(folder / "ricmonk_published.xml").in_log(next(iter(logs.values()))[0])
-    by_length = {
-        length: shared_sizes.runs_left_out(
-            {run: [window_rows(log, machine, length) for log in own] for run, own in logs.items()}
-        )
-        for length in RICMONK_WINDOWS
-    }
-    done = by_length[RICMONK_WINDOW]
-    whole = {
-        length: shared_sizes.shared_calibration({one.name: one.rows for one in held_out})
-        for length, held_out in by_length.items()
-    }
-    inputs = {file.stem: file_digest(file) for file in files}
-    kept = changes.KeptRows((options.data or options.out / "cases") / "ricmonk_changes", inputs)
-    tried = changes.tried_changes(logs, machine, done, RICMONK_WINDOW, kept)
+    """A swinging chain of three links: unchanged runs, injected changes and faults of sensors."""
+    files: dict[str, list[Path]] = {}
+    for file in sorted((folder / "swings").glob("*.csv")):
+        files.setdefault(file.stem.split("_")[0], []).append(file)
+    first = import_log(next(iter(files.values()))[0], "ricmonk_swing")
+    runs = changes.Runs(
+        files=files,
+        rules="ricmonk_swing",
+        machine=load_machine(folder / "ricmonk_published.xml").in_log(first),
+        out=options.out / "ricmonk",
+        kept=(options.data or options.out / "cases") / "ricmonk_cases",
+        inputs={file.stem: file_digest(file) for own in files.values() for file in own},
+    )
+    tried = changes.tried_cases(runs)
     tables = {
-        "Residual torque of runs that no fit has seen (root mean square)": (
-            shared_sizes.left_out_table(done)
-        ),
-        "Sizes by all runs": shared_sizes.shared_sizes_table(whole[RICMONK_WINDOW], machine),
-        "The same, beyond what is published, through windows of other lengths": (
-            shared_sizes.lengths_table(whole)
-        ),
-        "Injected changes: how often the right link is named": changes.counts_table(tried),
-        "The least change that is named in 95 of 100 runs like these": changes.least_table(done),
-        "The largest change in the unchanged runs, by the length of the windows": (
-            changes.unchanged_table(by_length)
-        ),
-        "Every injected change": changes.changes_table(tried),
+        "Unchanged runs (root mean square)": changes.unchanged_table(tried),
+        "What was put in, and how often it is named": changes.counts_table(tried),
+        "The least change that is named in 95 of 100 runs like these": changes.least_table(tried),
+        "Every change and fault": changes.cases_table(tried),
     }
     words = (
-        "Which effects does the published model of a brachiating robot lack, and which changes of "
-        "the robot could be detected? RicMonk swings from bar to bar (DFKI, Underactuated Lab). It "
-        "has a passive hinge at the bar (hook, which moves the gripping arm), a drive for the "
-        "tail, which is the body, and one for the free arm (phi). The torque balance is integrated "
-        f"over windows of {RICMONK_WINDOW:g} s, so it needs no accelerations. Sizes are shared "
-        "by all runs; zeros of the joints are fitted to each swing. Each run is held out "
-        "once, with sizes from the others. A link's mass itself is not observable in a plane; the "
-        "sizes are its first moment about its hinge and its inertia, with all links "
-        "beyond it as points at the next hinge. Heavier masses throughout, and "
-        "torques that read too low by the same share, "
-        "are equivalent; weighing the robot would distinguish them. A negative dry friction has no "
-        "physical meaning, and the hook's sizes depend on the length of the windows. Compliant "
-        "bars and a loose hook are not modelled, and the hook's sizes absorb them.\n\n"
-        "Then one run is taken as new. Its rows are compared with the covariance of unchanged "
-        f"runs, and the most significant change is named beyond {changes.NAMED:g} standard "
-        "deviations. Changes of every kind and link are drawn, from half to five times the least "
-        "that is named in 95 of 100 runs, and injected into a measured run, keeping its noise and "
-        "jolts. Some smaller changes are named by chance, and half of those at the threshold; the "
-        "first table has the expected numbers. A zero is added to the angle; for all other changes "
-        "the torque that they require along the motion is added, also to the passive hook. "
-        "Impossible changes (a centre of mass shifted by more than "
-        f"{changes.FARTHEST_COM:g} m) are left out. The length of the windows and the threshold "
-        "were chosen with all five runs known, so their performance on new runs remains to be "
-        "measured."
+        "Which changes of a brachiating robot could be detected? RicMonk swings from bar to bar "
+        "(DFKI, Underactuated Lab). It has a passive hinge at the bar (hook, which moves the "
+        "gripping arm), a drive for the tail, which is the body, and one for the free arm (phi). "
+        "Its model has the published masses. One run at a time is taken as new; `surefoot trace` "
+        "of the swings of the other four, then of the new ones with what was found declared:\n\n"
+        "    surefoot trace OTHERS --robot ricmonk_published.xml -o before\n"
+        "    surefoot trace NEW --robot ricmonk_published.xml --declared before/effects.toml "
+        "-o since\n\n"
+        "Changes of every kind and link are drawn, from half to five times the least that is named "
+        "in 95 of 100 runs, and injected into a measured run, keeping its noise and jolts. A zero "
+        "is added to the angle; for all other changes the torque that they require along the "
+        "motion is added, also to the passive hook. Impossible changes (a centre of mass shifted "
+        f"by more than {changes.FARTHEST_COM:g} m) are left out. A change is right if its link is "
+        "named, a zero if it is named as an error of the angle.\n\n"
+        "Faults of sensors are put into the CSV before it is imported: an attitude that is off by "
+        "2 to 6 degrees or drifts by as much within a swing, a gyro scaled by "
+        f"{100 * changes.GYRO_SCALE:g} %, and an encoder held for a third of a swing. The sensor's "
+        "name, nothing, or that nothing can be identified are all correct; a change of the machine "
+        "is wrong.\n\n"
+        "Thresholds were chosen with all five runs known, so their performance on new runs remains "
+        "to be measured. Compliant bars and a loose hook are not modelled; they are a part of what "
+        "unchanged runs differ by."
     )
-    caption = (
-        "Residual of each run (row) by joint (column): with only its own zeros fitted, and with "
-        "the sizes from the other runs."
-    )
-    return Chapter("RicMonk, five runs", words, tables, shared_sizes.held_out_figure(done), caption)
+    caption = "Residual of each unchanged run, relative to the noise that the others show."
+    unchanged = {case.run: row["channels"] for case, row in tried if "channels" in row}
+    figure = by_traces.levels_figure(unchanged)
+    return Chapter("RicMonk, five runs", words, tables, figure, caption)
 
 
 def so101(folder: Path, options: HardwareStudy) -> Chapter:
@@ -349,45 +287,23 @@ def so101(folder: Path, options: HardwareStudy) -> Chapter:
         raise SurefootError(f"so101: its model is not at {file}")
     machine = load_machine(file).in_log(logs[SO101_FITTED[0]])
     fitted, unseen = ([logs[n] for n in names] for names in (SO101_FITTED, SO101_UNSEEN))
-    table, found = servos.servos_table(fitted, unseen, machine)
-    with percent_bar("trace") as progress:
-        traced = trace(
-            fitted,
-            machine,
-            options.out / "so101_trace",
-            TraceOptions(holdout=unseen),
-            progress=progress,
-            force=options.force,
-        )
+    given = TraceOptions(holdout=unseen)
+    found = by_traces.traced(fitted, machine, options.out / "so101_trace", given)
+    said = found.as_dict()
     tables = {
-        "Servos fitted to three runs, and their errors in the other three": table,
-        "Error by run [mrad]: servo fitted to three runs / best servo for that run alone": (
-            servos.ceiling_table(logs, found)
-        ),
-        "The sweep, by frequency: gain / lag of the phase [deg] / what is left [mrad]": (
-            servos.sweep_table(logs["chirp_sweep"])
-        ),
-        "Mean difference of angle and command [mrad]": servos.constants_table(logs),
+        "Sizes (95 % interval)": by_traces.sizes_table({"three runs": said}),
         "What is not plausible in the logs": feet.findings_table(list(logs.values())),
     }
     words = (
         "Which effects does the model of hobby servos lack? An SO-101 arm follows commanded "
         "excitations (isaac-sim2real/sage). Its torques are magnitudes in an unknown unit, so "
-        "neither a torque scale nor friction in N m can be identified. A servo is modelled by a "
-        "delay, a time constant and a play, fitted for each joint to three runs; the range over "
-        "single runs is in brackets. A value at the end of the grid is only a bound. Errors are "
-        "those in three other runs. No such servo follows the sweep of frequencies, not even one "
-        "fitted to it alone, and its large errors dominate the fit to three runs; the table of "
-        "errors by run shows the effect on the other runs. Below the highest frequencies every "
-        "joint follows as a servo with a delay and a lag would. There the phase of each joint "
-        "falls back by about a quarter turn from one window to the next.\n\n"
+        "neither a torque scale nor friction in N m can be identified. `surefoot trace` of three "
+        "runs, with three others after `--holdout`.\n\n"
     )
-    figure = servos.servos_figure(unseen[0], found, machine)
-    caption = (
-        "Angles in a run that no fit used: measured, by the published model, and by a servo with "
-        "delay, time constant and play."
-    )
-    return Chapter("SO-101, six servos", words + trace_summary(traced), tables, figure, caption)
+    parts = {"part that no fit has seen": said["channels"], "unseen": said["holdout"]["channels"]}
+    drawn = by_traces.levels_figure(parts)
+    caption = "Residual on the part of the fitted runs that no fit has seen, and on unseen runs."
+    return Chapter("SO-101, six servos", words + trace_summary(found), tables, drawn, caption)
 
 
 STUDIES: dict[str, Callable[[Path, HardwareStudy], Chapter]] = {

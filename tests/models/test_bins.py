@@ -10,8 +10,7 @@ from synthetic import synthetic_walk
 
 from surefoot.models.residuals import contact_timing, feet
 from surefoot.models.residuals.binning import BIN, angles_are_quieter, mean_rate_of_change
-from surefoot.models.residuals.channels import STANCE_BINS
-from surefoot.models.residuals.command import CommandedTorque
+from surefoot.models.residuals.channels import STANCE_BINS, CommandedTorque
 from surefoot.models.residuals.contact_timing import near_changes
 from surefoot.models.residuals.feet import level_ground
 from surefoot.models.residuals.registry import CHANNELS

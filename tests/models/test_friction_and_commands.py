@@ -9,7 +9,7 @@ from synthetic import synthetic_walk
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.attribution.metric import metric_of
 from surefoot.models.attribution.noise_floor import noise_floor
-from surefoot.models.residuals.command import commanded_torque
+from surefoot.models.residuals.channels import commanded_torque
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot

@@ -10,7 +10,6 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned, reference_motion
-from surefoot.models.residuals.foot_loads import foot_loads
 from surefoot.models.residuals.jacobians import Regressor, explained_share, residual_jacobians
 from surefoot.models.residuals.layout import layout_for
 from surefoot.models.residuals.residual import residual
@@ -19,6 +18,7 @@ from surefoot.models.residuals.soft_ground import (
     _add_stances,
     _integrate_stance,
     acceleration_at_constant_rates,
+    foot_loads,
     foot_stances,
 )
 from surefoot.models.residuals.torques import (

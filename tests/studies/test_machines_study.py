@@ -18,54 +18,14 @@ from studies.hardware.creeping_feet import (
     turning_of_feet,
     with_share,
 )
-from studies.hardware.impulses import window_rows
-from studies.hardware.servos import (
-    Servo,
-    ceiling_table,
-    fit_servo,
-    sweep_table,
-    with_play,
-)
-from studies.hardware.shared_sizes import left_out_table, runs_left_out
 from studies.hardware.walks_by_feet import end_error
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase
-from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
-
-
-def off_zero(log: Log, by: float) -> Log:
-    return replace(log, frame=log.frame.assign(q_shoulder=log.frame.q_shoulder + by))
-
-
-def test_runs_share_their_sizes_and_have_zeros_of_their_own():
-    machine, zeros = load_machine("ak80_pendulum"), (0.03, -0.02, 0.0)
-    assert isinstance(machine, FixedBase)
-    runs = {
-        f"run {k}": [
-            window_rows(
-                off_zero(swung(friction=0.2, armature=0.02, seed=k, seconds=8.0), zero),
-                machine,
-                0.3,
-            )
-        ]
-        for k, zero in enumerate(zeros)
-    }
-    for one, zero in zip(done := runs_left_out(runs), zeros, strict=True):
-        found = dict(zip(one.others.keys, one.others.value, strict=True))
-        assert found["dry friction", "shoulder"] == pytest.approx(0.2, abs=0.02)
-        assert found["inertia about the hinge", "shoulder"] == pytest.approx(0.02, abs=2e-3)
-        own, rest = one.rows[0].zeros[0, :, 0], one.others.left(one.rows)
-        # What the zeros of the others have in common is as a mass beside the rod.
-        common = (sum(zeros) - zero) / 2
-        assert rest @ own / (own @ own) == pytest.approx(zero - common, abs=6e-3)
-    table = left_out_table(done)
-    assert np.all(table["left [% of zeros alone]"].to_numpy(float) < 30)
 
 
 def test_a_log_stands_once_beside_what_was_found_in_it_twice(monkeypatch):
@@ -73,41 +33,6 @@ def test_a_log_stands_once_beside_what_was_found_in_it_twice(monkeypatch):
     monkeypatch.setattr(walks_by_feet, "check_log", lambda log: said)
     logs = [replace(swung(seconds=0.1), name=name) for name in ("walk", "sway")]
     assert walks_by_feet.findings_table(logs)["logs"].tolist() == ["walk, sway"]
-
-
-def test_a_servo_is_found_again_from_what_it_was_asked_for():
-    t = np.arange(0.0, 40.0, 0.02)
-    asked = 0.1 * np.sin(2.0 * t) + 0.05 * np.sin(5.3 * t + 1.0)
-    true = Servo(0.05, 0.06, float(np.radians(0.8)))
-    log = swung(0.1)
-    frame = log.frame.iloc[:0].reindex(range(len(t)))
-    frame = frame.assign(t=t, q_shoulder=0.3 + true.angle(t, asked), q_des_shoulder=asked)
-    run = replace(log, frame=frame[["t", "q_shoulder", "q_des_shoulder"]])
-    found = fit_servo([run], 0)
-    assert (found.delay, found.lag, found.play) == pytest.approx((true.delay, true.lag, true.play))
-    (row,) = ceiling_table({"run": run}, [Servo(0.0, 0.0, 0.0)]).to_dict("records")
-    shared, own = map(float, row["run"].split(" / "))
-    assert own == 0.0 < 5.0 < shared
-
-
-def test_a_sweep_shows_gain_and_lag_of_a_servo():
-    """Those of the sampled lag, (1 - k) / (1 - k exp(-i w dt)), and of the delay, exp(-i w D)."""
-    t, servo = np.arange(0.0, 80.0, 0.01), Servo(0.04, 0.06, 0.0)
-    rate = 0.5 * (4.0 / 0.5) ** (t / 80.0)  # Hz, from 0.5 to 4
-    asked = 0.15 * np.sin(2.0 * np.pi * np.cumsum(rate) * 0.01)
-    columns = {"t": t, "q_shoulder": servo.angle(t, asked) + 0.1, "q_des_shoulder": asked}
-    table = sweep_table(replace(swung(0.1), frame=pd.DataFrame(columns)))
-    w = 2.0 * np.pi * table["frequency [Hz]"].astype(float).to_numpy()
-    found = np.array([[float(x) for x in cell.split(" / ")] for cell in table["shoulder"]])
-    keep = np.exp(-0.01 / 0.06)
-    expected = (1.0 - keep) / (1.0 - keep * np.exp(-0.01j * w)) * np.exp(-0.04j * w)
-    np.testing.assert_allclose(found[:, 0], np.abs(expected), rtol=0.03)
-    np.testing.assert_allclose(found[:, 1], -np.degrees(np.unwrap(np.angle(expected))), atol=2.0)
-
-
-def test_play_holds_until_its_gears_touch():
-    driven = np.array([0.0, 0.5, 1.5, 1.0, 0.0, -2.0])
-    np.testing.assert_allclose(with_play(driven, 1.0), [0.0, 0.0, 0.5, 0.5, 0.5, -1.0])
 
 
 def test_the_share_of_the_way_that_feet_do_not_give_is_found_and_taken_off():
