@@ -64,7 +64,7 @@ _NEAR = 0.5
 """Share of the best evidence from which a candidate may turn out better in the refinement."""
 MOST_EFFECTS = 5
 """Most effects of a trace."""
-MOST_STEPS = 10
+NEWTON_STEPS = 10
 """Most Gauss-Newton steps of a refinement; noise in a derivative makes each fall short."""
 SETTLED = 0.02
 """Standard deviations by which sizes move once they have settled."""
@@ -574,7 +574,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
     known = {(e.name, e.target): e.value for e in state.effects}
     derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
     best = None
-    for _ in range(MOST_STEPS):
+    for _ in range(NEWTON_STEPS):
         stale = [
             key
             for key, one in zip(keys, effects, strict=True)

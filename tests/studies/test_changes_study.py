@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from studies.hardware import changes
-from studies.hardware.changes import Case, judged, with_change, with_fault
+from studies.hardware.changes import ChangeCase, judged, with_change, with_fault
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot.machine import load_machine
 
@@ -68,7 +68,7 @@ def test_a_change_put_into_a_log_is_the_one_that_inverse_dynamics_asks_for(machi
 @pytest.mark.parametrize("fault", changes.FAULTS)
 def test_a_fault_is_in_the_readings_of_its_sensor_alone(fault):
     rows = swing(1).frame
-    case = Case("run", None, fault, 0.05)
+    case = ChangeCase("run", None, fault, 0.05)
     off = with_fault(rows, case, np.random.default_rng(0)) - rows
     changed = {str(name) for name in off if np.abs(off[name]).max() > 0.0}
     if fault == "encoder held":
@@ -89,9 +89,9 @@ def test_a_fault_is_in_the_readings_of_its_sensor_alone(fault):
         assert off["q_hook"].iloc[0] == pytest.approx(0.05 if fault == "attitude off" else 0.0)
 
 
-HEAVIER = Case("run", ("link_mass", "phi"), size=0.2, least=0.1)
-ZERO = Case("run", ("encoder_offset", "tail"), size=0.2, least=0.1)
-FAULTY = Case("run", None, "attitude off", 0.05)
+HEAVIER = ChangeCase("run", ("link_mass", "phi"), size=0.2, least=0.1)
+ZERO = ChangeCase("run", ("encoder_offset", "tail"), size=0.2, least=0.1)
+FAULTY = ChangeCase("run", None, "attitude off", 0.05)
 
 
 def said(verdict, *named, rivals=(), reasons=()):
@@ -139,7 +139,7 @@ def test_drawn_changes_are_of_every_kind_and_no_centre_of_mass_is_beyond_its_lin
         if (kind == "link_com") == ("_" in target)
     ]
     drawn = changes.drawn_changes(
-        [(Case("run"), {"least": least})], JOINTS, 5, np.random.default_rng(0)
+        [(ChangeCase("run"), {"least": least})], JOINTS, 5, np.random.default_rng(0)
     )
     assert {case.change[0] for case in drawn if case.change} == set(changes.KINDS)
     assert all(0.5 <= case.ratio <= 5.0 for case in drawn)
