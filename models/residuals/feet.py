@@ -12,15 +12,12 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet
 from surefoot.sim.sensors.stances import stances
 
-<<<<<<< HEAD
 FEWEST_STANCE_BINS = 3
 """Minimum number of bins inside a stance for a mean."""
 SHORTEST_CONTACT = 0.1
 """Shortest contact that counts as a step [s]."""
-=======
 NEAR_FOOTHOLDS = 0.4
 """Distance at which footholds still tell the ground's slope [m], as a standard deviation."""
->>>>>>> trace46
 HALFWAY = 0.5
 """Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
 
