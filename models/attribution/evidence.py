@@ -39,7 +39,7 @@ from surefoot.models.residuals.residual import (
 )
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
-from surefoot.sim.effects.base import changed_columns, with_columns
+from surefoot.sim.effects.base import AXES, changed_columns, with_columns
 from surefoot.sim.log import Log, MemoisedLog
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot.machine import Machine
@@ -211,7 +211,7 @@ def linearise(
             bias_of.append(key)
     log = np.repeat(np.arange(len(parts)), np.diff(starts))
     return Evidence(
-        layout=parts[0].parts.layout,
+        layout=parts[0].layout,
         t=np.concatenate([p.parts.t for p in parts]),
         log=log,
         table=np.concatenate(tables),
@@ -247,24 +247,20 @@ def table_of(
 
     Without `evaluation_channels`, the channels that are only evaluated and never fitted are NaN.
     """
-    parts = _parts(case, chosen, evaluation_channels)[2]
-    return _table(case, chosen, parts) * _reading_scale(case, chosen)
+    return _Linear(case, chosen, evaluation_channels).table
 
 
-def _reading_scale(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
+def _reading_scale(layout: Layout, chosen: Sequence[Effect]) -> np.ndarray:
     """Factors (W,) of the columns that bring residuals back to the scale of the readings.
 
     Compensating a scale of a reading divides its residual by it, noise included, so that the
     largest scale would leave the least; with masses that shrink as well, next to nothing.
     """
-    layout = layout_for(case.robot.limbs)
     factor = np.ones(layout.width)
     for one in chosen:
-        columns = _SCALED.get(one.name, ())
-        if columns:
-            parts = one.members(case.robot.limbs)
-            scaled = {f"{column}_{part}" for column in columns for part in parts}
-            factor[[name in scaled for name in layout.names]] *= 1.0 + one.value
+        for column in _SCALED.get(one.name, ()):
+            scaled = [f"{column}_{part}" for part in one.members(layout.limbs)]
+            factor[np.isin(layout.names, scaled)] *= 1.0 + one.value
     return factor
 
 
@@ -276,52 +272,89 @@ _SCALED = {
 """Effect that scales a reading -> columns of the residual that have its unit, by its parts."""
 
 
-def _parts(
-    case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
-) -> tuple[Log, Machine, ResidualTable, ReferenceMotion]:
-    log, robot = compensate_all(chosen, case.log, case.robot)
-    motion = case.motion
-    if log is not case.log and _changes_motion(changed_columns(case.log, log)):
-        motion = replace(
-            motion_under_model(log, robot, case.fixed),
-            level=case.motion.level,
-            normal_G=case.motion.normal_G,
-        )
-    names = [
-        name
-        for name, channel in channels().items()
-        if evaluation_channels or not channel.evaluation_only
-    ]
-    return log, robot, residual(log, robot, motion, names), motion
-
-
-def _table(case: LogUnderModel, chosen: Sequence[Effect], parts: ResidualTable) -> np.ndarray:
-    """The table (M, W) of `parts`, each channel without the effects that are unseen by it."""
-    unseen = {name for one in chosen for name in one.unseen_by}
-    table, motion = parts.table.copy(), parts.inputs.motion
-    for name in unseen.intersection(parts.names):
-        seen = [one for one in chosen if name not in one.unseen_by]
-        log, robot = compensate_all(seen, case.log, case.robot)
-        columns = parts.layout.of(name)
-        table[:, columns] = residual(log, robot, motion, [name]).table[:, columns]
-    return table
-
-
 class _Linear:
-    """Residual of one log with the chosen effects compensated, and its derivatives."""
+    """Residual of one log with the chosen effects compensated, and its derivatives.
+
+    Attributes:
+        table: residuals (M, W), each channel without the effects that are unseen by it, on the
+            scale of the readings.
+        reading_scale: factors (W,) of the columns that gave it this scale.
+        parts: residuals of all channels with all of the chosen compensated.
+        contacts_differ: whether the chosen change the contacts.
+    """
 
     def __init__(
         self, case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
     ):
-        self.case, self.chosen = case, list(chosen)
-        self.log, self.robot, self.parts, self.motion = _parts(case, chosen, evaluation_channels)
-        self.joints = self.log.joints
-        self.reading_scale = _reading_scale(case, chosen)
-        self.table = _table(case, chosen, self.parts) * self.reading_scale
+        # In the order of `compensate_all`, one after the other, to start again from any of them.
+        self.case, self.chosen = case, sorted(chosen, key=lambda e: e.uses_loads)
+        self.stages = [(case.log, case.robot)]
+        for one in self.chosen:
+            self.stages.append(compensate_all([one], *self.stages[-1]))
+        self.log, self.robot = self.stages[-1]
+        self.motion = self._motion(case.log, self.log, self.robot, case.motion)
         self.contacts_differ = self.motion is not case.motion and any(
             name.startswith("contact_") for name in changed_columns(case.log, self.log)
         )
+        self.layout = layout_for(case.robot.limbs)
+        self.names = [
+            name
+            for name in self.layout.channels
+            if evaluation_channels or not channels()[name].evaluation_only
+        ]
+        self.reading_scale = _reading_scale(self.layout, self.chosen)
+        self.table, self._seeing_all = self._tables(self.chosen, self.names)
         self._known: dict[Key, Regressor] = {}
+
+    def _motion(
+        self, before: Log, log: Log, robot: Machine, motion: ReferenceMotion
+    ) -> ReferenceMotion:
+        """The reference motion of a log, given the `motion` of the log `before` a change."""
+        if log is before or not any(
+            name.startswith(("ref_", "contact_")) for name in changed_columns(before, log)
+        ):
+            return motion
+        ground = {"level": motion.level, "normal_G": motion.normal_G}
+        return replace(motion_under_model(log, robot, self.case.fixed), **ground)
+
+    def _tables(
+        self, effects: Sequence[Effect], names: Sequence[str]
+    ) -> tuple[np.ndarray, ResidualTable]:
+        """The table with other sizes of the chosen effects, and the residuals of those of the
+        channels `names` that see all of them.
+        """
+        seeing: dict[tuple[Effect, ...], list[str]] = {tuple(effects): []}
+        for name in names:
+            seen = tuple(one for one in effects if name not in one.unseen_by)
+            seeing.setdefault(seen, []).append(name)
+        log, robot = self._compensated(effects)
+        motion = self._motion(self.case.log, log, robot, self.case.motion)
+        direct = residual(log, robot, motion, seeing.pop(tuple(effects)))
+        table = direct.table.copy()
+        for seen, of_these in seeing.items():
+            columns = self.layout.of(*of_these)
+            others = residual(*self._compensated(seen), motion, of_these)
+            table[:, columns] = others.table[:, columns]
+        return table * _reading_scale(self.layout, effects), direct
+
+    def _compensated(self, effects: Sequence[Effect]) -> tuple[Log, Machine]:
+        """The log and the model with these effects compensated, from where they first differ from
+        the chosen.
+        """
+        pairs = zip(effects, self.chosen, strict=False)
+        same = next((i for i, (a, b) in enumerate(pairs) if a is not b), None)
+        if same is None:
+            same = min(len(effects), len(self.chosen))
+        return compensate_all(effects[same:], *self.stages[same])
+
+    @cached_property
+    def parts(self) -> ResidualTable:
+        direct = self._seeing_all
+        others = [name for name in self.names if name not in direct.names]
+        more, columns = filled(self.layout, direct.inputs, others), self.layout.of(*others)
+        table = direct.table.copy()
+        table[:, columns] = more[:, columns]
+        return replace(direct, table=table, names=tuple(self.names))
 
     @cached_property
     def jacobians(self) -> ResidualJacobians:
@@ -382,24 +415,24 @@ class _Linear:
         """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
         away.
         """
-        change = _change(self.log, log, self.joints, self.motion, step)
+        change = _change(self.log, log, self.motion, step)
         return wrt_readings(self.parts, self.jacobians, change)
 
     def _add_change_without_chain_rule(
         self, change: np.ndarray, log: Log, robot: Machine, step: float
     ) -> None:
         """Add to `change` (M, W), by differences, the channels without a chain rule."""
-        layout, inputs = self.parts.layout, ResidualInputs(log, robot, self.motion)
-        names = [name for name in layout.channels if name not in CHAINED_CHANNELS]
-        columns = layout.of(*names)
-        after = filled(layout, inputs, names)[:, columns]
+        inputs = ResidualInputs(log, robot, self.motion)
+        names = [name for name in self.layout.channels if name not in CHAINED_CHANNELS]
+        columns = self.layout.of(*names)
+        after = filled(self.layout, inputs, names)[:, columns]
         change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
 
     def _derivative_at_value(self, key: Key) -> Regressor:
         step = known_effects()[key[0]].step_of(key[1])
+        fitted = [name for name in self.names if not channels()[name].evaluation_only]
         ahead, behind = (
-            table_of(self.case, _with_size_step(self.chosen, key, s), evaluation_channels=False)
-            for s in (step, -step)
+            self._tables(_with_size_step(self.chosen, key, s), fitted)[0] for s in (step, -step)
         )
         return self._where_it_shows(key, sparse((behind - ahead) / (2 * step), self.parts.table))
 
@@ -412,20 +445,17 @@ class _Linear:
         """
         names = _event_channels(key)
         if not names:
-            seen = ~np.isin(one.columns, self.parts.layout.of(*known_effects()[key[0]].unseen_by))
+            seen = ~np.isin(one.columns, self.layout.of(*known_effects()[key[0]].unseen_by))
             return Regressor(one.columns[seen], one.values[:, seen])
-        own = np.isin(one.columns, self.parts.layout.of(*names))
+        own = np.isin(one.columns, self.layout.of(*names))
         values, step = one.values[:, own], known_effects()[key[0]].step_of(key[1])
         return Regressor(
             one.columns[own], np.where(np.abs(step * values) < CHANGE_WINDOW, values, 0.0)
         )
 
     def _by_difference(self, key: Key, log: Log, robot: Machine, step: float) -> np.ndarray:
-        motion, same = self.motion, ()
-        if log is self.log:
-            same = unchanged_channels(self.robot, robot)
-        elif _changes_motion(changed_columns(self.log, log)):
-            motion = replace(motion_under_model(log, robot, self.case.fixed), level=motion.level)
+        motion = self._motion(self.log, log, robot, self.motion)
+        same = unchanged_channels(self.robot, robot) if log is self.log else ()
         only = _event_channels(key) or self.parts.names
         again = [name for name in self.parts.names if name in only and name not in same]
         if len(known_effects()[key[0]].starts_on(key[1], self.log)) == 1:
@@ -447,9 +477,9 @@ class _Linear:
                     unit = {kind: ones} | ({"omega": ones} if kind == "gyro" else {})
                     one = sparse(wrt_readings(parts, self.jacobians, unit), parts.table)
                     out.append((one, turn_on, (f"{kind}_bias", name)))
-        for name, columns in parts.layout.channels.items():
+        for name, columns in self.layout.channels.items():
             for values in channels()[name].nuisance_regressors(parts.inputs):
-                which = parts.layout.of(name)
+                which = self.layout.of(name)
                 there = np.isfinite(parts.table[:, columns])
                 one = self._to_reading_scale(Regressor(which, there * values))
                 out.append((one, np.inf, None))
@@ -463,63 +493,47 @@ def _event_channels(key: Key) -> tuple[str, ...]:
     return tuple(names) if of_events else ()
 
 
-def _changes_motion(columns: Sequence[str]) -> bool:
-    return any(name.startswith(("ref_", "contact_")) for name in columns)
-
-
 def _with_size_step(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
     return [effect(*key, e.value + step) if (e.name, e.target) == key else e for e in chosen]
 
 
 def _change(
-    old: Log, new: Log, joints: Sequence[str], motion: ReferenceMotion, step: float
+    old: Log, new: Log, motion: ReferenceMotion, step: float
 ) -> dict[str, dict[int, np.ndarray]]:
     """Change of each stream per unit of an effect: stream -> index -> means over bins (M,).
 
     Args:
         old: log before the change.
-        new: log after it; its attrs name the columns that changed.
-        joints: names, in the order of the columns.
+        new: log after it.
         motion: reference motion of the log, with its bins.
         step: size of the change, in the effect's unit.
     """
     change: dict[str, dict[int, np.ndarray]] = {}
-    mean = bin_mean(motion)
+    mean, logged = bin_mean(motion), old.has("dq")
     for name in changed_columns(old, new):
         stream, _, what = name.partition("_")
-        if stream in ("gyro", "accel"):
-            place = "xyz".index(what)
-        elif what in joints:
-            place = joints.index(what)
-        else:
+        parts = AXES if stream in ("gyro", "accel") else old.joints
+        if what not in parts:
             continue
-        rows = new.columns[name] - old.columns[name]
-        means = {stream: mean(rows)}
+        place, x = parts.index(what), new.columns[name] - old.columns[name]
+        rows, rates = {stream: x}, None
         if stream == "gyro":
-            means["omega"] = mean(at_rows(rows))
-        elif stream == "q" or (stream == "dq" and not motion.rates_of_angles):
-            means |= _joint_bin_means(stream, rows, old.t, motion)
-        if stream == "q" and (motion.rates_of_angles or not old.has("dq")):
-            # Joint rates that were not logged are derived from the angles.
-            rates = derivative(old.t, rows[:, None], JOINT_WINDOW, causal=False)[:, 0]
-            means |= _joint_bin_means("dq", rates, old.t, motion)
-            if not old.has("dq"):
-                means["dq"] = mean(rates)
+            rows["omega"] = at_rows(x)
+        elif stream == "q":
+            rows["q_step"] = at_torques(x, motion)
+            if motion.rates_of_angles or not logged:
+                # Joint rates that were not logged are derived from the angles.
+                rates = derivative(old.t, x[:, None], JOINT_WINDOW, causal=False)[:, 0]
+                rows |= {} if logged else {"dq": rates}
+        elif stream == "dq" and not motion.rates_of_angles:
+            rates = x
+        means = {kind: mean(values) for kind, values in rows.items()}
+        if rates is not None:
+            means["dq_step"] = mean(at_torques(rates, motion))
+            means["ddq"] = mean_rate_of_change(rates, old.t, motion)
         for kind, values in means.items():
             change.setdefault(kind, {})[place] = values / step
     return change
-
-
-def _joint_bin_means(
-    stream: str, rows: np.ndarray, t: np.ndarray, motion: ReferenceMotion
-) -> dict[str, np.ndarray]:
-    """Bin means, at the times of the torques, of a change of angle or rate (N,); for a rate, also
-    of its derivative.
-    """
-    means = {f"{stream}_step": bin_mean(motion)(at_torques(rows, motion))}
-    if stream == "dq":
-        means["ddq"] = mean_rate_of_change(rows, t, motion)
-    return means
 
 
 def _same_bins(before: Evidence, table: np.ndarray) -> bool:
