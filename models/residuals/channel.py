@@ -30,7 +30,6 @@ from surefoot.models.residuals.torques import (
     InverseDynamics,
     dynamics_inputs,
     inverse_dynamics,
-    link_jacobians,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, shown_feet
@@ -110,9 +109,11 @@ class ResidualInputs:
 
     @cached_property
     def link_jacobians(self) -> np.ndarray | None:
-        """Derivatives of inverse dynamics by the inertia of each link; None without a model."""
+        """Derivatives (5, J, nv, K) of the generalised forces by each link's mass, centre and
+        inertia, in the K needed bins; None without a model.
+        """
         dynamics = self.robot.dynamics
-        return None if dynamics is None else link_jacobians(self.steps, dynamics)
+        return None if dynamics is None else dynamics.link_derivatives(*self.steps.motion)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:

@@ -28,7 +28,7 @@ from surefoot.models.residuals.feet import (
     stance_means,
     travel_regressors,
 )
-from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
+from surefoot.models.residuals.torques import slope, smooth_121, unbalanced_wrench
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot.feet import shown_feet
@@ -217,8 +217,10 @@ class JointTorque(Channel):
         return _per_joint("torque", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        needed = inputs.inverse_dynamics
-        return None if needed is None else torque_residual(inputs.steps, needed)
+        s, needed = inputs.steps, inputs.inverse_dynamics
+        if needed is None:
+            return None
+        return np.where(s.swings, smooth_121(s.tau - needed.torque), np.nan)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))
@@ -238,10 +240,10 @@ class BaseWrench(Channel):
         return (*_of_axes("force", "N", limbs), *_of_axes("moment", "N m", limbs))
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        robot, needed = inputs.robot.legged, inputs.inverse_dynamics
+        robot, s, needed = inputs.robot.legged, inputs.steps, inputs.inverse_dynamics
         if robot is None or needed is None:
             return None
-        return wrench_residual(inputs.steps, needed, robot)
+        return np.where(s.steady[:, None], smooth_121(unbalanced_wrench(s, needed, robot)), np.nan)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate)) / LEVER_ARM * np.sqrt(12)

@@ -17,7 +17,6 @@ from surefoot.models.residuals.residual import ResidualTable, filled
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
-    dilate,
     inverse_dynamics,
     load_wrench,
     slope,
@@ -144,9 +143,9 @@ def _dynamics_jacobians(
     assert dynamics is not None
     m, joints = steps.q.shape
     out = np.zeros((4, joints, m, joints + 6))
-    use = np.flatnonzero(dilate(steps.swings.any(axis=1) | steps.steady))
-    s = replace(steps, **{name: values[use] for name, values in vars(steps).items()})
-    wrench, torque = dynamics.derivatives(s.q, s.dq, s.ddq, s.base, DIFFERENCE_STEP)
+    use = steps.needed
+    s = replace(steps, **{f.name: getattr(steps, f.name)[use] for f in fields(steps)})
+    wrench, torque = dynamics.derivatives(*steps.motion, DIFFERENCE_STEP)
     out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
     for j in range(joints):
         out[3, j, use, j] = 1.0

@@ -6,10 +6,11 @@ equation is smoothed over three, with weights 1/4, 1/2, 1/4.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.sim.common.kernels import kernel
@@ -48,24 +49,35 @@ class DynamicsInputs:
     steady: np.ndarray
     sunk: np.ndarray
 
+    @cached_property
+    def needed(self) -> np.ndarray:
+        """Bins (K,) whose inverse dynamics a residual needs."""
+        return np.flatnonzero(dilate(self.swings.any(axis=1) | self.steady))
+
+    @cached_property
+    def motion(self) -> tuple[np.ndarray, ...]:
+        """Angles, rates, accelerations and motion of the base in the needed bins."""
+        return tuple(x[self.needed] for x in (self.q, self.dq, self.ddq, self.base))
+
 
 def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     """Prepare the bins of a log for inverse dynamics."""
     whole = np.zeros(len(bins.t), dtype=bool)
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
-    stays, lifted = _always(bins.standing), _always(bins.lifted)
     up_B = np.zeros((len(bins.t), 3))
+    # Joints that belong to no leg carry no foot's load.
+    swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros_like(whole)
     if robot.legged is not None:
         up_B = bins.normal_I @ robot.legged.R_BI.T
-        # Joints that belong to no leg carry no foot's load.
-        swings = np.ones_like(bins.q, dtype=bool)
+        stays, lifted = (
+            minimum_filter1d(flag, 3, axis=0, mode="constant")
+            for flag in (bins.standing, bins.lifted)
+        )
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
             for leg, chain in enumerate(robot.limbs.chains):
                 swings[:, chain] = lifted[:, [leg]]
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
-    else:
-        swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
     return DynamicsInputs(
         q=bins.q_step,
         dq=bins.dq_step,
@@ -109,23 +121,10 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics | Non
     """
     if robot.dynamics is None:
         return None
-    use = needed_bins(s)
-    wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
-    wrench[use], torque[use] = robot.dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use])
-    return InverseDynamics(wrench + load_wrench(s, robot), torque)
-
-
-def needed_bins(s: DynamicsInputs) -> np.ndarray:
-    """Bins (M,) whose inverse dynamics a residual needs."""
-    return dilate(s.swings.any(axis=1) | s.steady)
-
-
-def link_jacobians(s: DynamicsInputs, dynamics: Dynamics) -> np.ndarray:
-    """Derivatives (5, J, nv, K) of the generalised forces by each link's mass, centre and inertia,
-    in the K needed bins.
-    """
-    use = needed_bins(s)
-    return dynamics.link_derivatives(s.q[use], s.dq[use], s.ddq[use], s.base[use])
+    wrench, torque = load_wrench(s, robot), np.zeros_like(s.q)
+    more, torque[s.needed] = robot.dynamics.inverse(*s.motion)
+    wrench[s.needed] += more
+    return InverseDynamics(wrench, torque)
 
 
 def with_link_change(
@@ -140,16 +139,15 @@ def with_link_change(
     Args:
         needed: inverse dynamics without the change.
         change: of one link.
-        by_links: `link_jacobians` of the robot.
+        by_links: derivatives by links (`ResidualInputs.link_jacobians`).
         s: inputs of both.
         dynamics: of the robot.
     """
     sizes = (change.mass, *change.com, change.inertia)
-    gained = np.tensordot(sizes, by_links[:, change.joint], 1).T
-    use, wrench, torque = needed_bins(s), needed.wrench.copy(), needed.torque.copy()
-    more = dynamics.parted(gained)
-    wrench[use] += more[0]
-    torque[use] += more[1]
+    more = dynamics.parted(np.tensordot(sizes, by_links[:, change.joint], 1).T)
+    wrench, torque = needed.wrench.copy(), needed.torque.copy()
+    wrench[s.needed] += more[0]
+    torque[s.needed] += more[1]
     return InverseDynamics(wrench, torque)
 
 
@@ -174,16 +172,6 @@ def load_wrench(s: DynamicsInputs, machine: Machine) -> np.ndarray:
 def declared(file: Path) -> Robot:
     """The robot as in its file."""
     return Robot.load(file)
-
-
-def torque_residual(s: DynamicsInputs, needed: InverseDynamics) -> np.ndarray:
-    """Measured torque minus inverse dynamics (M, J) [N m], NaN where a foot is loaded."""
-    return np.where(s.swings, smooth_121(s.tau - needed.torque), np.nan)
-
-
-def wrench_residual(s: DynamicsInputs, needed: InverseDynamics, robot: Robot) -> np.ndarray:
-    """Wrench of the feet on the base minus inverse dynamics (M, 6), in B; NaN where unsteady."""
-    return np.where(s.steady[:, None], smooth_121(unbalanced_wrench(s, needed, robot)), np.nan)
 
 
 def unbalanced_wrench(s: DynamicsInputs, needed: InverseDynamics, robot: Robot) -> np.ndarray:
@@ -255,14 +243,4 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
 
 def dilate(flag: np.ndarray) -> np.ndarray:
     """Bins (M,) that have the flag or are next to one that has it."""
-    out = flag.copy()
-    out[1:] |= flag[:-1]
-    out[:-1] |= flag[1:]
-    return out
-
-
-def _always(flag: np.ndarray) -> np.ndarray:
-    """Bins (M, L) that have the flag, as do both their neighbours."""
-    out = np.zeros_like(flag)
-    out[1:-1] = flag[:-2] & flag[1:-1] & flag[2:]
-    return out
+    return maximum_filter1d(flag, 3)
