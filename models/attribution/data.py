@@ -11,7 +11,7 @@ from surefoot.models.attribution.reference_sampling import reference_notes, refe
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.attribution.split import Split
 from surefoot.models.residuals.binning import BIN, bin_mean
-from surefoot.models.residuals.registry import CHANNELS, channels
+from surefoot.models.residuals.channels import CHANNELS, channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 

@@ -16,6 +16,7 @@ from surefoot.models.residuals.binning import (
     mean_rate_of_change,
 )
 from surefoot.models.residuals.channel import ResidualInputs
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.contact_timing import CHANGE_WINDOW
 from surefoot.models.residuals.jacobians import (
     CHAINED_CHANNELS,
@@ -28,15 +29,8 @@ from surefoot.models.residuals.jacobians import (
     wrt_readings,
     wrt_robot,
 )
-from surefoot.models.residuals.layout import Layout, layout_for
-from surefoot.models.residuals.registry import channels
-from surefoot.models.residuals.residual import (
-    ResidualTable,
-    filled,
-    motion_under_model,
-    residual,
-    with_ground,
-)
+from surefoot.models.residuals.layout import Layout, ResidualTable, filled, layout_for, residual
+from surefoot.models.residuals.motion import motion_under_model, with_ground
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.effects.base import AXES, changed_columns, with_columns

@@ -31,8 +31,8 @@ from surefoot.models.attribution.priors import plausible_size, prior_penalty
 from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
 from surefoot.models.attribution.sticking import sticks
 from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
-from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
 

@@ -10,7 +10,7 @@ from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.channel import Channel
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.channels import channels
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,10 @@ from surefoot.models.attribution.reference_sampling import (
 from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
 from surefoot.models.attribution.sensor_noise import apparent_sizes, data_sheet_noise, reading_noise
 from surefoot.models.attribution.settings import DEFAULT, TraceSettings
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout, layout_for
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.motion import can_dead_reckon, with_dead_reckoning
 from surefoot.models.residuals.torques import declared
-from surefoot.models.residuals.without_reference import can_dead_reckon, with_dead_reckoning
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip

@@ -7,9 +7,9 @@ import numpy as np
 
 from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, linearise, table_of
 from surefoot.models.attribution.reference_sampling import reference_sampling, resample_reference
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout
-from surefoot.models.residuals.registry import channels
-from surefoot.models.residuals.residual import motion_under_model
+from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import AXES, Effect, with_columns

@@ -76,7 +76,7 @@ class ReferenceMotion:
     """Time for which feet already move before their contacts end [s]."""
     by_reference: bool = True
     """Whether the motion is from a reference. Without one, velocity and position are zero, and feet
-    are compared with each other (`models.residuals.without_reference`).
+    are compared with each other (`models.residuals.motion`).
     """
     normal_G: np.ndarray | None = None
     """Normal of the ground (N, 3) in the world, where it is not vertical."""

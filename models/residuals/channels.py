@@ -1,4 +1,5 @@
-"""The bundled residual channels, each against the log's reference or its model.
+"""The residual channels: the bundled ones, against the log's reference or its model, then those of
+plug-ins.
 
     imu_gyro, imu_accel   reading minus the value implied by the reference motion
     leg_velocity          body velocity by each standing foot's kinematics minus the reference's
@@ -15,7 +16,8 @@ Residuals are means over bins of 20 ms.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from functools import cache
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +31,8 @@ from surefoot.models.residuals.feet import (
     travel_regressors,
 )
 from surefoot.models.residuals.torques import slope, smooth_121, unbalanced_wrench
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot.feet import shown_feet
@@ -388,3 +392,37 @@ def _per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
 def rows_of_bin(rate: float) -> float:
     """Number of rows in a bin."""
     return max(1.0, BIN * rate)
+
+
+CHANNEL_GROUP = "surefoot.channels"
+"""Entry point group for channels of other packages."""
+BUNDLED_CHANNELS: tuple[type[Channel], ...] = (
+    ImuGyro,
+    ImuAccel,
+    LegVelocity,
+    StanceVelocity,
+    StanceDisplacement,
+    FootHeight,
+    JointTorque,
+    BaseWrench,
+    JointRate,
+    ContactTiming,
+    CommandedTorque,
+)
+
+
+def _check(kind: Any) -> None:
+    if not (isinstance(kind, type) and issubclass(kind, Channel)):
+        raise SurefootError("must be a subclass of Channel")
+
+
+CHANNELS = Registry(
+    CHANNEL_GROUP, {kind.name: kind for kind in BUNDLED_CHANNELS}, ("name", "unit", "needs"), _check
+)
+"""Name -> class; a plug-in's is imported and checked when it is looked up."""
+
+
+@cache
+def channels() -> dict[str, Channel]:
+    """Name -> channel, of those that can be used (see `Registry.usable` for the others)."""
+    return {name: kind() for name, kind in CHANNELS.usable()[0].items()}

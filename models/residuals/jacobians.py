@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from surefoot.models.residuals.channel import ResidualInputs
+from surefoot.models.residuals.channels import BUNDLED_CHANNELS, channels
 from surefoot.models.residuals.feet import between_feet, foot_heights, leg_velocities, stance_means
-from surefoot.models.residuals.registry import BUNDLED_CHANNELS, channels
-from surefoot.models.residuals.residual import ResidualTable, filled
+from surefoot.models.residuals.layout import ResidualTable, filled
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.residuals.binning import STANCE_MARGIN, reference_motion
 from surefoot.models.residuals.channels import JointTorque
-from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.residual import ResidualTable, residual
+from surefoot.models.residuals.layout import ResidualTable, layout_for, residual
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import LogError

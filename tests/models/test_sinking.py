@@ -11,8 +11,7 @@ from synthetic import synthetic_walk
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned, reference_motion
 from surefoot.models.residuals.jacobians import Regressor, explained_share, residual_jacobians
-from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.residual import residual
+from surefoot.models.residuals.layout import layout_for, residual
 from surefoot.models.residuals.soft_ground import (
     Stances,
     _add_stances,
