@@ -23,11 +23,9 @@ from surefoot.models.residuals.jacobians import (
     Regressor,
     ResidualJacobians,
     explained_share,
-    residual_jacobians,
     sparse,
     unchanged_channels,
-    wrt_readings,
-    wrt_robot,
+    under_model,
 )
 from surefoot.models.residuals.layout import Layout, ResidualTable, filled, layout_for, residual
 from surefoot.models.residuals.motion import motion_under_model, with_ground
@@ -352,7 +350,7 @@ class _Linear:
 
     @cached_property
     def jacobians(self) -> ResidualJacobians:
-        return residual_jacobians(self.parts, self.robot)
+        return ResidualJacobians(self.parts)
 
     def regressor(self, key: Key) -> Regressor:
         """Derivative of the residual table with respect to the size of `key`."""
@@ -379,12 +377,9 @@ class _Linear:
     def _derivative_at_zero(self, key: Key, step: float) -> Regressor:
         """Derivative at zero, by a difference of the residual or the effect's chain rule."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
-        rule = known_effects()[key[0]].chain_rule
-        if rule == "readings":
+        if known_effects()[key[0]].chain_rule == "readings":
             change = self._by_chain_rule(log, step)
             self._add_change_without_chain_rule(change, log, robot, step)
-        elif rule is not None and robot is not self.robot:
-            change = wrt_robot(self.parts, self.robot, robot, step)
         else:
             change = self._by_difference(key, log, robot, step)
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
@@ -409,8 +404,7 @@ class _Linear:
         """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
         away.
         """
-        change = _change(self.log, log, self.motion, step)
-        return wrt_readings(self.parts, self.jacobians, change)
+        return self.jacobians.wrt_readings(_change(self.log, log, self.motion, step))
 
     def _add_change_without_chain_rule(
         self, change: np.ndarray, log: Log, robot: Machine, step: float
@@ -448,14 +442,27 @@ class _Linear:
         )
 
     def _by_difference(self, key: Key, log: Log, robot: Machine, step: float) -> np.ndarray:
-        motion = self._motion(self.log, log, robot, self.motion)
-        same = unchanged_channels(self.robot, robot) if log is self.log else ()
+        """Change of the table (M, W) per unit, from the log and model that are a step away."""
+        kind, same = known_effects()[key[0]], ()
+        inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
+        if log is self.log:
+            same = unchanged_channels(self.robot, robot)
+        small = kind.chain_rule is not None and robot is not self.robot
+        if small:
+            # Such a step moves contact changes by less than a row: their times are kept.
+            inputs = under_model(self.parts.inputs, robot)
+        one_start = len(kind.starts_on(key[1], self.log)) == 1
         only = _event_channels(key) or self.parts.names
-        again = [name for name in self.parts.names if name in only and name not in same]
-        if len(known_effects()[key[0]].starts_on(key[1], self.log)) == 1:
+        again = [
+            name
+            for name in self.parts.names
+            if name in only
+            and name not in same
+            and not (small and channels()[name].of_events)
             # No fit uses those; they only help to choose between several starts.
-            again = [name for name in again if not channels()[name].evaluation_only]
-        return (residual(log, robot, motion, again).table - self.parts.table) / step
+            and not (one_start and channels()[name].evaluation_only)
+        ]
+        return (filled(self.layout, inputs, again) - self.parts.table) / step
 
     def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:
         """Nuisance parameters of the log: regressor, prior standard deviation, and the candidate
@@ -469,7 +476,7 @@ class _Linear:
                 for kind, turn_on in deviations.items():
                     ones = {axis: np.ones(len(parts.t))}
                     unit = {kind: ones} | ({"omega": ones} if kind == "gyro" else {})
-                    one = sparse(wrt_readings(parts, self.jacobians, unit), parts.table)
+                    one = sparse(self.jacobians.wrt_readings(unit), parts.table)
                     out.append((one, turn_on, (f"{kind}_bias", name)))
         for name, columns in self.layout.channels.items():
             for values in channels()[name].nuisance_regressors(parts.inputs):

@@ -108,12 +108,12 @@ class ResidualInputs:
         return shown if shown is not None and self.bins.standing.any() else None
 
     @cached_property
-    def link_jacobians(self) -> np.ndarray | None:
+    def link_jacobians(self) -> np.ndarray:
         """Derivatives (5, J, nv, K) of the generalised forces by each link's mass, centre and
-        inertia, in the K needed bins; None without a model.
+        inertia, in the K needed bins, of a machine with a model.
         """
-        dynamics = self.robot.dynamics
-        return None if dynamics is None else dynamics.link_derivatives(*self.steps.motion)
+        assert self.robot.dynamics is not None
+        return self.robot.dynamics.link_derivatives(*self.steps.motion)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:
@@ -130,12 +130,6 @@ class ResidualInputs:
     @cached_property
     def _readings(self) -> Bins:
         return binned(self.log, self.robot, self.motion)
-
-    def under_model(self, robot: Machine, needed: InverseDynamics | None) -> "ResidualInputs":
-        """The same readings under the model of another body, whose inverse dynamics are known."""
-        other = replace(self, robot=robot)
-        vars(other).update(bins=self.bins, steps=self.steps, inverse_dynamics=needed)
-        return other
 
 
 class Channel:

@@ -15,8 +15,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from surefoot.models.residuals.binning import BIN, Bins
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import LinkChange
-from surefoot.sim.robot.inverse_dynamics import Dynamics
 from surefoot.sim.robot.kinematics import leg_forward
 from surefoot.sim.robot.machine import Machine
 
@@ -124,30 +122,6 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics | Non
     wrench, torque = load_wrench(s, robot), np.zeros_like(s.q)
     more, torque[s.needed] = robot.dynamics.inverse(*s.motion)
     wrench[s.needed] += more
-    return InverseDynamics(wrench, torque)
-
-
-def with_link_change(
-    needed: InverseDynamics,
-    change: LinkChange,
-    by_links: np.ndarray,
-    s: DynamicsInputs,
-    dynamics: Dynamics,
-) -> InverseDynamics:
-    """Inverse dynamics with one more change of a link, to first order.
-
-    Args:
-        needed: inverse dynamics without the change.
-        change: of one link.
-        by_links: derivatives by links (`ResidualInputs.link_jacobians`).
-        s: inputs of both.
-        dynamics: of the robot.
-    """
-    sizes = (change.mass, *change.com, change.inertia)
-    more = dynamics.parted(np.tensordot(sizes, by_links[:, change.joint], 1).T)
-    wrench, torque = needed.wrench.copy(), needed.torque.copy()
-    wrench[s.needed] += more[0]
-    torque[s.needed] += more[1]
     return InverseDynamics(wrench, torque)
 
 

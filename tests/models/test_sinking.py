@@ -10,7 +10,7 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned, reference_motion
-from surefoot.models.residuals.jacobians import Regressor, explained_share, residual_jacobians
+from surefoot.models.residuals.jacobians import Regressor, ResidualJacobians, explained_share
 from surefoot.models.residuals.layout import layout_for, residual
 from surefoot.models.residuals.soft_ground import (
     Stances,
@@ -147,12 +147,11 @@ def test_a_joint_that_turns_faster_moves_the_body_by_the_lever_of_its_foot():
     motion = reference_motion(log, robot.limbs)
     motion = replace(motion, standing=np.ones_like(motion.standing))
     parts = residual(log, robot, motion, ["leg_velocity"])
-    found, bins = residual_jacobians(parts, robot), parts.inputs.bins
-    assert_allclose(found.leg_dq, -robot.feet_jacobian_I(bins.q), atol=1e-6)
+    found, bins = ResidualJacobians(parts).legs, parts.inputs.bins
+    assert_allclose(found["dq"], -robot.feet_jacobian_I(bins.q), atol=1e-6)
     arm = robot.feet_I(bins.q)
     for axis, along in enumerate(np.eye(3)):
-        across = -np.cross(along, arm).reshape(len(arm), -1)
-        assert_allclose(found.leg_omega[:, :, axis], across, atol=1e-6)
+        assert_allclose(found["omega"][..., axis], -np.cross(along, arm), atol=1e-6)
 
 
 def test_a_share_explained_does_not_depend_on_the_columns_units():
