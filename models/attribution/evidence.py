@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 
@@ -178,42 +179,37 @@ def linearise(
         before: an evidence whose derivatives may be reused.
         evaluation_channels: whether to compute the channels that are never fitted.
     """
-    parts = [_Linear(case, chosen, evaluation_channels) for case in cases]
-    tables, reading_scale = [p.table for p in parts], tuple(tuple(p.reading_scale) for p in parts)
-    starts = np.cumsum([0] + [len(table) for table in tables])
-    same = before is not None and before.reading_scale == reading_scale
-    if before is not None and same and _same_bins(before, np.concatenate(tables)):
-        own = {(e.name, e.target) for e in chosen}
-        if any(part.contacts_differ for part in parts):
+    logs = [_Linear(case, chosen, evaluation_channels) for case in cases]
+    starts, table = (
+        np.cumsum([0] + [len(one.table) for one in logs]),
+        np.concatenate([one.table for one in logs]),
+    )
+    scale = tuple(tuple(one.reading_scale) for one in logs)
+
+    def regressor(key: Key) -> Regressor:
+        return joined_regressor([one.regressor(key) for one in logs], starts)
+
+    if before is not None and before.reading_scale == scale and _same_bins(before, table):
+        stale = {(e.name, e.target) for e in chosen}
+        if any(one.contacts_differ for one in logs):
             # The same bins may be in stance and yet a different set of feet share the load.
-            own |= {key for key in before.keys if known_effects()[key[0]].uses_loads}
-        X = tuple(
-            joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
-            for key, one in zip(before.keys, before.X, strict=True)
-        )
-        return replace(before, table=np.concatenate(tables), X=X)
-    X = tuple(joined_regressor([p.regressor(key) for p in parts], starts) for key in keys)
-    Z, deviations, bias_of = [], [], []
-    for i, part in enumerate(parts):
-        for one, deviation, key in part.nuisance_regressors():
-            whole = np.zeros((starts[-1], len(one.columns)))
-            whole[starts[i] : starts[i + 1]] = one.values
-            Z.append(Regressor(one.columns, whole))
-            deviations.append(deviation)
-            bias_of.append(key)
-    log = np.repeat(np.arange(len(parts)), np.diff(starts))
+            stale |= {key for key in before.keys if known_effects()[key[0]].uses_loads}
+        known = zip(before.keys, before.X, strict=True)
+        X = tuple(regressor(key) if key in stale else one for key, one in known)
+        return replace(before, table=table, X=X)
+    of_logs = [(i, *one) for i, log in enumerate(logs) for one in log.nuisance_regressors()]
     return Evidence(
-        layout=parts[0].layout,
-        t=np.concatenate([p.parts.t for p in parts]),
-        log=log,
-        table=np.concatenate(tables),
+        layout=logs[0].layout,
+        t=np.concatenate([case.motion.t for case in cases]),
+        log=np.repeat(np.arange(len(logs)), np.diff(starts)),
+        table=table,
         keys=tuple(keys),
-        X=X,
-        Z=tuple(Z),
-        deviations=np.array(deviations),
-        bias_of=tuple(bias_of),
+        X=tuple(map(regressor, keys)),
+        Z=tuple(joined_regressor([one], starts, i) for i, one, *_ in of_logs),
+        deviations=np.array([deviation for *_, deviation, _ in of_logs]),
+        bias_of=tuple(key for *_, key in of_logs),
         settings=cases[0].settings,
-        reading_scale=reading_scale,
+        reading_scale=scale,
         groups=frozenset(
             (name, target)
             for name, target in keys
@@ -289,11 +285,9 @@ class _Linear:
             name.startswith("contact_") for name in changed_columns(case.log, self.log)
         )
         self.layout = layout_for(case.robot.limbs)
-        self.names = [
-            name
-            for name in self.layout.channels
-            if evaluation_channels or not channels()[name].evaluation_only
-        ]
+        every, known = tuple(self.layout.channels), channels()
+        self.fitted = [name for name in every if not known[name].evaluation_only]
+        self.names = every if evaluation_channels else self.fitted
         self.reading_scale = _reading_scale(self.layout, self.chosen)
         self.table, self._seeing_all = self._tables(self.chosen, self.names)
         self._known: dict[Key, Regressor] = {}
@@ -334,9 +328,7 @@ class _Linear:
         the chosen.
         """
         pairs = zip(effects, self.chosen, strict=False)
-        same = next((i for i, (a, b) in enumerate(pairs) if a is not b), None)
-        if same is None:
-            same = min(len(effects), len(self.chosen))
+        same = len([*takewhile(lambda pair: pair[0] is pair[1], pairs)])
         return compensate_all(effects[same:], *self.stages[same])
 
     @cached_property
@@ -367,62 +359,75 @@ class _Linear:
             # To first order, a group of equal sizes is the sum of its members.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
         sizes = kind.starts_on(key[1], self.log)
-        tried = [self._derivative_at_zero(key, size) for size in sizes]
-        if len(tried) == 1:
-            return tried[0]
+        if len(sizes) == 1:
+            return self._derivative_at_zero(key, sizes[0], self.fitted)
+        # No fit uses the evaluation channels, but they help to choose between several starts.
+        tried = [self._derivative_at_zero(key, size, self.names) for size in sizes]
         # A start of either sign is valid for sizes of that sign; take the one that agrees best.
         shares = [explained_share(one, self.table) for one in tried]
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
-    def _derivative_at_zero(self, key: Key, step: float) -> Regressor:
-        """Derivative at zero, by a difference of the residual or the effect's chain rule."""
+    def _derivative_at_zero(self, key: Key, step: float, names: Sequence[str]) -> Regressor:
+        """Derivative at zero, by the effect's chain rule or a difference of the channels `names`."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
         if known_effects()[key[0]].chain_rule == "readings":
-            change = self._by_chain_rule(log, step)
-            self._add_change_without_chain_rule(change, log, robot, step)
+            change = self._by_chain_rule(log, robot, step)
         else:
-            change = self._by_difference(key, log, robot, step)
+            change = self._by_difference(key, log, robot, names) / step
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
+
+    def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
+        """Regressor of additions (N,) to columns of the log."""
+        share = self.case.settings.difference_step
+        columns = {name: self.log.columns[name] + share * x for name, x in added.items()}
+        change = self._by_chain_rule(with_columns(self.log, columns), self.robot, share)
+        return self._to_reading_scale(sparse(change, self.parts.table))
 
     def _to_reading_scale(self, one: Regressor) -> Regressor:
         """A regressor of the residual as one of the table."""
         return Regressor(one.columns, one.values * self.reading_scale[one.columns])
 
-    def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
-        """Regressor of additions (N,) to columns of the log."""
-        columns = {name: self.log.columns[name] + x for name, x in added.items()}
-        change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
-        share = self.case.settings.difference_step
-        small = {n: self.log.columns[n] + share * x for n, x in added.items()}
-        self._add_change_without_chain_rule(
-            change, with_columns(self.log, small), self.robot, share
-        )
-        return self._to_reading_scale(sparse(change, self.parts.table))
-
-    def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
-        """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
-        away.
+    def _by_chain_rule(self, log: Log, robot: Machine, step: float) -> np.ndarray:
+        """Change of the table (M, W) per unit, for a log that is `step` units away: by the chain
+        rule, and by differences in the channels without one.
         """
-        return self.jacobians.wrt_readings(_change(self.log, log, self.motion, step))
-
-    def _add_change_without_chain_rule(
-        self, change: np.ndarray, log: Log, robot: Machine, step: float
-    ) -> None:
-        """Add to `change` (M, W), by differences, the channels without a chain rule."""
-        inputs = ResidualInputs(log, robot, self.motion)
+        change = self.jacobians.wrt_readings(_change(self.log, log, self.motion, step))
         names = [name for name in self.layout.channels if name not in CHAINED_CHANNELS]
         columns = self.layout.of(*names)
-        after = filled(self.layout, inputs, names)[:, columns]
+        after = filled(self.layout, ResidualInputs(log, robot, self.motion), names)[:, columns]
         change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
+        return change
+
+    def _by_difference(
+        self, key: Key, log: Log, robot: Machine, names: Sequence[str]
+    ) -> np.ndarray:
+        """Change of the table (M, W) to this log and model, in those of the channels `names` that
+        the effect may change.
+        """
+        inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
+        same = unchanged_channels(self.robot, robot) if log is self.log else ()
+        if known_effects()[key[0]].chain_rule is not None and robot is not self.robot:
+            # Such a step moves contact changes by less than a row: their times are kept.
+            same = (*same, *(name for name in names if channels()[name].of_events))
+            inputs = under_model(self.parts.inputs, robot)
+        only = _event_channels(key) or names
+        again = [name for name in names if name in only and name not in same]
+        return filled(self.layout, inputs, again) - self.parts.table
 
     def _derivative_at_value(self, key: Key) -> Regressor:
+        """Derivative by central differences at the value of a chosen effect."""
         step = known_effects()[key[0]].step_of(key[1])
-        fitted = [name for name in self.names if not channels()[name].evaluation_only]
-        ahead, behind = (
-            self._tables(_with_size_step(self.chosen, key, s), fitted)[0] for s in (step, -step)
-        )
-        return self._where_it_shows(key, sparse((behind - ahead) / (2 * step), self.parts.table))
+
+        def table(more: float) -> np.ndarray:
+            effects = [
+                effect(*key, e.value + more) if (e.name, e.target) == key else e
+                for e in self.chosen
+            ]
+            return self._tables(effects, self.fitted)[0]
+
+        change = (table(-step) - table(step)) / (2 * step)
+        return self._where_it_shows(key, sparse(change, self.parts.table))
 
     def _where_it_shows(self, key: Key, one: Regressor) -> Regressor:
         """Restrict the regressor of an effect to channels in which it shows.
@@ -431,38 +436,12 @@ class _Linear:
         which come from stances with more or fewer samples, and events that were lost or matched to
         a neighbour.
         """
-        names = _event_channels(key)
-        if not names:
-            seen = ~np.isin(one.columns, self.layout.of(*known_effects()[key[0]].unseen_by))
-            return Regressor(one.columns[seen], one.values[:, seen])
-        own = np.isin(one.columns, self.layout.of(*names))
-        values, step = one.values[:, own], known_effects()[key[0]].step_of(key[1])
-        return Regressor(
-            one.columns[own], np.where(np.abs(step * values) < CHANGE_WINDOW, values, 0.0)
-        )
-
-    def _by_difference(self, key: Key, log: Log, robot: Machine, step: float) -> np.ndarray:
-        """Change of the table (M, W) per unit, from the log and model that are a step away."""
-        kind, same = known_effects()[key[0]], ()
-        inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
-        if log is self.log:
-            same = unchanged_channels(self.robot, robot)
-        small = kind.chain_rule is not None and robot is not self.robot
-        if small:
-            # Such a step moves contact changes by less than a row: their times are kept.
-            inputs = under_model(self.parts.inputs, robot)
-        one_start = len(kind.starts_on(key[1], self.log)) == 1
-        only = _event_channels(key) or self.parts.names
-        again = [
-            name
-            for name in self.parts.names
-            if name in only
-            and name not in same
-            and not (small and channels()[name].of_events)
-            # No fit uses those; they only help to choose between several starts.
-            and not (one_start and channels()[name].evaluation_only)
-        ]
-        return (filled(self.layout, inputs, again) - self.parts.table) / step
+        kind, names, values = known_effects()[key[0]], _event_channels(key), one.values
+        shown = ~np.isin(one.columns, self.layout.of(*kind.unseen_by))
+        if names:
+            shown = np.isin(one.columns, self.layout.of(*names))
+            values = np.where(np.abs(kind.step_of(key[1]) * values) < CHANGE_WINDOW, values, 0.0)
+        return Regressor(one.columns[shown], values[:, shown])
 
     def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:
         """Nuisance parameters of the log: regressor, prior standard deviation, and the candidate
@@ -471,19 +450,19 @@ class _Linear:
         out: list[tuple[Regressor, float, Key | None]] = []
         parts, sensors = self.parts, Sensors()
         if not self.case.fixed and self.case.log.has("imu"):
-            deviations = {"gyro": sensors.gyro_turn_on, "accel": sensors.accel_turn_on}
-            for axis, name in enumerate("xyz"):
-                for kind, turn_on in deviations.items():
-                    ones = {axis: np.ones(len(parts.t))}
-                    unit = {kind: ones} | ({"omega": ones} if kind == "gyro" else {})
+            for axis, name in enumerate(AXES):
+                ones = {axis: np.ones(len(parts.t))}
+                for kind, turn_on, unit in (
+                    ("gyro", sensors.gyro_turn_on, {"gyro": ones, "omega": ones}),
+                    ("accel", sensors.accel_turn_on, {"accel": ones}),
+                ):
                     one = sparse(self.jacobians.wrt_readings(unit), parts.table)
                     out.append((one, turn_on, (f"{kind}_bias", name)))
-        for name, columns in self.layout.channels.items():
+        for name in self.layout.channels:
+            which = self.layout.of(name)
             for values in channels()[name].nuisance_regressors(parts.inputs):
-                which = self.layout.of(name)
-                there = np.isfinite(parts.table[:, columns])
-                one = self._to_reading_scale(Regressor(which, there * values))
-                out.append((one, np.inf, None))
+                one = Regressor(which, np.isfinite(parts.table[:, which]) * values)
+                out.append((self._to_reading_scale(one), np.inf, None))
         return out
 
 
@@ -492,10 +471,6 @@ def _event_channels(key: Key) -> tuple[str, ...]:
     names = known_effects()[key[0]].channels_of(key[1])
     of_events = all(name in channels() and channels()[name].of_events for name in names)
     return tuple(names) if of_events else ()
-
-
-def _with_size_step(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
-    return [effect(*key, e.value + step) if (e.name, e.target) == key else e for e in chosen]
 
 
 def _change(
@@ -558,12 +533,12 @@ def summed_regressor(parts: Sequence[Regressor]) -> Regressor:
     return Regressor(columns, values)
 
 
-def joined_regressor(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
-    """Concatenate the regressors of several logs."""
-    if len(parts) == 1:
+def joined_regressor(parts: Sequence[Regressor], starts: np.ndarray, first: int = 0) -> Regressor:
+    """Concatenate the regressors of several logs, from the log `first` on; zero in the others."""
+    if len(starts) == 2:
         return parts[0]
     columns = np.unique(np.concatenate([p.columns for p in parts]))
     values = np.zeros((starts[-1], len(columns)))
-    for i, part in enumerate(parts):
-        values[starts[i] : starts[i + 1], np.searchsorted(columns, part.columns)] = part.values
+    for part, start, end in zip(parts, starts[first:], starts[first + 1 :], strict=False):
+        values[start:end, np.searchsorted(columns, part.columns)] = part.values
     return Regressor(columns, values)

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN, Bins, bin_mean
+from surefoot.models.residuals.binning import BIN, Bins, bin_mean, interpolated
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
 from surefoot.models.residuals.feet import (
@@ -304,8 +304,9 @@ class ContactTiming(Channel):
         )
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        known = inputs.motion, inputs.robot.extras
-        return None if inputs.feet is None else contact_timing(inputs.log, inputs.feet, *known)
+        if inputs.feet is None:
+            return None
+        return contact_timing(inputs.log, inputs.feet, inputs.motion, inputs.robot.extras)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return 1.0 / rate
@@ -331,8 +332,7 @@ class CommandedTorque(Channel):
             if asked is None or not log.has("tau"):
                 return None
             if late:
-                then = log.t - late
-                asked = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
+                asked = interpolated(log.t - late, log.t, asked)
             return bin_mean(inputs.motion)(log.tau - asked)
 
         uses = ("tau", "tau_ff", *law)
@@ -397,17 +397,8 @@ def rows_of_bin(rate: float) -> float:
 CHANNEL_GROUP = "surefoot.channels"
 """Entry point group for channels of other packages."""
 BUNDLED_CHANNELS: tuple[type[Channel], ...] = (
-    ImuGyro,
-    ImuAccel,
-    LegVelocity,
-    StanceVelocity,
-    StanceDisplacement,
-    FootHeight,
-    JointTorque,
-    BaseWrench,
-    JointRate,
-    ContactTiming,
-    CommandedTorque,
+    *(ImuGyro, ImuAccel, LegVelocity, StanceVelocity, StanceDisplacement, FootHeight),
+    *(JointTorque, BaseWrench, JointRate, ContactTiming, CommandedTorque),
 )
 
 

@@ -11,8 +11,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
-from surefoot.models.residuals.binning import ReferenceMotion, at_rows, binned, reference_motion
+from surefoot.models.residuals.binning import (
+    ReferenceMotion,
+    at_rows,
+    binned,
+    interpolated,
+    reference_motion,
+)
 from surefoot.models.residuals.contact_timing import within_windows
 from surefoot.models.residuals.feet import ground_normals, leg_velocities, level_ground
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -53,10 +60,7 @@ def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceM
     if level_ground(bins, feet):
         return replace(motion, level=True)
     slope = ground_normals(bins, feet)
-    sloping = replace(
-        motion,
-        normal_G=np.column_stack([np.interp(log.t, bins.t, component) for component in slope.T]),
-    )
+    sloping = replace(motion, normal_G=interpolated(log.t, bins.t, slope))
     moves = [
         np.nanmedian(np.abs(leg_velocities(binned(log, robot, one), feet)))
         for one in (motion, sloping)
@@ -100,16 +104,13 @@ def with_dead_reckoning(log: Log, feet: Feet) -> Log:
     count = log.contact.sum(axis=1)
     v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
     stands = np.flatnonzero(count)
-    v_I = np.stack([np.interp(log.t, log.t[stands], v_I[stands, a]) for a in range(3)], axis=1)
+    v_I = interpolated(log.t, log.t[stands], v_I[stands])
     yaw = cumulative_trapezoid(np.sum(log.gyro * up, axis=1), log.t, initial=0.0)
     # Rows: level heading, left and up, expressed in I.
     ahead = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     R_levelled = np.stack([ahead, np.cross(up, ahead), up], axis=1)
-    turned = np.zeros_like(R_levelled)
-    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(yaw)
-    turned[:, 1, 0], turned[:, 0, 1], turned[:, 2, 2] = np.sin(yaw), -np.sin(yaw), 1.0
-    R_GI = turned @ R_levelled
+    R_GI = Rotation.from_euler("z", yaw[:, None]).as_matrix() @ R_levelled
     v_GI = np.einsum("nij,nj->ni", R_GI, v_I)
     p_GI = cumulative_trapezoid(v_GI, log.t, axis=0, initial=0.0)
     q_GI = quaternion_from_matrix(R_GI)

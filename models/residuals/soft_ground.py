@@ -20,7 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.models.residuals.binning import Bins, ReferenceMotion, at_torques, bin_mean
+from surefoot.models.residuals.binning import (
+    Bins,
+    ReferenceMotion,
+    at_torques,
+    bin_mean,
+    interpolated,
+)
 from surefoot.models.residuals.torques import DynamicsInputs, feet_wrenches
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY_G
@@ -74,19 +80,13 @@ def foot_sinking(
         load: (N, L) [N] on each foot.
     """
     swept_G = np.einsum("nij,nlj->nli", bins.R_GI, acceleration_at_constant_rates(robot, bins))
-    legs = bins.standing.shape[1]
-    rows = np.empty((len(log.t), legs, 4))
-    for leg in range(legs):
-        for axis in range(3):
-            rows[:, leg, axis] = np.interp(log.t, bins.t, swept_G[:, leg, axis])
-        rows[:, leg, 3] = load[:, leg]
-    rows = np.nan_to_num(rows)
-    dq = joint_velocity(log)
+    rows = [interpolated(log.t, bins.t, swept_G), load[..., None]]
+    rows = np.nan_to_num(np.concatenate(rows, axis=2))
 
     def height_and_stances() -> tuple[np.ndarray, list[Stances]]:
-        feet_I = robot.feet_I(log.q)
-        above = np.einsum("nj,nlj->nl", motion.R_GI[:, 2], feet_I)
-        stances = [foot_stances(log, robot, motion, leg, dq) for leg in range(legs)]
+        above = np.einsum("nj,nlj->nl", motion.R_GI[:, 2], robot.feet_I(log.q))
+        dq, legs = joint_velocity(log), range(load.shape[1])
+        stances = [foot_stances(log, robot, motion, leg, dq) for leg in legs]
         return motion.p_GI[:, 2, None] + above, stances
 
     # The same for every softness.
@@ -96,7 +96,8 @@ def foot_sinking(
         height_and_stances,
         *(motion, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )
-    give = foot_mobilities(robot)
+    model = robot.dynamics.model  # with the declared masses
+    give = [model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies]  # 1/kg
     depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
     for leg, s in enumerate(stances):
         for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
@@ -136,17 +137,11 @@ def foot_loads(
 
         from_motion = normal(steps.q, steps.up_B, np.ones_like(bins.standing), taken)
         motor = normal(at_torques(log.q, motion), motion.normal_I @ robot.R_BI.T, stands, log.tau)
-        rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
-        return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
+        load = interpolated(log.t, bins.t, from_motion) - motor
+        return np.where(stands, np.maximum(load, 0.0), 0.0)
 
     given = motion, robot.extras.payload
     return once_for_loads("foot loads along the normal", log, robot, made, *given)
-
-
-def foot_mobilities(robot: Robot) -> np.ndarray:
-    """Acceleration of each foot per unit of force (L,) [1/kg], from the declared masses."""
-    model = robot.dynamics.model
-    return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
 
 
 def acceleration_at_constant_rates(robot: Robot, bins: Bins) -> np.ndarray:
