@@ -23,8 +23,8 @@ from typing import ClassVar
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
-from surefoot.models.residuals.feet import HALFWAY, between_feet, leg_velocities
-from surefoot.models.residuals.soft_ground import foot_loads, foot_sinking
+from surefoot.models.residuals.feet import between_feet, leg_velocities
+from surefoot.models.residuals.soft_ground import foot_sinking
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
@@ -79,20 +79,17 @@ class ResidualInputs:
     @cached_property
     def bins(self) -> Bins:
         """Bin means of the readings, with the sinkage of the feet on soft ground."""
-        bins, robot = self._readings, self.robot.legged
+        bins, robot = binned(self.log, self.robot, self.motion), self.robot.legged
         stands = self.log.has("q") and bins.standing.any() and self.motion.by_reference
         if robot is None or not (stands and robot.extras.softness):
             return bins
-        known = self.log, robot, self.motion, bins
-        load = foot_loads(*known, dynamics_inputs(bins, robot))
-        depth, v_sole = foot_sinking(*known, load)
+        depth, v_sole = foot_sinking(self.log, robot, self.motion, bins)
         return replace(bins, depth=depth, v_sole=v_sole)
 
     @cached_property
     def steps(self) -> DynamicsInputs:
         """Inputs of inverse dynamics."""
-        steps, depth = dynamics_inputs(self.bins, self.robot), self.bins.depth
-        return steps if depth is None else replace(steps, sunk=HALFWAY * depth)
+        return dynamics_inputs(self.bins, self.robot)
 
     @cached_property
     def inverse_dynamics(self) -> InverseDynamics | None:
@@ -126,10 +123,6 @@ class ResidualInputs:
             return None
         v = leg_velocities(self.bins, self.feet)
         return v if self.motion.by_reference else between_feet(v)
-
-    @cached_property
-    def _readings(self) -> Bins:
-        return binned(self.log, self.robot, self.motion)
 
 
 class Channel:

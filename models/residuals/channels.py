@@ -224,7 +224,7 @@ class JointTorque(Channel):
         s, needed = inputs.steps, inputs.inverse_dynamics
         if needed is None:
             return None
-        return np.where(s.swings, smooth_121(s.tau - needed.torque), np.nan)
+        return np.where(s.swings, smooth_121(s.bins.tau - needed.torque), np.nan)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))

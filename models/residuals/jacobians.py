@@ -125,13 +125,12 @@ class ResidualJacobians:
         if needed is None or robot.dynamics is None:
             return out
         use = steps.needed
-        s = replace(steps, **{f.name: getattr(steps, f.name)[use] for f in fields(steps)})
         wrench, torque = robot.dynamics.derivatives(*steps.motion, DIFFERENCE_STEP)
         out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
         out[3, np.arange(joints), :, np.arange(joints)] = np.isin(np.arange(m), use)
-        if robot.legged is not None and s.steady.any() and robot.limbs.point_feet:
-            more = _feet_wrench_jacobians(s, needed.torque[use], torque, robot.legged)
-            out[:, :, use, joints:] += more
+        if robot.legged is not None and steps.steady.any() and robot.limbs.point_feet:
+            more = _feet_wrench_jacobians(steps, needed.torque, -out[..., :joints], robot.legged)
+            out[:, :, use, joints:] += more[:, :, use]
         return out
 
     def wrt_readings(self, change: Mapping[str, Mapping[int, np.ndarray]]) -> np.ndarray:
@@ -186,22 +185,21 @@ def _feet_wrench_jacobians(
     For a given motion of the base, a joint changes the torques of its own leg and so the force of
     its own foot only, so that all legs can be perturbed at once.
 
-    needed (M, J), torque (3, J, M, J): torques by inverse dynamics and their derivatives.
+    needed (M, J): torques by inverse dynamics; torque (4, J, M, J): derivatives of these less the
+    measured ones.
     """
-    bins, joints = needed.shape
-    chains = np.array(robot.limbs.chains)
-    out = np.zeros((4, joints, bins, 6))
-    plain = standing_feet_wrenches(s, s.q, needed - s.tau, robot)
+    chains, taken = np.array(robot.limbs.chains), needed - s.bins.tau
+    out = np.zeros((*torque.shape[:3], 6))
+    plain = standing_feet_wrenches(s, s.bins.q_step, taken, robot)
     for at in chains.T:
-        moved = np.zeros(joints)
-        moved[at] = 1.0
+        moved = np.zeros(needed.shape[1])
+        moved[at] = DIFFERENCE_STEP
         for kind, step in enumerate((*(DIFFERENCE_STEP,) * 3, 1.0)):
-            gained = np.zeros((bins, joints))
+            gained = np.zeros_like(needed)
             for joint, chain in zip(at, chains, strict=True):
-                own = torque[kind, joint][:, chain] if kind < 3 else -moved[chain]
-                gained[:, chain] = step * own
-            q = s.q + DIFFERENCE_STEP * moved if kind == 0 else s.q
-            given = standing_feet_wrenches(s, q, needed - s.tau + gained, robot)
+                gained[:, chain] = step * torque[kind, joint][:, chain]
+            q = s.bins.q_step + moved if kind == 0 else s.bins.q_step
+            given = standing_feet_wrenches(s, q, taken + gained, robot)
             out[kind, at] = np.moveaxis(given - plain, 1, 0) / step
     return out
 
@@ -220,7 +218,7 @@ def under_model(inputs: ResidualInputs, robot: Machine) -> ResidualInputs:
         needed = _with_link_change(inputs, needed, links[-1])
     elif links != before:
         return other
-    more = load_wrench(inputs.steps, robot) - load_wrench(inputs.steps, inputs.robot)
+    more = load_wrench(inputs.bins, robot) - load_wrench(inputs.bins, inputs.robot)
     vars(other)["inverse_dynamics"] = replace(needed, wrench=needed.wrench + more)
     return other
 

@@ -27,7 +27,7 @@ from surefoot.models.residuals.binning import (
     bin_mean,
     interpolated,
 )
-from surefoot.models.residuals.torques import DynamicsInputs, feet_wrenches
+from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
@@ -65,7 +65,7 @@ class Stances(NamedTuple):
 
 
 def foot_sinking(
-    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, load: np.ndarray
+    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth (M, L) [m] and velocity (M, L, 3) [m/s], in I, of each standing foot's sole, as bin
     means.
@@ -77,8 +77,8 @@ def foot_sinking(
         robot: as declared, with the ground's softness.
         motion: reference motion of the log.
         bins: means over bins.
-        load: (N, L) [N] on each foot.
     """
+    load = foot_loads(log, robot, motion, bins)
     swept_G = np.einsum("nij,nlj->nli", bins.R_GI, acceleration_at_constant_rates(robot, bins))
     rows = [interpolated(log.t, bins.t, swept_G), load[..., None]]
     rows = np.nan_to_num(np.concatenate(rows, axis=2))
@@ -107,9 +107,7 @@ def foot_sinking(
     return mean(depth), np.einsum("nji,nlj->nli", bins.R_GI, mean(v_G))
 
 
-def foot_loads(
-    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, steps: DynamicsInputs
-) -> np.ndarray:
+def foot_loads(log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins) -> np.ndarray:
     """Force (N, legs) [N] along the ground's normal on each standing foot, zero on the others.
 
     J^T f = inverse dynamics - measured torque, the former as means over bins. Without torques, or
@@ -119,8 +117,7 @@ def foot_loads(
         log: the measured log.
         robot: as declared.
         motion: reference motion of the log.
-        bins: means over bins of torques and standing feet.
-        steps: inputs of inverse dynamics.
+        bins: means over bins.
     """
 
     def made() -> np.ndarray:
@@ -128,14 +125,15 @@ def foot_loads(
         if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
             weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
             return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
-        _, taken = robot.dynamics.inverse(steps.q, steps.dq, steps.ddq, steps.base)
+        _, taken = robot.dynamics.inverse(bins.q_step, bins.dq_step, bins.ddq, bins.base)
 
         def normal(q: np.ndarray, up_B: np.ndarray, on: np.ndarray, taken: np.ndarray):
             wrench = feet_wrenches(robot.legs, np.zeros(on.shape), q, up_B, on, taken)
             # Torques of a leg that is straight do not depend on its load.
             return np.nan_to_num(np.einsum("nla,na->nl", wrench[..., :3], up_B))
 
-        from_motion = normal(steps.q, steps.up_B, np.ones_like(bins.standing), taken)
+        up_B, every = bins.normal_I @ robot.R_BI.T, np.ones_like(bins.standing)
+        from_motion = normal(bins.q_step, up_B, every, taken)
         motor = normal(at_torques(log.q, motion), motion.normal_I @ robot.R_BI.T, stands, log.tau)
         load = interpolated(log.t, bins.t, from_motion) - motor
         return np.where(stands, np.maximum(load, 0.0), 0.0)

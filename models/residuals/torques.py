@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from surefoot.models.residuals.binning import BIN, Bins
+from surefoot.models.residuals.feet import HALFWAY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import leg_forward
@@ -24,28 +25,16 @@ class DynamicsInputs:
     """Inputs of inverse dynamics in each of M bins, for J joints and L feet.
 
     Attributes:
-        q: angles (M, J) [rad].
-        dq: rates (M, J) [rad/s].
-        ddq: accelerations (M, J) [rad/s^2].
-        tau: measured torques (M, J) [N m].
-        base: angular rate, its derivative and specific force of the base (M, 9), in B.
+        bins: means over the bins.
         up_B: the ground's normal in B (M, 3).
-        standing: feet in stance (M, L).
         swings: joints whose foot is in the air for three bins (M, J).
         steady: bins in which, and next to which, no foot lands or lifts (M,).
-        sunk: reduction of the distance from a foot's centre to its contact point (M, L) [m].
     """
 
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
-    tau: np.ndarray
-    base: np.ndarray
+    bins: Bins
     up_B: np.ndarray
-    standing: np.ndarray
     swings: np.ndarray
     steady: np.ndarray
-    sunk: np.ndarray
 
     @cached_property
     def needed(self) -> np.ndarray:
@@ -55,7 +44,8 @@ class DynamicsInputs:
     @cached_property
     def motion(self) -> tuple[np.ndarray, ...]:
         """Angles, rates, accelerations and motion of the base in the needed bins."""
-        return tuple(x[self.needed] for x in (self.q, self.dq, self.ddq, self.base))
+        b = self.bins
+        return tuple(x[self.needed] for x in (b.q_step, b.dq_step, b.ddq, b.base))
 
 
 def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
@@ -76,18 +66,7 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
             for leg, chain in enumerate(robot.limbs.chains):
                 swings[:, chain] = lifted[:, [leg]]
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
-    return DynamicsInputs(
-        q=bins.q_step,
-        dq=bins.dq_step,
-        ddq=bins.ddq,
-        tau=bins.tau,
-        base=bins.base,
-        up_B=up_B,
-        standing=bins.standing,
-        swings=swings & whole[:, None],
-        steady=steady & whole,
-        sunk=np.zeros(bins.standing.shape),
-    )
+    return DynamicsInputs(bins, up_B, swings & whole[:, None], steady & whole)
 
 
 def smooth_121(x: np.ndarray) -> np.ndarray:
@@ -119,18 +98,18 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics | Non
     """
     if robot.dynamics is None:
         return None
-    wrench, torque = load_wrench(s, robot), np.zeros_like(s.q)
+    wrench, torque = load_wrench(s.bins, robot), np.zeros_like(s.bins.q)
     more, torque[s.needed] = robot.dynamics.inverse(*s.motion)
     wrench[s.needed] += more
     return InverseDynamics(wrench, torque)
 
 
-def load_wrench(s: DynamicsInputs, machine: Machine) -> np.ndarray:
+def load_wrench(bins: Bins, machine: Machine) -> np.ndarray:
     """Wrench (M, 6) for the declared payload and shift of the base's centre of mass."""
-    wrench, robot = np.zeros((len(s.q), 6)), machine.legged
+    wrench, robot = np.zeros((len(bins.q), 6)), machine.legged
     if robot is None or not (robot.extras.payload or robot.extras.com_shift.any()):
         return wrench
-    omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
+    omega, spin, force = np.hsplit(bins.base, 3)
     body = robot.dynamics.model.body(robot.base_name)
     shift, mass, place = robot.extras.com_shift, float(body.mass[0]), body.ipos
     felt = [
@@ -154,7 +133,8 @@ def unbalanced_wrench(s: DynamicsInputs, needed: InverseDynamics, robot: Robot) 
     The leg rows of the equation of motion give each standing foot's force: J^T f = inverse dynamics
     - measured torque.
     """
-    return standing_feet_wrenches(s, s.q, needed.torque - s.tau, robot).sum(axis=1) - needed.wrench
+    taken = needed.torque - s.bins.tau
+    return standing_feet_wrenches(s, s.bins.q_step, taken, robot).sum(axis=1) - needed.wrench
 
 
 def standing_feet_wrenches(
@@ -164,8 +144,10 @@ def standing_feet_wrenches(
 
     taken (M, J): J^T f, torques by inverse dynamics minus measured ones.
     """
-    radius = np.maximum(robot.foot_radius - s.sunk, 0.0)
-    return feet_wrenches(robot.legs, radius, q, s.up_B, s.standing, np.ascontiguousarray(taken))
+    stands, depth = s.bins.standing, s.bins.depth
+    sunk = np.zeros(stands.shape) if depth is None else HALFWAY * depth
+    radius = np.maximum(robot.foot_radius - sunk, 0.0)
+    return feet_wrenches(robot.legs, radius, q, s.up_B, stands, np.ascontiguousarray(taken))
 
 
 @kernel

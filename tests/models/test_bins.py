@@ -124,8 +124,7 @@ def test_bins_beside_a_gap_are_not_whole(off, whole):
     t = BIN * np.arange(9.0)
     t[4:] += off * BIN
     q, none = np.zeros((9, 2)), np.zeros((9, 0), dtype=bool)
-    more = dict.fromkeys(("q", "q_step", "dq_step", "ddq", "tau"), q)
-    bins: Any = SimpleNamespace(t=t, standing=none, lifted=none, base=np.zeros((9, 9)), **more)
+    bins: Any = SimpleNamespace(t=t, standing=none, lifted=none, q=q)
     found = dynamics_inputs(bins, GivenFeet(Limbs((), (), ()))).swings[:, 0]
     assert np.flatnonzero(~found).tolist() == ([0, 8] if whole else [0, 3, 4, 8])
 

@@ -70,7 +70,7 @@ def residual_of(log, robot=ROBOT, explained=()):
 def test_torques_are_compared_where_the_leg_swings():
     swings = np.ones((9, 2), dtype=bool)
     swings[4:, 1] = False
-    steps = SimpleNamespace(swings=swings, tau=np.full((9, 2), 5.0))
+    steps = SimpleNamespace(swings=swings, bins=SimpleNamespace(tau=np.full((9, 2), 5.0)))
     inputs = SimpleNamespace(
         steps=steps, inverse_dynamics=SimpleNamespace(torque=np.full((9, 2), 3.0))
     )

@@ -1,6 +1,8 @@
 """Feet on ground that gives: a model that knows of it is told where they are."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,6 +12,7 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned, reference_motion
+from surefoot.models.residuals.feet import HALFWAY
 from surefoot.models.residuals.jacobians import Regressor, ResidualJacobians, explained_share
 from surefoot.models.residuals.layout import layout_for, residual
 from surefoot.models.residuals.soft_ground import (
@@ -23,7 +26,6 @@ from surefoot.models.residuals.soft_ground import (
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
-    dynamics_inputs,
     unbalanced_wrench,
 )
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -180,10 +182,14 @@ def test_feet_give_the_base_what_their_legs_do_not_take():
     for leg, joints in enumerate(robot.legs.joints):
         taken[:, joints] = np.einsum("nij,ni->nj", J[:, leg], force[:, leg])
     every, up = np.ones((5, 4), dtype=bool), np.tile([0.0, 0.0, 1.0], (5, 1))
-    steps = DynamicsInputs(
-        q, q, q, needed.torque - taken, np.zeros((5, 9)), up, every, every, every[:, 0],
-        np.tile(robot.foot_radius, (5, 1)),
-    )  # fmt: skip
+    bins: Any = SimpleNamespace(
+        q_step=q,
+        tau=needed.torque - taken,
+        standing=every,
+        depth=np.tile(robot.foot_radius, (5, 1)),
+    )
+    bins.depth /= HALFWAY
+    steps = DynamicsInputs(bins, up, every, every[:, 0])
     found = unbalanced_wrench(steps, needed, robot) + wrench
     assert_allclose(found[:, :3], force.sum(axis=1), atol=1e-9)
 
@@ -214,9 +220,8 @@ def test_a_foots_load_is_read_from_its_legs_torques(on_soft_ground):
     robot, log = on_soft_ground
     frame = log_under_model(log, robot).motion
     bins = binned(log, robot, frame)
-    steps = dynamics_inputs(bins, robot)
-    of_torques = foot_loads(log, robot, frame, bins, steps)
-    shared = foot_loads(log, robot, frame, replace(bins, tau=np.full_like(bins.tau, np.nan)), steps)
+    of_torques = foot_loads(log, robot, frame, bins)
+    shared = foot_loads(log, robot, frame, replace(bins, tau=np.full_like(bins.tau, np.nan)))
     inside, true = frame.standing, log.force
     weight = 9.81 * robot.mass
     assert np.std((of_torques - true)[inside]) < 0.03 * weight
@@ -243,7 +248,7 @@ def test_legs_that_weigh_nothing_carry_what_their_torques_say(monkeypatch):
     bins = binned(log, robot, motion)
     weightless = np.zeros((len(bins.t), 6)), np.zeros_like(bins.tau)
     monkeypatch.setattr(Dynamics, "inverse", lambda *_: weightless)
-    found = foot_loads(log, robot, motion, bins, dynamics_inputs(bins, robot))
+    found = foot_loads(log, robot, motion, bins)
     assert_allclose(found, load, atol=1e-9)
 
 
