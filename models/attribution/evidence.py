@@ -461,7 +461,7 @@ class _Linear:
         for name in self.layout.channels:
             which = self.layout.of(name)
             for values in channels()[name].nuisance_regressors(parts.inputs):
-                one = Regressor(which, np.isfinite(parts.table[:, which]) * values)
+                one = Regressor(which, np.where(np.isfinite(parts.table[:, which]), values, 0.0))
                 out.append((self._to_reading_scale(one), np.inf, None))
         return out
 

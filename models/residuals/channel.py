@@ -180,7 +180,9 @@ class Channel:
         raise NotImplementedError
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
-        """Regressors of nuisance parameters of each log, (M, 1) or (M, columns), without bounds."""
+        """Regressors of nuisance parameters of each log, (M, 1) or (M, columns), without bounds;
+        what they are where the residual has no value does not matter.
+        """
         return ()
 
     def is_available(self, log: Log, fixed: bool, level: bool, by_feet: bool = False) -> bool:

@@ -112,7 +112,9 @@ class LegVelocity(Channel):
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """Shares of their way that feet of unknown size roll, where the log gives the feet."""
-        return [np.nan_to_num(way) for way in _unknown_rolling(inputs)]
+        feet = shown_feet(inputs.log, inputs.robot.feet)
+        known = feet is None or not feet.roll_unknown
+        return () if known else travel_regressors(inputs.bins, feet)
 
 
 class StanceVelocity(LegVelocity):
@@ -132,14 +134,7 @@ class StanceVelocity(LegVelocity):
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """The same shares as of the leg velocity."""
-        ways = _unknown_rolling(inputs)
-        return [np.nan_to_num(_means_of_stances(inputs.bins, way)) for way in ways]
-
-
-def _unknown_rolling(inputs: ResidualInputs) -> Sequence[np.ndarray]:
-    """`travel_regressors` of feet that may roll by any share of their way."""
-    feet = shown_feet(inputs.log, inputs.robot.feet)
-    return travel_regressors(inputs.bins, feet) if feet is not None and feet.roll_unknown else ()
+        return [_means_of_stances(inputs.bins, way) for way in super().nuisance_regressors(inputs)]
 
 
 def _means_of_stances(bins: Bins, v: np.ndarray) -> np.ndarray:

@@ -197,12 +197,11 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
             row += step
             if row < 0 or row >= len(t):
                 break
-            if not np.isfinite(speed[row]):
-                at[k] = row
-                break
-            if speed[row] <= STANDING_SPEED:
+            if speed[row] > STANDING_SPEED:
+                continue
+            at[k] = row
+            if np.isfinite(speed[row]):
                 share = (STANDING_SPEED - speed[row]) / (speed[row - step] - speed[row])
                 when[k] = t[row] + share * (t[row - step] - t[row])
-                at[k] = row
-                break
+            break
     return at, when, lifts

@@ -1,6 +1,6 @@
 """Table of residuals of a log under a model: the columns of each channel, and their values."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -37,23 +37,25 @@ class Layout:
         return tuple(column.name for column in self.columns)
 
     @cached_property
+    def channel_of(self) -> tuple[str, ...]:
+        """Channel of each column."""
+        sizes = {name: place.stop - place.start for name, place in self.channels.items()}
+        return tuple(name for name, size in sizes.items() for _ in range(size))
+
+    @cached_property
     def groups(self) -> tuple[list[int], ...]:
         """Columns that come from one reading."""
-        return self._collected("group")
+        return self._alike([column.group for column in self.columns])
 
     @cached_property
     def alike(self) -> tuple[list[int], ...]:
         """Columns with the same noise level."""
-        return self._collected("kind")
+        return self._alike([column.kind for column in self.columns])
 
     @cached_property
     def masked_by(self) -> tuple[tuple[str, ...], ...]:
         """What invalidates each column (see `Channel.masked_by`)."""
-        return tuple(
-            channels()[name].masked_by
-            for name, columns in self.channels.items()
-            for _ in range(columns.stop - columns.start)
-        )
+        return tuple(channels()[name].masked_by for name in self.channel_of)
 
     @cached_property
     def fitted(self) -> np.ndarray:
@@ -73,11 +75,11 @@ class Layout:
     def __contains__(self, name: str) -> bool:
         return name in self.channels
 
-    def _collected(self, what: str) -> tuple[list[int], ...]:
+    def _alike(self, words: Sequence[str]) -> tuple[list[int], ...]:
+        """Columns of one channel with the same word."""
         found: dict[tuple[str, str], list[int]] = {}
-        for name, columns in self.channels.items():
-            for c in range(columns.start, columns.stop):
-                found.setdefault((name, getattr(self.columns[c], what)), []).append(c)
+        for column, key in enumerate(zip(self.channel_of, words, strict=True)):
+            found.setdefault(key, []).append(column)
         return tuple(found.values())
 
 
