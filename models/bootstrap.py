@@ -2,6 +2,11 @@
 
 import numpy as np
 
+BLOCK_SECONDS = 2.0
+"""Length of the blocks of a walk's residuals [s]: those of one step correlate with the next step's,
+those of blocks of this length hardly.
+"""
+
 
 def block_bootstrap_counts(
     blocks: int, rng: np.random.Generator, count: int = 1000, drawn: int | None = None

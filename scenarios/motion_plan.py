@@ -3,9 +3,9 @@ it.
 
 The robot walks short motions in simulation, from which the derivatives of the residual with respect
 to every candidate effect are taken. With Gaussian noise of the size of the residuals and Gaussian
-priors (`surefoot.models.attribution.priors`), the covariance of all sizes together is (f X^T W X +
-P)^-1, where f is the number of repetitions of the motion. A motion reveals an effect if the
-standard deviation of its size is a tenth of what its prior allows.
+priors (`surefoot.models.attribution.effect_sizes`), the covariance of all sizes together is
+(f X^T W X + P)^-1, where f is the number of repetitions of the motion. A motion reveals an effect
+if the standard deviation of its size is a tenth of what its prior allows.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.models.attribution.design import design
+from surefoot.models.attribution.effect_sizes import prior_of
 from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linearise, log_under_model
-from surefoot.models.attribution.fit import design
-from surefoot.models.attribution.priors import prior_of
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import check_known
 from surefoot.sim.effects import known_effects
@@ -102,7 +102,7 @@ def _information(evidence: Evidence, keys: Sequence[Key]) -> tuple[np.ndarray, n
             if sigma > 0.0:
                 total[np.ix_(which, which)] += X.T @ X / sigma**2
     within = [prior_of(known_effects()[name]).within / 1.96 for name, _ in keys]
-    return total, np.concatenate([np.array(within), evidence.limits]) ** -2.0
+    return total, np.concatenate([np.array(within), evidence.deviations]) ** -2.0
 
 
 def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Key]) -> Shown:

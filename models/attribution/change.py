@@ -13,10 +13,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtrit
 
+from surefoot.models.attribution.effect_sizes import (
+    PER_RUN_EFFECTS,
+    Found,
+    plausible_size,
+    with_clipped_size,
+)
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
-from surefoot.models.attribution.found import Found, with_clipped_size
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.metric import Metric, groups_of, metric_of, noise_of
+from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
     NOTHING,
@@ -26,8 +31,6 @@ from surefoot.models.attribution.model_error import (
     evidence_of,
     windows,
 )
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
 from surefoot.sim.robot.limbs import Limbs
@@ -143,7 +146,8 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
     Raises LogError where the runs have other readings than those that the model's error is of.
     """
     evidence, rates = evidence_of(cases)
-    shown = {*groups_of(evidence.layout, np.isfinite(evidence.table).any(axis=0))}
+    there = np.isfinite(evidence.table).any(axis=0)
+    shown = {kind for kind, seen in zip(evidence.layout.kinds, there, strict=True) if seen}
     lacking = {*known.noise} - shown
     if lacking or {*known.keys} - {*evidence.keys}:
         names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"

@@ -1,15 +1,13 @@
-"""Columns that a trace reads from its logs, and the effects that can be identified from them."""
+"""Columns and parts of the logs that a trace uses, and the effects that can be identified."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
-from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.attribution.reference_sampling import reference_notes, reference_sampling
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import Split
+from surefoot.models.attribution.noise_floor import NoiseFloor, ground_evenness
+from surefoot.models.attribution.sensor_noise import reference_notes
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.channels import CHANNELS, channels
 from surefoot.sim.effects import known_effects
@@ -17,6 +15,23 @@ from surefoot.sim.log import Log
 
 LACKING = ": not used, the log lacks "
 """Text of a note between a channel and the columns that it lacks."""
+SPLIT_BLOCK = 4.0
+"""Length of the blocks of which two are fitted on and the third reports [s]: a few strides."""
+GAP = 0.05
+"""Gap between these blocks, as a share of them, longer than residuals are correlated."""
+FEWEST_BLOCKS = 9
+"""Minimum number of blocks per log; in a short log, blocks and gaps are shortened."""
+SHORTEST_FIXED_BLOCK = 1.5
+"""Minimum length of these blocks of a machine on a fixed base [s]: some swings."""
+SHORTEST_PART = 0.5
+"""Minimum length of a part of the split [s], in residuals with a reference."""
+SHORTEST, SHORTEST_FIXED = 11.5, 3.0
+"""Minimum length of the logs [s]: a log of 12 s, whose ends have no residual; and of all logs of a
+machine on a fixed base together, where every row is informative.
+"""
+REACH = 0.5
+"""Distance that a robot cannot move without stepping; contacts that never change are then dead [m].
+"""
 _TURNS = 0.02
 """Deviation of a gyro from which a body does not rest [rad/s]."""
 _CONSTANT = 1e-6
@@ -25,19 +40,13 @@ OF_FEET = ("imu", "contact", "reference")
 """Groups of columns, beside the feet, that a trace by feet alone reads."""
 
 
-def _too_short(seconds: float, least: float) -> str:
-    """State that a log is too short, with the digits that show it."""
-    digits = next((k for k in range(1, 9) if f"{seconds:.{k}f}" != f"{least:.{k}f}"), 9)
-    return f"too short: {seconds:.{digits}f} s where {least:g} s"
-
-
-def readings(log: Log, settings: TraceSettings = DEFAULT, by_feet: bool = False) -> Log:
+def readings(log: Log, by_feet: bool = False) -> Log:
     """Keep only the columns that a measured log could have, without contacts that never change;
     `by_feet`: of a machine that is known by its feet alone, without joints that nothing models.
     """
     joints = () if by_feet else ("q_", "dq_", "tau_")
     known = ("gyro_", "accel_", *joints, "contact_", "force_", "foot_", "ref_")
-    if dead_contacts(log, settings):
+    if dead_contacts(log):
         known = tuple(name for name in known if name != "contact_")
     read_by = (*channels().values(), *known_effects().usable()[0].values())
     known += tuple(n for one in read_by for n in one.needs if n.startswith("x_"))
@@ -46,21 +55,42 @@ def readings(log: Log, settings: TraceSettings = DEFAULT, by_feet: bool = False)
     return Log(log.frame.filter(items=names), meta, log.name)
 
 
-def dead_contacts(log: Log, settings: TraceSettings = DEFAULT) -> str:
+def dead_contacts(log: Log) -> str:
     """Say which contacts never change although the robot walks; "" if all do, or if it rolls."""
     if not log.has("contact") or not log.has("reference"):
         return ""
     if log.contact.all() and log.has("q") and np.ptp(log.q, axis=0).max() > 2.0 * np.pi:
         return ""
-    legs = log.legs
-    dead = [leg for leg, one in zip(legs, log.contact.T, strict=True) if one.all() or not one.any()]
-    far = float(np.ptp(log.ref_p[:, :2], axis=0).max())
-    carried = len(dead) == len(legs) and far > settings.reach_without_step
-    walks = len(legs) - len(dead) >= 2 or carried
-    if not dead or not walks:
+    same = log.contact.all(axis=0) | ~log.contact.any(axis=0)
+    carried = same.all() and np.ptp(log.ref_p[:, :2], axis=0).max() > REACH
+    if not same.any() or not (np.count_nonzero(~same) >= 2 or carried):
         return ""
-    names = ", ".join(f"contact_{leg}" for leg in dead)
+    names = ", ".join(f"contact_{leg}" for leg, dead in zip(log.legs, same, strict=True) if dead)
     return f"contacts: not used, no change in {names} although the robot walks"
+
+
+@dataclass(frozen=True)
+class Split:
+    """Masks (M,) of the bins used to fit and to report."""
+
+    fit: np.ndarray
+    report: np.ndarray
+
+
+def split_of(cases: Sequence[LogUnderModel]) -> Split:
+    """Split each log: every third block reports, so that both parts have all that a robot does."""
+    fits, reports = [], []
+    for case in cases:
+        t = case.motion.t - case.motion.t[0]
+        block = min(SPLIT_BLOCK, t[-1] / FEWEST_BLOCKS)
+        if case.fixed:
+            # Long enough for some windows over which torques are averaged.
+            block = min(max(block, SHORTEST_FIXED_BLOCK), t[-1] / 3.0)
+        block = max(block, 1e-9)
+        phase = np.mod(t, 3.0 * block)
+        fits.append((phase >= GAP * block) & (phase < 2.0 * block))
+        reports.append(phase >= 2.0 * block + GAP * block)
+    return Split(np.concatenate(fits), np.concatenate(reports))
 
 
 def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
@@ -78,17 +108,17 @@ def untraceable_reason(cases: Sequence[LogUnderModel], split: Split) -> str:
             f"no channel: the log lacks {', '.join(lacking)}; needs imu, or q and contact, beside "
             "the reference; without one imu, q and contact; or q and tau of a fixed base"
         )
-    s = cases[0].settings
-    spans = [float(case.motion.t[-1] - case.motion.t[0]) for case in cases]
-    needed = "are needed to fit and to check"
-    if cases[0].fixed and sum(spans) < s.shortest_fixed_log:
-        more = "several logs of one machine add up"
-        return f"{_too_short(sum(spans), s.shortest_fixed_log)} {needed}; {more}"
-    if not cases[0].fixed and sum(spans) < s.shortest_log:
-        return f"{_too_short(sum(spans), s.shortest_log)} {needed}"
+    span = sum(float(case.motion.t[-1] - case.motion.t[0]) for case in cases)
+    least = SHORTEST_FIXED if cases[0].fixed else SHORTEST
+    if span < least:
+        # With the digits that show it.
+        digits = next((k for k in range(1, 9) if f"{span:.{k}f}" != f"{least:.{k}f}"), 9)
+        needed = f"{least:g} s are needed to fit and to check"
+        more = "; several logs of one machine add up" if cases[0].fixed else ""
+        return f"too short: {span:.{digits}f} s where {needed}{more}"
     known = np.concatenate([bin_mean(case.motion)(case.motion.ok.astype(float)) for case in cases])
     fit, report = (BIN * float(known[part].sum()) for part in (split.fit, split.report))
-    if min(fit, report) < s.shortest_part:
+    if min(fit, report) < SHORTEST_PART:
         return f"too little reference: {fit:.1f} s to fit on, {report:.1f} s to report on"
     return next((why for case in cases if not case.fixed and (why := _frozen(case.log))), "")
 
@@ -151,17 +181,12 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes += _not_identifiable(cases)
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append("the reference's velocity is derived from its positions, which smooths it")
-        for case in cases:
-            sampling = floor.plan.sampling if floor.plan else None
-            if case.by_feet:
-                sampling = reference_sampling(case.log, case.settings)
-            notes += reference_notes(case.log, sampling)
+        if floor.walks or by_feet:
+            notes += [note for case in cases for note in reference_notes(case.log)]
     if not (floor.walks or fixed or by_feet):
         notes.append("the model does not walk in simulation: the floor is sensor noise alone")
-    if floor.evenness and "foot_height" in there:
-        notes.append(
-            f"the ground is assumed even to {1e3 * floor.evenness:.2g} mm (standard deviation)"
-        )
+    if (evenness := ground_evenness(cases)) and "foot_height" in there:
+        notes.append(f"the ground is assumed even to {1e3 * evenness:.2g} mm (standard deviation)")
     robots = [case.robot.legged for case in cases]
     if any(robot is not None and np.any(robot.foot_radius == 0) for robot in robots):
         notes.append(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -59,17 +60,27 @@ class Design:
             out[rows, column] = X @ sizes[which]
         return out
 
-    def gram(self, y: np.ndarray, root: np.ndarray, columns: Sequence[int]) -> np.ndarray:
-        """Products (P, P), P = 1 + C + B, of y (M, W), candidates and nuisance parameters over the
-        entries of some columns, each multiplied by its root (M, W).
+    def grams(
+        self, y: np.ndarray, root: np.ndarray, columns: Sequence[int], part: np.ndarray
+    ) -> np.ndarray:
+        """Products (K, P, P), P = 1 + C + B, of y, candidates and nuisance parameters over the
+        bins of each of K parts.
+
+        Args:
+            y: (M, W).
+            root: factor of each entry (M, W).
+            columns: of the table that are used.
+            part: number (M,) of the part of each bin, which does not decrease.
         """
-        G = np.zeros((1 + self.size, 1 + self.size))
+        G = np.zeros((part.max(initial=0) + 1, 1 + self.size, 1 + self.size))
         for c in columns:
             rows, scale = self.rows[c], root[self.rows[c], c]
             used = np.flatnonzero(scale)
-            if len(used):
-                A = np.column_stack([y[rows, c], self.X[c]])[used] * scale[used, None]
-                add_block(G, np.append(0, 1 + self.which[c]), A.T @ A)
+            A = np.column_stack([y[rows, c], self.X[c]])[used] * scale[used, None]
+            place, ends = np.append(0, 1 + self.which[c]), np.arange(len(G) + 1)
+            for k, (i, j) in enumerate(pairwise(np.searchsorted(part[rows[used]], ends))):
+                if j > i:
+                    add_block(G[k], place, A[i:j].T @ A[i:j])
         return G
 
 
@@ -130,7 +141,8 @@ def without_nuisance(
     """
     data = design(evidence.only(()))
     root = np.sqrt(weight * use[:, None]) / sigma
-    G, limits = data.gram(data.y, root, evidence.layout.fitted), TURN_ON_LIMIT * evidence.deviations
+    (G,) = data.grams(data.y, root, evidence.layout.fitted, np.zeros(len(root), int))
+    limits = TURN_ON_LIMIT * evidence.deviations
     inner = G[1:, 1:] + np.diag(nuisance_precision(evidence))
     sizes = scaled_inverse(inner) @ G[1:, 0]
     if (beyond := np.abs(sizes) > limits).any():

@@ -6,10 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.models.attribution.angle_error import angle_errors
 from surefoot.models.attribution.change import find_change
-from surefoot.models.attribution.data import data_notes, dead_contacts, readings, untraceable_reason
+from surefoot.models.attribution.data import (
+    Split,
+    data_notes,
+    dead_contacts,
+    readings,
+    split_of,
+    untraceable_reason,
+)
 from surefoot.models.attribution.design import without_nuisance
+from surefoot.models.attribution.effect_sizes import Found, in_order, is_sampling_lag
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -26,10 +33,11 @@ from surefoot.models.attribution.explain import (
     problem_of,
     zeros_beside,
 )
-from surefoot.models.attribution.found import Found, in_order
-from surefoot.models.attribution.friction import (
+from surefoot.models.attribution.forces import (
     FootFriction,
     estimate_friction,
+    outside_forces,
+    pushed_bins,
     slip_effect,
     slip_notes,
 )
@@ -43,14 +51,9 @@ from surefoot.models.attribution.model_error import (
     run_sums,
 )
 from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor, noise_floor_with
-from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
-from surefoot.models.attribution.robust_weights import RobustWeights
-from surefoot.models.attribution.run_offsets import is_sampling_lag
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.attribution.split import Split, split_of
-from surefoot.models.attribution.sticking import sticks
-from surefoot.models.attribution.unexplained import Unexplained, sparse_regression
+from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
+from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights, sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all
@@ -104,6 +107,14 @@ class Diagnosis:
     least: dict[Key, float] = field(default_factory=dict)
 
     @property
+    def rejected(self) -> tuple[tuple[Effect, str], ...]:
+        """Effects that were considered and are not found, and why."""
+        if self.attribution is None:
+            return ()
+        harmful = ((one, f"it makes {name} worse") for one, name in self.attribution.harmful)
+        return (*harmful, *self.attribution.rejected)
+
+    @property
     def effects(self) -> tuple[Effect, ...]:
         """The effects found, in the order in which they are compensated."""
         return in_order([one.effect for one in self.found])
@@ -140,6 +151,8 @@ class Diagnosis:
             ]
         if self.rivals:
             out["rivals"] = list(self.rivals)
+        if self.rejected:
+            out["rejected"] = [{**one.as_dict(), "because": why} for one, why in self.rejected]
         return plain(out)
 
 
@@ -156,14 +169,17 @@ class DiagnosisOptions:
         since: error of the model in runs of the unchanged machine, from the trace that found
             `declared`. With it, the diagnosis says what changed since (`find_change`).
         holdout: logs of the same machine, on which the result is judged and nothing is fitted.
-        constants: of the method.
+        harmful: of logs and effects, an effect that makes some use of the model worse, and which
+            use; None if none does. Asked of the held-out logs where there are any.
     """
 
     seed: int = 0
     declared: Sequence[Effect] | None = None
     since: ModelError | None = None
     holdout: Sequence[Log] = ()
-    constants: TraceSettings = DEFAULT
+    harmful: Callable[[Sequence[LogUnderModel], Sequence[Effect]], tuple[Effect, str] | None] = (
+        lambda cases, effects: None
+    )
 
 
 DEFAULT_OPTIONS = DiagnosisOptions()
@@ -192,8 +208,7 @@ def diagnose(
     # The logs under the declared model. Zeros and clocks of several logs belong to each log.
     model = declared or ()
     several = len(logs) > 1 or declared is not None
-    settings = options.constants
-    cases = logs_under_model(logs, robot, model, settings)
+    cases = logs_under_model(logs, robot, model)
     split = split_of(cases)
     cannot = untraceable_reason(cases, split)
     if cannot:
@@ -205,15 +220,34 @@ def diagnose(
     # The noise floor, then the search for effects: once, or twice where the effects that were found
     # tell whether feet slide.
     friction = estimate_friction(cases, np.random.default_rng(seed))
-    slip = slip_effect(friction, settings)
-    result, floors = _explained(cases, split, slip, several, progress)
+    slip = slip_effect(friction)
+    unseen = logs_under_model(options.holdout, robot, model)
+    problem = problem_of(cases, split.fit, several)
+
+    def explained(slip: Sequence[Found]) -> tuple[Explanation, _Floors]:
+        """The search, and the floors that it was based on."""
+        floors = _Floors(cases, [one.effect for one in slip])
+        progress(0.4)
+
+        def harmful(metric: Metric, now: Problem, effects: Sequence[Effect]):
+            floor = floors.of(effects)
+            by_channel = find_harmful_effect(now.cases, effects, metric, floor, split)
+            return by_channel or (
+                options.harmful(unseen or now.cases, effects) if effects else None
+            )
+
+        found = explain(problem, floors.error_of, harmful, lambda x: progress(0.4 + 0.5 * x))
+        floors.of([one.effect for one in found.found])
+        return found, floors
+
+    result, floors = explained(slip)
     if result.found and friction:
         model_with = [*model, *(one.effect for one in result.found)]
-        explained = logs_under_model(logs, robot, model_with, settings)
-        friction = estimate_friction(explained, np.random.default_rng(seed))
-        slides = slip_effect(friction, settings)
+        with_found = logs_under_model(logs, robot, model_with)
+        friction = estimate_friction(with_found, np.random.default_rng(seed))
+        slides = slip_effect(friction)
         if bool(slides) != bool(slip):
-            result, floors = _explained(cases, split, slides, several, progress)
+            result, floors = explained(slides)
         slip = slides
     lags = _sampling_lags(result.found, cases)
     found = (*(f for f in result.found if f not in lags), *slip)
@@ -233,10 +267,9 @@ def diagnose(
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if options.holdout:
-        unseen = logs_under_model(options.holdout, robot, model, settings)
         held_out = _held_out(unseen, effects, lags, floors, several, rng, model)
     progress(0.95)
-    curves = angle_errors(result, sides.cases, settings)
+    curves = curved_angles(result, sides.cases)
     verdict, reasons = verdict_of(
         Findings(
             found=found,
@@ -257,16 +290,13 @@ def diagnose(
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
         above = _above_floor(channels)
-        unexplained = tuple(
-            Unexplained(one.channel, one.joint, (f"curve_of_angle_{one.joint}",), one.share)
-            for one in curves
-        ) + sparse_regression(
+        unexplained = curves + sparse_regression(
             sides.cases, sides.after, sides.weights, above, split.fit, split.report
         )
     if declared is not None and verdict == "not_identifiable":
         # Without a significant effect, no change is reported; the reasons say so.
         found = ()
-    dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log, settings)))
+    dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log)))
     excluded = [words for one in pushes if (words := one.in_words()) not in reasons]
     progress(1.0)
     return Diagnosis(
@@ -287,7 +317,7 @@ def diagnose(
         notes=(
             *dead,
             *data_notes(cases, floors.plain),
-            *slip_notes(friction, "leg_velocity" in channels, settings),
+            *slip_notes(friction, "leg_velocity" in channels),
             *(f"excluded from the verdict: {words}" for words in excluded),
             *_result_notes(found, channels),
             *_lag_notes(lags),
@@ -311,27 +341,6 @@ class _Floors:
     def error_of(self, effects: Sequence[Effect]) -> ModelError:
         """Error of the model with these effects."""
         return self.of(effects).error
-
-
-def _explained(
-    cases: Sequence[LogUnderModel],
-    split: Split,
-    slip: Sequence[Found],
-    several: bool,
-    progress: Callable[[float], None],
-) -> tuple[Explanation, _Floors]:
-    """The search for effects, and the floors that it was based on."""
-    floors = _Floors(cases, [one.effect for one in slip])
-    progress(0.4)
-
-    def harmful(metric: Metric, problem: Problem, effects: Sequence[Effect]):
-        floor = floors.of(effects)
-        return find_harmful_effect(problem.cases, effects, metric, floor, split)
-
-    problem = problem_of(cases, split.fit, several)
-    found = explain(problem, floors.error_of, harmful, lambda share: progress(0.4 + 0.5 * share))
-    floors.of([one.effect for one in found.found])
-    return found, floors
 
 
 @dataclass(frozen=True)
@@ -494,9 +503,7 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
     effects = tuple(one.effect for one in lags)
     return tuple(
         FittedRun(
-            log_under_model(
-                *compensate_all(effects, run.case.log, run.case.robot), run.case.settings
-            ),
+            log_under_model(*compensate_all(effects, run.case.log, run.case.robot)),
             (*run.zeros, *lags),
             (*run.compensated, *effects),
         )
@@ -558,19 +565,13 @@ def _still_explains(
 
 
 def logs_under_model(
-    logs: Sequence[Log],
-    robot: Machine,
-    declared: Sequence[Effect],
-    settings: TraceSettings = DEFAULT,
+    logs: Sequence[Log], robot: Machine, declared: Sequence[Effect]
 ) -> list[LogUnderModel]:
     """The logs' readings with the declared effects compensated, each with its model."""
     robot = _with_declared(robot, declared)
     return [
         log_under_model(
-            *compensate_all(
-                in_order(declared), readings(log, settings, robot.limbs.feet_alone), robot
-            ),
-            settings,
+            *compensate_all(in_order(declared), readings(log, robot.limbs.feet_alone), robot)
         )
         for log in logs
     ]
@@ -594,7 +595,7 @@ def _result_notes(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> 
         f"{name}: {c.after / c.highest:.0f} times its residual in simulation is left, which may "
         "distort the sizes"
         for name, c in channels.items()
-        if found and c.after > c.settings.far_ratio * c.highest
+        if found and c.after > FAR_ABOVE * c.highest
     ]
     return notes
 
@@ -625,7 +626,10 @@ def _error_of(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> Mode
 
 
 def _with_interval(one: Found) -> dict[str, Any]:
-    return {**one.effect.as_dict(), "interval": list(one.interval)}
+    criteria = {"excess": one.excess, "agreement": one.agreement}
+    return {**one.effect.as_dict(), "interval": list(one.interval)} | (
+        criteria if np.isfinite(one.excess) else {}
+    )
 
 
 def _run_as_dict(run: FittedRun) -> list[dict[str, Any]]:

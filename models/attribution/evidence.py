@@ -7,7 +7,6 @@ from itertools import takewhile
 
 import numpy as np
 
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
 from surefoot.models.residuals.binning import (
     ReferenceMotion,
     angles_are_quieter,
@@ -42,6 +41,12 @@ Key = tuple[str, str]
 """A candidate: name and target of an effect."""
 
 
+FIXED_BASE_RATE = 0.1
+"""RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
+bias of a bad gyro 0.05.
+"""
+_CHANGE_STEP = 1e-3
+"""Relative step of the finite differences of channels without a chain rule."""
 FEW_BINS = 0.02
 """Share of a table's entries that may appear or vanish before its derivatives are recomputed."""
 
@@ -62,7 +67,6 @@ class Evidence:
         deviations: prior standard deviations of the nuisance parameters (B,), infinite where free.
         bias_of: for each of Z that is a turn-on bias, the candidate that describes the same error
             without a bound, else None.
-        settings: of the trace.
         groups: candidates whose regressor is the sum of those of other candidates.
         reading_scale: factors of the columns of each log (`_reading_scale`).
     """
@@ -76,7 +80,6 @@ class Evidence:
     Z: tuple[Regressor, ...]
     deviations: np.ndarray
     bias_of: tuple[Key | None, ...]
-    settings: TraceSettings = DEFAULT
     groups: frozenset[Key] = frozenset()
     reading_scale: tuple[tuple[float, ...], ...] = ()
 
@@ -93,13 +96,16 @@ class Evidence:
 
 @dataclass(frozen=True)
 class LogUnderModel:
-    """A log, the model that it is compared with, and the motion of its reference."""
+    """A log, the model that it is compared with, and the motion of its reference.
+
+    `zeros` are the effects of the log's own, such as encoder zeros, that it has compensated.
+    """
 
     log: Log
     robot: Machine
     motion: ReferenceMotion
     fixed: bool = False
-    settings: TraceSettings = DEFAULT
+    zeros: tuple[Effect, ...] = ()
 
     @property
     def by_feet(self) -> bool:
@@ -107,21 +113,21 @@ class LogUnderModel:
         return self.robot.limbs.feet_alone
 
 
-def log_under_model(log: Log, robot: Machine, settings: TraceSettings = DEFAULT) -> LogUnderModel:
+def log_under_model(log: Log, robot: Machine) -> LogUnderModel:
     """Prepare a log for comparison with a robot model.
 
     Without a reference, the base is assumed to be fixed if the log shows neither ground contact nor
     rotation of the body.
     """
     stands = log.has("contact") and log.contact.any()
-    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > settings.fixed_base_rate
+    turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > FIXED_BASE_RATE
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
     fixed = robot.fixed or hung
     log = MemoisedLog.of(log)
     motion = motion_under_model(log, robot, fixed)
     if fixed and log.has("tau") and angles_are_quieter(log, motion):
         motion = replace(motion, rates_of_angles=True)
-    return LogUnderModel(log, robot, with_ground(motion, log, robot), fixed, settings)
+    return LogUnderModel(log, robot, with_ground(motion, log, robot), fixed)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
@@ -208,7 +214,6 @@ def linearise(
         Z=tuple(joined_regressor([one], starts, i) for i, one, *_ in of_logs),
         deviations=np.array([deviation for *_, deviation, _ in of_logs]),
         bias_of=tuple(key for *_, key in of_logs),
-        settings=cases[0].settings,
         reading_scale=scale,
         groups=frozenset(
             (name, target)
@@ -218,14 +223,27 @@ def linearise(
     )
 
 
-def wrt_columns(
-    case: LogUnderModel,
+def with_changes(
+    known: Evidence,
+    cases: Sequence[LogUnderModel],
     chosen: Sequence[Effect],
-    altered: Callable[[Log], Sequence[Mapping[str, np.ndarray]]],
-) -> list[Regressor]:
-    """Regressors of given changes to a log's columns, each (N,), with `chosen` compensated."""
-    linear = _Linear(case, chosen)
-    return [linear.by_columns(columns) for columns in altered(linear.log)]
+    changes: Callable[[Log], Mapping[Key, Mapping[str, np.ndarray]]],
+) -> Evidence:
+    """The evidence with further candidates.
+
+    Args:
+        known: evidence of the cases.
+        cases: the logs.
+        chosen: effects that are compensated.
+        changes: candidate -> what one unit of it adds to columns of a log, each (N,).
+    """
+    starts, per_log = np.searchsorted(known.log, np.arange(len(cases) + 1)), []
+    for case in cases:
+        linear = _Linear(case, chosen)
+        added = changes(linear.log)
+        per_log.append([linear.by_columns(columns) for columns in added.values()])
+    X = [joined_regressor(parts, starts) for parts in zip(*per_log, strict=True)]
+    return replace(known, keys=(*known.keys, *added), X=(*known.X, *X))
 
 
 def table_of(
@@ -368,20 +386,22 @@ class _Linear:
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
     def _derivative_at_zero(self, key: Key, step: float, names: Sequence[str]) -> Regressor:
-        """Derivative at zero, by the effect's chain rule or a difference of the channels `names`."""
+        """Derivative at zero, by the effect's chain rule or by a difference of these channels."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
         if known_effects()[key[0]].chain_rule == "readings":
             change = self._by_chain_rule(log, robot, step)
         else:
             change = self._by_difference(key, log, robot, names) / step
+        if key[0] in _SCALED:
+            by_scale = (_reading_scale(self.layout, [effect(*key, step)]) - 1.0) / step
+            change = change + by_scale * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
     def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
         """Regressor of additions (N,) to columns of the log."""
-        share = self.case.settings.difference_step
-        columns = {name: self.log.columns[name] + share * x for name, x in added.items()}
-        change = self._by_chain_rule(with_columns(self.log, columns), self.robot, share)
+        columns = {name: self.log.columns[name] + _CHANGE_STEP * x for name, x in added.items()}
+        change = self._by_chain_rule(with_columns(self.log, columns), self.robot, _CHANGE_STEP)
         return self._to_reading_scale(sparse(change, self.parts.table))
 
     def _to_reading_scale(self, one: Regressor) -> Regressor:

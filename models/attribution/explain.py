@@ -14,6 +14,14 @@ from itertools import islice
 import numpy as np
 from scipy.special import stdtrit
 
+from surefoot.models.attribution.effect_sizes import (
+    PER_RUN_EFFECTS,
+    Found,
+    in_order,
+    plausible_size,
+    price_of_some_parts,
+    with_clipped_size,
+)
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -23,13 +31,10 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
     table_of,
 )
-from surefoot.models.attribution.found import Found, in_order, with_clipped_size
 from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
-from surefoot.models.attribution.priors import plausible_size, prior_penalty
-from surefoot.models.attribution.run_offsets import PER_RUN_EFFECTS
-from surefoot.models.attribution.sticking import sticks
+from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
@@ -46,6 +51,8 @@ how runs differ is known no better than that.
 """
 LEAST_EXCESS = 6.0
 """The same where nothing but the noise of readings is known."""
+AGREED = 3.0
+"""Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 3, 1
@@ -121,7 +128,8 @@ class Explanation:
         found: effects, strongest first.
         rounds: candidates of each round.
         rivals: key and overlap of the candidates that explain the logs as well as an effect found.
-        harmful: effects that were dropped, and the channel that each made worse.
+        harmful: effects that were dropped, and the channel or filter that each made worse.
+        rejected: other effects that were considered last, and why each is not found.
         runs: each log with its own effects.
         metric: linearised at the effects.
     """
@@ -130,6 +138,7 @@ class Explanation:
     rounds: tuple[tuple[Candidate, ...], ...]
     rivals: tuple[tuple[Key, float], ...]
     harmful: tuple[tuple[Effect, str], ...]
+    rejected: tuple[tuple[Effect, str], ...]
     runs: tuple[FittedRun, ...]
     metric: Metric
 
@@ -228,6 +237,14 @@ class Chosen:
         """Standard deviations of the sizes (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    @cached_property
+    def between_blocks(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) by how the blocks of the logs differ: jackknife
+        with one block left out (Efron and Stein, Annals of Statistics 9, 1981).
+        """
+        sizes = self.metric.without_blocks(self.keys, self.precision)
+        return np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0))
+
     def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]
         return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
@@ -254,7 +271,7 @@ def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -
     price = [
         np.inf
         if key[0] in per_run
-        else prior_penalty(*key, 0.0, limbs) + (0.0 if sure else of_choice)
+        else price_of_some_parts(*key, limbs) + (0.0 if sure else of_choice)
         for key, sure in zip(keys, certain, strict=True)
     ]
     return Problem(
@@ -303,12 +320,15 @@ def explain(
     state, chosen = _settled(_State.of(problem, error_of), ())
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
+    rejected: tuple[tuple[Effect, str], ...] = ()
     tried = {frozenset(chosen.keys)}
     while True:
         progress(min(len(rounds) / (MOST_EFFECTS + 1), 1.0))
         beside = _beside(state, chosen)
         rounds.append(_as_candidates(state, beside))
-        better = _extended(state, chosen, beside) if len(chosen.keys) < MOST_EFFECTS else None
+        better = None
+        if len(chosen.keys) < MOST_EFFECTS:
+            better, rejected = _extended(state, chosen, beside)
         if better is None:
             better, rivals = _replaced(state, chosen)
         if better is None:
@@ -326,6 +346,7 @@ def explain(
         rounds=tuple(rounds),
         rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
         harmful=tuple(harm),
+        rejected=rejected,
         runs=_fitted_runs(state),
         metric=state.metric,
     )
@@ -347,7 +368,6 @@ class _State:
     Attributes:
         declared: the logs under the declared model.
         problem: the logs, with their own zeros and clocks compensated.
-        zeros: those of each log.
         error_of: as of `explain`.
         effects: that are compensated.
         error: of the model with the effects.
@@ -358,7 +378,6 @@ class _State:
 
     declared: Sequence[LogUnderModel]
     problem: Problem
-    zeros: tuple[tuple[Effect, ...], ...]
     error_of: Callable[[Sequence[Effect]], ModelError]
     effects: tuple[Effect, ...]
     error: ModelError
@@ -367,10 +386,9 @@ class _State:
 
     @staticmethod
     def of(problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError]) -> "_State":
-        error, none = error_of(()), tuple(() for _ in problem.cases)
-        return _State(
-            problem.cases, problem, none, error_of, (), error, _metric(problem, (), None, error)
-        )
+        error = error_of(())
+        metric = _metric(problem, (), None, error)
+        return _State(problem.cases, problem, error_of, (), error, metric)
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
@@ -421,6 +439,14 @@ class _State:
         )
         return np.where((excess > least) & inside, evidence, np.minimum(evidence, -1.0))
 
+    def earned_by(self, chosen: Chosen) -> np.ndarray:
+        """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
+        earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        if not (earned > 0.0).any():
+            return earned
+        agreed = np.abs(chosen.sizes) > AGREED * chosen.between_blocks
+        return np.where(agreed, earned, np.minimum(earned, -1.0))
+
 
 def _metric(
     problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
@@ -446,7 +472,7 @@ def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
         state = _with_zeros(state, effects)
         chosen = _refined(state, effects)
         state = replace(state, explained=_explained_by_body(state, chosen))
-        earned = state.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        earned = state.earned_by(chosen)
         worst = int(np.argmin(earned)) if len(earned) else -1
         if worst < 0 or earned[worst] > 0.0:
             return state, chosen
@@ -481,12 +507,12 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
     doubt = problem.unknown[problem.at(keys)]
     for _ in range(ZERO_ROUNDS if keys else 0):
         zeros = []
-        for known, fitted in zip(state.zeros, state.metric.zeros(keys), strict=True):
-            sizes = {(e.name, e.target): e.value for e in known}
+        for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
+            sizes = {(e.name, e.target): e.value for e in case.zeros}
             for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
                 least = ZERO_MOVED * np.hypot(deviation, more)
-                if abs(size) > least:
-                    sizes[key] = sizes.get(key, 0.0) + size
+                if abs(size - sizes.get(key, 0.0)) > least:
+                    sizes[key] = size
                 if abs(sizes.get(key, 0.0)) <= least:
                     sizes.pop(key, None)
             zeros.append(
@@ -494,15 +520,15 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
                     with_clipped_size(effect(*k, 0.0), x, problem.limbs) for k, x in sizes.items()
                 )
             )
-        if tuple(zeros) == state.zeros:
+        if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
-            log_under_model(*compensate_all(these, case.log, case.robot), case.settings)
+            replace(log_under_model(*compensate_all(these, case.log, case.robot)), zeros=these)
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)
         metric = _metric(problem, effects, None, state.error)
-        state = replace(state, problem=problem, zeros=tuple(zeros), metric=metric)
+        state = replace(state, problem=problem, metric=metric)
     return state
 
 
@@ -594,11 +620,13 @@ def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Be
     )
 
 
-def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
+def _extended(
+    state: _State, chosen: Chosen, beside: _Beside
+) -> tuple[Chosen | None, tuple[tuple[Effect, str], ...]]:
     """The effects with the candidate or pair added that leaves the least cost, if it earns its
-    place; else None.
+    place, else None; and what was tried and does not, with the reason.
     """
-    tried = []
+    tried, rejected = [], []
     for keys, sizes in _proposals(state, beside):
         new = [effect(*key, 0.0) for key in keys]
         new = [
@@ -608,9 +636,28 @@ def _extended(state: _State, chosen: Chosen, beside: _Beside) -> Chosen | None:
         one = _refined(state, [*chosen.effects, *new])
         gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
         at = one.at(keys)
-        if gained > 0.0 and np.all(state.earned(keys, one.sizes[at], one.deviations[at]) > 0.0):
+        if gained > 0.0 and np.all(state.earned_by(one)[at] > 0.0):
             tried.append((gained, one))
-    return max(tried, key=lambda pair: pair[0])[1] if tried else None
+        else:
+            rejected += [(one.effects[i], _why_not(state, one, i, gained)) for i in at]
+    best = max(tried, key=lambda pair: pair[0])[1] if tried else None
+    return best, tuple(rejected)
+
+
+def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
+    """Why a refined effect at this place does not earn it."""
+    one, size = chosen.effects[place], abs(chosen.sizes[place])
+    low, high = type(one).interior_bounds(one.target, state.problem.limbs)
+    if not low < one.value < high:
+        return "its size is at its bound"
+    if size <= AGREED * chosen.between_blocks[place]:
+        excess = size / chosen.between_blocks[place]
+        return f"the log's blocks disagree on it: {excess:.1f} of {AGREED:g} standard deviations"
+    if gained <= 0.0:
+        return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
+    doubt = state.doubt(state.problem.at([chosen.keys[place]]), chosen.deviations[[place]])[0]
+    excess = size / np.hypot(chosen.deviations[place], doubt)
+    return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
 
 
 def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.ndarray]]:
@@ -683,8 +730,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
             other = with_clipped_size(effect(*problem.keys[i], 0.0), beside.sizes[i], problem.limbs)
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
-            earned = state.earned(one.keys, one.sizes, one.deviations)
-            if not np.all(earned > 0.0):
+            if not np.all(state.earned_by(one) > 0.0):
                 continue
             if one.cost + costs < chosen.cost:
                 return one, ()
@@ -731,11 +777,17 @@ def _with_intervals(state: _State, chosen: Chosen) -> tuple[Found, ...]:
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
     square = 1.96**2 * (noise + state.doubt(at, np.sqrt(both)) ** 2)
     half = np.sqrt(square + of_model * np.maximum(both - noise, 0.0))
+    blocks = chosen.between_blocks if len(chosen.effects) else ()
     found = [
-        (abs(one.value) / np.sqrt(variance), Found(one, (one.value - h, one.value + h)))
-        for one, h, variance in zip(chosen.effects, half, both, strict=True)
+        Found(
+            one,
+            (one.value - h, one.value + h),
+            excess=abs(one.value) / np.sqrt(variance),
+            agreement=abs(one.value) / max(block, 1e-300),
+        )
+        for one, h, variance, block in zip(chosen.effects, half, both, blocks, strict=True)
     ]
-    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+    return tuple(sorted(found, key=lambda one: -one.excess))
 
 
 def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
@@ -748,17 +800,13 @@ def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
     ]
     fits = state.metric.zeros(keys) if keys else [[] for _ in problem.cases]
     runs = []
-    for case, zeros, fitted in zip(problem.cases, state.zeros, fits, strict=True):
-        known = {(e.name, e.target): e.value for e in zeros}
+    for case, fitted in zip(problem.cases, fits, strict=True):
+        known = {(e.name, e.target): e.value for e in case.zeros}
         found = []
         for key, (size, deviation) in zip(keys, fitted, strict=True):
-            one = with_clipped_size(
-                effect(*key, 0.0),
-                known.get(key, 0.0) + (0.0 if key in known else size),
-                problem.limbs,
-            )
+            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.limbs)
             half = 1.96 * deviation
             if key in known or key[0] in ("gyro_bias", "accel_bias"):
                 found.append(Found(one, (one.value - half, one.value + half)))
-        runs.append(FittedRun(case, tuple(found), zeros))
+        runs.append(FittedRun(case, tuple(found), case.zeros))
     return tuple(runs)

@@ -4,13 +4,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import Evidence
-from surefoot.models.attribution.noise_floor import FloorWalk, NoiseFloor
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
-from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
 from surefoot.models.residuals.channel import Channel
 from surefoot.models.residuals.channels import channels
+
+AT_FLOOR_RATIO = 1.05
+"""Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
+NOISE_RATIO = 1.5
+"""Ratio to the floor from which a channel is above it, at the lower end of its interval."""
+WORSE_RATIO = 1.02
+"""Ratio of after to before from which a channel is worse."""
+REFUTED_RATIO = 1.1
+"""Ratio of after to before from which a channel above all walks of its floor is worse, however much
+these scatter.
+"""
 
 
 @dataclass(frozen=True)
@@ -28,7 +37,6 @@ class ChannelLevel:
     """Upper limit of the noise floor: the highest of the simulated walks plus their range and a
     standard error (two of events) or, where noise alone is the floor, two standard errors above it.
     """
-    settings: TraceSettings = DEFAULT
     evaluation_only: bool = False
     """Whether no fit uses the channel: it need not reach its floor, but must not get worse."""
     same_bins: tuple[float, float] | None = None
@@ -39,6 +47,8 @@ class ChannelLevel:
     """Whether the increase, over a channel's few events, is within chance."""
     lowest: float = 0.0
     """Lower end of the 95 % interval of `after`, by a bootstrap over blocks."""
+    of_noise: float = np.inf
+    """Largest level that noise and the model's own error explain."""
     on_like_ground: bool = True
     """Whether the walks of the floor are on ground like the log's, which theirs is level."""
 
@@ -52,10 +62,9 @@ class ChannelLevel:
         """Whether the remaining residual is at the noise floor, even of a channel that no fit
         uses.
         """
-        s = self.settings
-        if self.noise_floor is not None and self.lowest > s.noise_ratio * self.noise_floor:
+        if self.lowest > self.of_noise:
             return False
-        return not self.on_like_ground or self.after <= s.at_floor_ratio * self.highest
+        return not self.on_like_ground or self.after <= AT_FLOOR_RATIO * self.highest
 
     @property
     def below_floor(self) -> bool:
@@ -68,15 +77,15 @@ class ChannelLevel:
     def worse(self) -> bool:
         """Whether compensation increases the residual on unseen data.
 
-        Judged on the bins that both have. Either the residual reaches `refuted_ratio` of its value
+        Judged on the bins that both have. Either the residual reaches REFUTED_RATIO of its value
         before and lies above all walks of the noise floor; or the increase is not by chance,
         exceeds the scatter of walks simulated with these effects, and the residual is above their
         floor.
         """
         before, after = self.same_bins or (self.before, self.after)
-        if after > max(self.settings.refuted_ratio * before, self.highest):
+        if after > max(REFUTED_RATIO * before, self.highest):
             return True
-        if self.by_chance or after <= self.settings.worse_ratio * before:
+        if self.by_chance or after <= WORSE_RATIO * before:
             return False
         if self.noise_floor is None:
             return True
@@ -100,7 +109,7 @@ def channel_levels(
         floor: noise floor of the model with the effects.
         on_like_ground: as of `ChannelLevel`.
     """
-    floors = [_settled(one) for one in floor.walks]
+    floors = [one.left for one in floor.walks]
     levels = {}
     for name, columns in known.layout.channels.items():
         if not np.isfinite(before[:, columns]).any():
@@ -141,11 +150,11 @@ def channel_levels(
             noise_floor=own,
             unit=" and ".join(dict.fromkeys(c.unit for c in known.layout.columns[columns])),
             highest=most,
-            settings=known.settings,
             evaluation_only=channel.evaluation_only,
             same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
             lowest=_lowest(after[:, columns], channel, known),
+            of_noise=max(np.inf if own is None else NOISE_RATIO * own, floor.levels.get(name, 0.0)),
             on_like_ground=on_like_ground,
         )
     return levels
@@ -173,7 +182,7 @@ def block_gains(
         sigma: noise of the columns (W,).
         weight: of the entries (M, W).
     """
-    stretch = np.floor((known.t - known.t.min()) / known.settings.block).astype(int)
+    stretch = np.floor((known.t - known.t.min()) / BLOCK_SECONDS).astype(int)
     number = known.log * (stretch.max() + 1) + stretch
     gain = np.nan_to_num(weight * (before**2 - after**2)) / sigma**2
     both = np.isfinite(before) & np.isfinite(after) & (weight > 0.0)
@@ -186,14 +195,6 @@ def block_gains(
     return gains
 
 
-def _settled(one: FloorWalk) -> np.ndarray:
-    """Residual (M, W) of a walk without its first steps; all of a short one."""
-    t, settling = one.evidence.t, one.evidence.settings.settling
-    weights, every = one.robust_weights, np.ones(len(t), dtype=bool)
-    left = without_nuisance(one.evidence, weights.sigma, weights.weight, every)
-    return left[t > t[0] + settling] if t[-1] - t[0] > 2.0 * settling else left
-
-
 def scatter_of_rms(square: np.ndarray, count: int) -> float:
     """Relative standard deviation of the RMS of `count` independent draws from a distribution.
 
@@ -204,7 +205,7 @@ def scatter_of_rms(square: np.ndarray, count: int) -> float:
 
 
 def trimmed_rms(values: np.ndarray, channel: Channel) -> float:
-    """Root mean square of the finite values without the largest (`_bulk`); NaN if there are none."""
+    """Root mean square of the finite values without the largest (`_bulk`); NaN without any."""
     return float(np.sqrt(_bulk(values**2, channel).mean()))
 
 
@@ -225,7 +226,7 @@ def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
     if not there.any():
         return np.nan
     there &= square <= _bulk(square, channel)[-1]
-    block = known.log * 1_000_000 + np.floor(known.t / known.settings.block).astype(int)
+    block = known.log * 1_000_000 + np.floor(known.t / BLOCK_SECONDS).astype(int)
     rows, block = there.any(axis=1), np.unique(block, return_inverse=True)[1]
     total, count = (
         np.bincount(block[rows], np.where(there, one, 0.0).sum(axis=1)[rows])

@@ -6,7 +6,7 @@ nuisance parameters, whose covariance is C. Products a^T V^-1 b follow by the ma
 lemma.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,10 +14,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from surefoot.models.attribution.design import Design, design, nuisance_precision, scaled_inverse
+from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel
 from surefoot.models.attribution.model_error import ModelError
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
+from surefoot.models.attribution.weights import RobustWeights, robust_weights
+from surefoot.models.bootstrap import BLOCK_SECONDS
 from surefoot.models.residuals.channels import commanded_torque
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import Layout
@@ -32,7 +33,7 @@ class Metric:
         robust: weights and noise.
         root: square root of each entry's weight, divided by its noise (M, W); zero where it is not
             used.
-        expected: mean error of the model (M, W).
+        expected: mean error of the model (M, W), and minus what is compensated of the zeros.
         places: of the columns of F among candidates and nuisance parameters (f,).
         precision: inverse of C (f, f).
         terms: whether a column of F is a term of the model's error or a zero (f,).
@@ -83,15 +84,12 @@ class Metric:
         return self.by_channel(np.sum((self.root * y) ** 2, axis=0))
 
     @cached_property
-    def grams(self) -> list[np.ndarray]:
-        """Products (1 + C + B, 1 + C + B) of residual, candidates and nuisance parameters of each
-        log, in units of the noise.
+    def grams(self) -> np.ndarray:
+        """Products (R, 1 + C + B, 1 + C + B) of residual, candidates and nuisance parameters of
+        each log, in units of the noise.
         """
-        y, log = self.data.y - self.expected, self.known.log
-        return [
-            self.data.gram(y, self.root * (log == run)[:, None], self.columns)
-            for run in range(log.max(initial=0) + 1)
-        ]
+        y = self.data.y - self.expected
+        return self.data.grams(y, self.root, self.columns, self.known.log)
 
     @cached_property
     def S(self) -> np.ndarray:
@@ -104,15 +102,15 @@ class Metric:
 
     @cached_property
     def _inverses(self) -> list[np.ndarray]:
-        """Inverse of F^T D^-1 F + C^-1 of each log."""
+        """Inverse of F^T D^-1 F + C^-1 (f, f) of each log."""
         at = np.ix_(1 + self.places, 1 + self.places)
         return [scaled_inverse(G[at] + self.precision) for G in self.grams]
 
     def zeros(
         self, keys: Sequence[Key], sizes: np.ndarray | None = None
     ) -> list[list[tuple[float, float]]]:
-        """Size and standard deviation of these candidates, which belong to a log, in each log,
-        beside effects of given sizes (C,).
+        """Size and standard deviation of these candidates, which belong to a log, in each log, with
+        what of them is compensated, beside effects of given sizes (C,).
         """
         which = [list(self.places).index(self.known.keys.index(key)) for key in keys]
         prior, out = np.diag(self.precision), []
@@ -166,34 +164,76 @@ class Metric:
         """
         lost = np.isnan(table) & (self.root > 0.0)
         root = np.where(lost, 0.0, self.root)
-        y = np.where(np.isfinite(table), table, 0.0) - self.expected
-        used = np.zeros((1 + len(X), *y.shape))
-        used[0] = y * root
-        for place, one in enumerate(X, 1):
-            used[place][:, one.columns] = one.values * root[:, one.columns]
-        if without is None:
-            kept = ~self.terms
-        else:
-            kept = ~np.isin(self.places, [self.known.keys.index(key) for key in without])
-        row = np.full(self.data.size, -1)
-        row[self.places[kept]] = np.arange(np.count_nonzero(kept))
+        used = self._in_noise(table, X, root)
+        kept = self._kept(without)
         total = np.zeros((1 + len(X), 1 + len(X)))
         total[0, 0] = float(np.sum(self.robust.weight[lost]))
-        for run, (G, inverse) in enumerate(zip(self.grams, self._inverses, strict=True)):
+        for run, inverse in enumerate(self._inverses_of(kept)):
             own = self.known.log == run
             cross = np.zeros((np.count_nonzero(kept), 1 + len(X)))
-            for c in self.columns:
-                rows = self.data.rows[c]
-                mine = own[rows]
-                rows, at = rows[mine], row[self.data.which[c]]
-                F = self.data.X[c][mine][:, at >= 0] * root[rows, c][:, None]
-                cross[at[at >= 0]] += F.T @ used[:, rows, c].T
-            if not kept.all():
-                at = 1 + self.places[kept]
-                inverse = scaled_inverse(G[np.ix_(at, at)] + self.precision[np.ix_(kept, kept)])
+            for c, rows, at, F in self._terms_of(run, kept, root):
+                cross[at] += F.T @ used[:, rows, c].T
             flat = used[:, own][:, :, self.columns].reshape(1 + len(X), -1)
             total += flat @ flat.T - cross.T @ inverse @ cross
         return total
+
+    def without_blocks(self, keys: Sequence[Key], precision: np.ndarray) -> np.ndarray:
+        """Sizes (K, k) of these candidates beside each other, to first order, with one block of the
+        logs left out; precision (k,) of their prior.
+        """
+        blocks = np.column_stack([self.known.log, self.known.t // BLOCK_SECONDS]).astype(int)
+        blocks, part = np.unique(blocks, axis=0, return_inverse=True)
+        y = self.data.y - self.expected
+        parts = self.data.grams(y, self.root, self.columns, part.ravel())
+        kept = self._kept(keys)
+        F, own = 1 + self.places[kept], self.precision[np.ix_(kept, kept)]
+        at = np.append(0, 1 + np.array([self.known.keys.index(key) for key in keys], int))
+
+        def reduced(G: np.ndarray) -> np.ndarray:
+            cross = G[np.ix_(F, at)]
+            return G[np.ix_(at, at)] - cross.T @ scaled_inverse(G[np.ix_(F, F)] + own) @ cross
+
+        whole = np.array([reduced(G) for G in self.grams])
+        total, prior, sizes = whole.sum(axis=0), np.diag(precision), []
+        for (run, _), one in zip(blocks, parts, strict=True):
+            S = total - whole[run] + reduced(self.grams[run] - one)
+            sizes.append(np.linalg.lstsq(S[1:, 1:] + prior, S[1:, 0], rcond=None)[0])
+        return np.array(sizes)
+
+    def _in_noise(self, table: np.ndarray, X: Sequence[Regressor], root: np.ndarray) -> np.ndarray:
+        """A table and its regressors (1 + k, M, W) in units of the noise."""
+        used = np.zeros((1 + len(X), *table.shape))
+        used[0] = (np.where(np.isfinite(table), table, 0.0) - self.expected) * root
+        for place, one in enumerate(X, 1):
+            used[place][:, one.columns] = one.values * root[:, one.columns]
+        return used
+
+    def _kept(self, without: Collection[Key] | None) -> np.ndarray:
+        """Which columns of F remain without some candidates (f,); None: without all terms."""
+        if without is None:
+            return ~self.terms
+        return ~np.isin(self.places, [self.known.keys.index(key) for key in without])
+
+    def _inverses_of(self, kept: np.ndarray) -> list[np.ndarray]:
+        """As `_inverses`, of these columns of F (f,)."""
+        if kept.all():
+            return self._inverses
+        at = np.ix_(1 + self.places[kept], 1 + self.places[kept])
+        return [scaled_inverse(G[at] + self.precision[np.ix_(kept, kept)]) for G in self.grams]
+
+    def _terms_of(
+        self, run: int, kept: np.ndarray, root: np.ndarray
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """For each column of the table in a log: column, rows (n,), places (p,) among the kept
+        columns of F, and their values (n, p) in units of the noise.
+        """
+        row = np.full(self.data.size, -1)
+        row[self.places[kept]] = np.arange(np.count_nonzero(kept))
+        for c in self.columns:
+            rows = self.data.rows[c]
+            mine = self.known.log[rows] == run
+            rows, at = rows[mine], row[self.data.which[c]]
+            yield c, rows, at[at >= 0], self.data.X[c][mine][:, at >= 0] * root[rows, c][:, None]
 
 
 def metric_of(
@@ -233,6 +273,15 @@ def metric_of(
     free = [i for i, key in enumerate(known.bias_of) if key is None or key[0] not in per_run]
     sizes = np.zeros(data.size)
     sizes[terms] = error.mean[shared]
+    expected = data.explained(sizes)
+    for run, case in enumerate(cases):
+        # A prior is of the whole zero, and a part of it is compensated.
+        zeros = np.zeros(data.size)
+        zeros[[known.keys.index((e.name, e.target)) for e in case.zeros]] = [
+            e.value for e in case.zeros
+        ]
+        if case.zeros:
+            expected[known.log == run] -= data.explained(zeros)[known.log == run]
     within = {i: (plausible_size(*known.keys[i], limbs) / 1.96) ** 2 for i in own}
     covariance = error.covariance[np.ix_(shared, shared)]
     # What a log has of its own adds to what the model's error seems to be of it.
@@ -242,7 +291,7 @@ def metric_of(
         data=data,
         robust=robust,
         root=root,
-        expected=data.explained(sizes),
+        expected=expected,
         places=np.array([*terms, *own, *(len(known.keys) + i for i in free)], int),
         precision=block_diag(
             scaled_inverse(covariance),
@@ -255,18 +304,7 @@ def metric_of(
 
 def noise_of(error: ModelError, layout: Layout) -> np.ndarray:
     """Noise (W,) of the columns, by a model's error; NaN of those that it is not known of."""
-    every = groups_of(layout, np.ones(layout.width, dtype=bool))
-    return np.array([error.noise.get(group, np.nan) for group in every])
-
-
-def groups_of(layout: Layout, which: np.ndarray) -> list[tuple[str, str]]:
-    """Channel and kind of the columns of a mask (W,), which have one noise."""
-    return [
-        (name, layout.columns[c].kind)
-        for name, at in layout.channels.items()
-        for c in range(at.start, at.stop)
-        if which[c]
-    ]
+    return np.array([error.noise.get(kind, np.nan) for kind in layout.kinds])
 
 
 def interpolation_weights(

@@ -19,18 +19,17 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from surefoot.models.attribution.design import design, nuisance_precision, scaled_inverse
+from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
     LogUnderModel,
     all_keys,
-    joined_regressor,
     linearise,
-    wrt_columns,
+    with_changes,
 )
-from surefoot.models.attribution.priors import plausible_size
-from surefoot.models.attribution.robust_weights import robust_weights
 from surefoot.models.attribution.sensor_noise import data_sheet_noise
+from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
@@ -180,14 +179,8 @@ def evidence_of(
     if not first.fixed:
         return known, [{} for _ in cases]
     if first.log.has("dq") and first.log.has("tau"):
-        limbs, starts = first.robot.limbs, np.searchsorted(known.log, np.arange(len(cases) + 1))
-        names = tuple(angle_errors(first.log, limbs))
-        more = [
-            wrt_columns(case, effects, lambda log: [*angle_errors(log, limbs).values()])
-            for case in cases
-        ]
-        X = tuple(joined_regressor(list(parts), starts) for parts in zip(*more, strict=True))
-        known = replace(known, keys=(*known.keys, *names), X=(*known.X, *X))
+        limbs = first.robot.limbs
+        known = with_changes(known, cases, effects, lambda log: angle_errors(log, limbs))
     known = averaged(known, windows(known))
     of_rates, rates = known.layout.of("joint_rate"), []
     for run in range(len(cases)):
@@ -212,15 +205,15 @@ def run_sums(
     used = layout.of("joint_torque") if run.case.fixed else layout.fitted
     groups, sums, count, kept = [], [], [], []
     sheet = data_sheet_noise(run.case.log.rate, layout)
-    channel_of = {c: name for name, at in layout.channels.items() for c in range(at.start, at.stop)}
     for columns in layout.alike:
         own = np.zeros_like(run.weight)
         here = [c for c in columns if c in used]
         own[:, here] = run.weight[:, here]
         if own.any():
             kept.append(here)
-            groups.append((channel_of[here[0]], layout.columns[here[0]].kind))
-            sums.append(table.gram(table.y, np.sqrt(own), here))
+            groups.append(layout.kinds[here[0]])
+            every = np.zeros(len(own), int)
+            sums.append(table.grams(table.y, np.sqrt(own), here, every)[0])
             count.append(np.count_nonzero(own))
     return RunSums(
         keys=known.keys,
@@ -308,7 +301,7 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     return w[whole] / total[whole, None]
 
 
-def angle_errors(log: Log, limbs: Limbs) -> dict[Key, dict[str, np.ndarray]]:
+def angle_errors(log: Log, limbs: Limbs) -> dict[Key, Mapping[str, np.ndarray]]:
     """What may be added to the angle and the rate of a joint without a drive, apart from a zero: a
     drift, and shares of all angles.
 
@@ -316,7 +309,7 @@ def angle_errors(log: Log, limbs: Limbs) -> dict[Key, dict[str, np.ndarray]]:
     angles of other joints.
     """
     drift = log.t - np.mean(log.t)
-    out: dict[Key, dict[str, np.ndarray]] = {}
+    out: dict[Key, Mapping[str, np.ndarray]] = {}
     passive = [joint for joint, tau in zip(limbs.joints, log.tau.T, strict=True) if not tau.any()]
     for joint in passive:
         out[ANGLE_ERROR, f"{joint} drift"] = {f"q_{joint}": drift}

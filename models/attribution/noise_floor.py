@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.models.attribution.design import design
+from surefoot.models.attribution.design import design, without_nuisance
+from surefoot.models.attribution.effect_sizes import with_clipped_size
 from surefoot.models.attribution.evidence import (
-    Evidence,
     LogUnderModel,
     all_keys,
     linearise,
@@ -28,71 +28,52 @@ from surefoot.models.attribution.model_error import (
     model_error,
     run_sums,
 )
-from surefoot.models.attribution.reference_sampling import (
+from surefoot.models.attribution.sensor_noise import (
     ReferenceSampling,
+    apparent_sizes,
+    data_sheet_noise,
+    reading_noise,
     reference_sampling,
     resample_reference,
 )
-from surefoot.models.attribution.robust_weights import RobustWeights, robust_weights
-from surefoot.models.attribution.sensor_noise import apparent_sizes, data_sheet_noise, reading_noise
-from surefoot.models.attribution.settings import DEFAULT, TraceSettings
+from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout, layout_for
-from surefoot.models.residuals.motion import can_dead_reckon, with_dead_reckoning
+from surefoot.models.residuals.motion import with_dead_reckoning
 from surefoot.models.residuals.torques import declared
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
-from surefoot.sim.log import Log
+from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
 
-Twists = tuple[tuple[float, float, float], ...]
-Groups = tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class FloorWalk:
-    """One simulated walk of the declared model.
-
-    Attributes:
-        evidence: of the walk.
-        robust_weights: of its bins.
-        sums: of its residual and all candidates.
-    """
-
-    evidence: Evidence
-    robust_weights: RobustWeights
-    sums: RunSums
-
-
-@dataclass(frozen=True)
-class FloorPlan:
-    """Walks to simulate for a noise floor.
-
-    Attributes:
-        file: the robot's model.
-        courses: commanded velocities, one course for each walk.
-        groups: groups of columns that the logs have.
-        evenness: standard deviation of the ground's height from a plane [m].
-        sampling: sampling and noise of the reference, if measured.
-        settings: of the trace.
-        ground: effects of the ground, which no model can compensate.
-        effects: that the robot has, compensated by its model.
-    """
-
-    file: Path
-    courses: tuple[Twists, ...]
-    groups: Groups
-    evenness: float
-    sampling: ReferenceSampling | None
-    settings: TraceSettings
-    ground: tuple[Effect, ...] = ()
-    effects: tuple[Effect, ...] = ()
-
-
+Twists = tuple[tuple[float, ...], ...]
+"""Forward and lateral velocity [m/s] and yaw rate [rad/s] of a course, in steps of 1 s."""
+_GROUPS = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
+"""Groups of a walk's columns that a measured log may lack."""
+FRICTIONS = (0.5, 0.7, 0.9, 1.1)
+"""Coefficients of friction of the ground of each walk: feet creep more where it is low."""
+_SECONDS = 12.0
+"""Length of each walk [s]."""
+STAND = 0.5
+"""Time that the robot stands before each walk [s]."""
+STANDS = 0.999
+"""Share of rows with ground contact from which a log is one of standing."""
+SPEEDS = (1.0, 0.6, 0.3)
+"""Shares of the log's velocities at which a walk is tried until the robot does not fall."""
+SETTLING = 4.0
+"""Beginning of a walk whose residual does not count [s], unless it is short: feet are steadier in
+the first steps after standing.
+"""
+_SEED = 20_011
+"""Of the first walk, fixed so that the floor depends on the logs alone."""
+APPARENT_SIZE_DOUBT = 0.7
+"""Relative uncertainty of sizes that effects seem to have: on slippery ground, the contacts
+imitated a delay of the joints four times as long as on the floor's.
+"""
 POINT_FEET_SIZES = {
     ("joint_delay", "all"): 0.6e-3,
     ("clock_scale", "joints"): 6e-5,
@@ -108,6 +89,46 @@ mini_cheetah, b2), each at 0.6, 1 and 1.3 times 0.5 m/s times its leg length ove
 spot_class. Root mean squares of the sizes that effects seem to have; the largest residuals, which
 hardly depend on robot or speed, and a tenth more.
 """
+
+
+@dataclass(frozen=True)
+class FloorWalk:
+    """One simulated walk of the declared model.
+
+    Attributes:
+        left: its residual without nuisance parameters and first steps (M, W); NaN where masked.
+        sigma: noise of each column (W,).
+        sums: of its residual and all candidates.
+    """
+
+    left: np.ndarray
+    sigma: np.ndarray
+    sums: RunSums
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """Walks to simulate for a noise floor.
+
+    Attributes:
+        file: the robot's model.
+        courses: commanded velocities, one course for each walk.
+        groups: groups of columns that the logs have.
+        evenness: standard deviation of the ground's height from a plane [m].
+        sampling: sampling and noise of the reference, if measured.
+        ground: effects of the ground, which no model can compensate.
+        effects: that the robot has, compensated by its model.
+        catalogue: names of all effects, which every walk is fitted with.
+    """
+
+    file: Path
+    courses: tuple[Twists, ...]
+    groups: tuple[str, ...]
+    evenness: float
+    sampling: ReferenceSampling | None
+    ground: tuple[Effect, ...]
+    effects: tuple[Effect, ...]
+    catalogue: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -132,11 +153,6 @@ class NoiseFloor:
     readings: tuple[LogUnderModel, ...] = ()
     levels: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def evenness(self) -> float:
-        """Standard deviation of the ground from a plane [m]: of the walks', or by the maps."""
-        return self.plan.evenness if self.plan else _evenness(self.readings)
-
 
 def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
     """Simulate the motion of the logs with the declared robot.
@@ -145,40 +161,29 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     so the floor is a function of the logs. A section on which the robot falls is repeated at lower
     speed. For a robot that cannot walk at all the floor is the sensors' noise by their data sheets,
     for a machine on a fixed base the noise of its readings, and for one that is known by its feet
-    alone that noise and `POINT_FEET`.
+    alone that noise and POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.
         ground: effects of the ground that every walk has and no model compensates.
     """
     first = cases[0]
-    if first.fixed:
-        return _floor_of_readings(cases, (), "the differences between successive readings")
-    if first.by_feet:
-        return _floor_of_readings(
-            cases,
-            (),
-            "the noise of the readings, and what point feet leave on simulated walks of other "
-            "robots, since there is no model of this one",
-        )
-    known = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
-    walks = first.robot.limbs == QUADRUPED
-    evenness = _evenness(cases)
+    if first.fixed or first.by_feet:
+        return _floor_of_readings(cases, ())
     plan = FloorPlan(
         file=first.robot.file,
-        courses=tuple(courses([_with_reference(c) for c in cases], first.settings))
-        if walks
-        else (),
-        groups=tuple(g for g in known if all(case.log.has(g) for case in cases)),
-        evenness=evenness,
-        sampling=reference_sampling(first.log, first.settings),
-        settings=first.settings,
+        courses=tuple(_courses(cases)) if first.robot.limbs == QUADRUPED else (),
+        groups=tuple(g for g in _GROUPS if all(case.log.has(g) for case in cases)),
+        evenness=ground_evenness(cases),
+        sampling=reference_sampling(first.log),
         ground=tuple(ground),
+        effects=(),
+        catalogue=tuple(known_effects()),
     )
     if (floor := _floor(plan)) is not None:
         return floor
     layout = layout_for(first.robot.limbs)
-    sigma = data_sheet_noise(first.log.rate, layout, evenness)
+    sigma = data_sheet_noise(first.log.rate, layout, plan.evenness)
     return NoiseFloor(sigma, (), "data sheets of the declared sensors", _no_error(sigma, layout))
 
 
@@ -198,15 +203,16 @@ def noise_floor_with(
         near: a floor of the same effects, which is kept where their sizes are about the same.
     """
     if floor.readings:
-        return _floor_of_readings(floor.readings, effects, floor.source)
-    limbs = floor.walks[0].evidence.layout.limbs if floor.walks else None
-    bounds = [type(e).interior_bounds(e.target, limbs) for e in effects]
+        return _floor_of_readings(floor.readings, effects)
+    if floor.plan is None:
+        return floor
+    limbs = declared(floor.plan.file).limbs
     telling = tuple(
-        replace(e, value=float(np.clip(float(f"{e.value:.1e}"), *within)))
-        for e, within in zip(effects, bounds, strict=True)
+        with_clipped_size(e, float(f"{e.value:.1e}"), limbs)
+        for e in effects
         if is_compensated_approximately(e)
     )
-    if not telling or floor.plan is None or not floor.walks:
+    if not telling:
         return floor
     if near is not None and near.plan is not None and _about_same(near.plan.effects, telling):
         return near
@@ -236,19 +242,14 @@ def is_compensated_approximately(one: Effect) -> bool:
 @lru_cache(maxsize=16)
 def _floor(plan: FloorPlan) -> NoiseFloor | None:
     """The floor by simulated walks; None where the robot completes none."""
-    known = tuple(known_effects())
-    seed, friction = plan.settings.floor_seed, plan.settings.floor_friction
+    layout = layout_for(declared(plan.file).limbs)
     # Without the other courses, so that a walk is cached once for all logs that contain it.
     alone = replace(plan, courses=())
-    walks = [
-        _floor_walk(alone, one, seed + i, friction[i % len(friction)], known)
-        for i, one in enumerate(plan.courses)
-    ]
+    walks = [_floor_walk(alone, course, number) for number, course in enumerate(plan.courses)]
     completed = tuple(one for one in walks if one is not None)
     if not completed:
         return None
-    layout = completed[0].evidence.layout
-    sigma = np.sqrt(np.mean([one.robust_weights.sigma**2 for one in completed], axis=0))
+    sigma = np.sqrt(np.mean([one.sigma**2 for one in completed], axis=0))
     sigma = np.maximum(sigma, _least_noise(layout))
     source = f"{len(completed)} simulated walks of the declared model along the log's own course"
     if plan.sampling:
@@ -259,128 +260,99 @@ def _floor(plan: FloorPlan) -> NoiseFloor | None:
 
 def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
     """A model without errors beyond noise sigma (W,) of the columns."""
-    noise = {}
-    for name, columns in layout.channels.items():
-        for c in range(columns.start, columns.stop):
-            noise[name, layout.columns[c].kind] = float(sigma[c])
+    noise = dict(zip(layout.kinds, sigma.tolist(), strict=True))
     return ModelError(0, (), np.zeros(0), np.zeros((0, 0)), noise, {})
 
 
-def _floor_of_readings(
-    cases: Sequence[LogUnderModel], effects: Sequence[Effect], source: str
-) -> NoiseFloor:
+def _floor_of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> NoiseFloor:
     """The floor by the noise of the readings, with the effects compensated."""
-    layout = layout_for(cases[0].robot.limbs)
-    sigma = _of_readings(cases, effects)
-    if cases[0].by_feet:
-        sizes = np.array([*POINT_FEET_SIZES.values()])
-        error = _no_error(sigma, layout)
-        error = replace(
-            error, keys=tuple(POINT_FEET_SIZES), mean=0.0 * sizes, covariance=np.diag(sizes**2)
-        )
-        return NoiseFloor(sigma, (), source, error, readings=tuple(cases), levels=POINT_FEET_LEVELS)
-    error = _no_error(sigma, layout)
-    known = apparent_sizes(cases, sigma)
-    seen = {key: size for key, size in known.items() if size}
-    sizes = np.array([*seen.values()])
-    doubt = cases[0].settings.apparent_size_uncertainty
-    error = replace(error, keys=tuple(seen), mean=sizes, covariance=np.diag((doubt * sizes) ** 2))
-    return NoiseFloor(sigma, (), source, error, readings=tuple(cases))
-
-
-def _of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> np.ndarray:
-    """Noise (W,) of a bin from that of the readings, with the effects compensated, and from uneven
-    ground.
-    """
     layout = layout_for(cases[0].robot.limbs)
     sigma = np.maximum(reading_noise(cases, effects), _least_noise(layout))
     heights = layout.of("foot_height")
-    sigma[heights] = np.hypot(sigma[heights], _evenness(cases))
-    return sigma
+    sigma[heights] = np.hypot(sigma[heights], ground_evenness(cases))
+    if cases[0].by_feet:
+        source = (
+            "the noise of the readings, and what point feet leave on simulated walks of other "
+            "robots, since there is no model of this one"
+        )
+        seen, levels = POINT_FEET_SIZES, POINT_FEET_LEVELS
+        deviations = np.array([*seen.values()])
+        mean = 0.0 * deviations
+    else:
+        source, levels = "the differences between successive readings", {}
+        seen = apparent_sizes(cases, sigma)
+        mean = np.array([*seen.values()])
+        deviations = APPARENT_SIZE_DOUBT * mean
+    error = _no_error(sigma, layout)
+    error = replace(error, keys=tuple(seen), mean=mean, covariance=np.diag(deviations**2))
+    return NoiseFloor(sigma, (), source, error, readings=tuple(cases), levels=levels)
 
 
-def _evenness(cases: Sequence[LogUnderModel]) -> float:
+def ground_evenness(cases: Sequence[LogUnderModel]) -> float:
     """Largest standard deviation of the ground from a plane [m] that the logs' maps state."""
-    return max((float(c.log.meta.model.get("ground_evenness", 0.0)) for c in cases), default=0.0)
+    return max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
 
 
 def _least_noise(layout: Layout) -> np.ndarray:
     """Smallest noise (W,) that columns may have."""
-    least = np.zeros(layout.width)
-    for name, columns in layout.channels.items():
-        least[columns] = channels()[name].least_noise
-    return least
+    return np.array([channels()[name].least_noise for name in layout.channel_of])
 
 
-def _with_reference(case: LogUnderModel) -> Log:
-    """The log, with a reference reckoned from IMU and legs where it has none.
-
-    That is accurate enough for the course of a simulated walk.
-    """
-    log, feet = case.log, case.robot.feet
-    if log.has("reference") or feet is None or feet.roll_unknown or not can_dead_reckon(log):
-        return log
-    return with_dead_reckoning(log, feet)
-
-
-def courses(logs: Sequence[Log], settings: TraceSettings = DEFAULT) -> list[Twists]:
-    """Commanded forward and lateral velocity [m/s] and yaw rate [rad/s] in steps of 1 s, for each
-    walk; empty where the robot stands on all feet throughout.
-    """
-    if all(log.has("contact") and np.mean(log.contact) > settings.standing_share for log in logs):
-        return [()] * settings.floor_walks
-    # Rounded to two decimals, so that nearly equal courses share one simulated walk.
-    motion = [
-        (round(float(forward), 2), round(float(lateral), 2), round(float(turn), 2))
-        for log in logs
-        if log.has("reference")
-        for forward, lateral, turn in body_twists(log)
-    ]
-    length = max(1, min(round(settings.floor_seconds / PIECE), len(motion)))
-    starts = np.linspace(0, len(motion) - length, settings.floor_walks).round().astype(int)
+def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
+    """The course of each walk, as the logs went; empty where the robot stands on all feet."""
+    if all(c.log.has("contact") and np.mean(c.log.contact) > STANDS for c in cases):
+        return [()] * len(FRICTIONS)
+    motion = []
+    for case in cases:
+        # Dead reckoning is accurate enough.
+        log = case.log
+        log = log if log.has("reference") else with_dead_reckoning(log, case.robot.feet)
+        if log is not None:
+            # Rounded to two decimals, so that nearly equal courses share one simulated walk.
+            motion += [tuple(round(float(x), 2) for x in twist) for twist in body_twists(log)]
+    length = max(1, min(round(_SECONDS / PIECE), len(motion)))
+    starts = np.linspace(0, len(motion) - length, len(FRICTIONS)).round().astype(int)
     return [tuple(motion[start : start + length]) for start in starts] if motion else []
 
 
 @lru_cache(maxsize=16)
-def _floor_walk(
-    plan: FloorPlan, course: Twists, seed: int, friction: float, known: tuple[str, ...]
-) -> FloorWalk | None:
-    """One walk, fitted with the `known` effects; None where the robot falls at every speed.
+def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | None:
+    """One walk, fitted with all effects; None where the robot falls at every speed.
 
     Args:
-        plan: robot file, groups of columns, effects and settings.
-        course: (forward, lateral, yaw rate) of each segment [m/s, m/s, rad/s]; empty for standing.
-        seed: of the walk.
-        friction: coefficient of friction of the ground.
-        known: names of the effects that the fit may use.
+        plan: robot file, groups of columns and effects.
+        course: of the walk; empty for standing.
+        number: of the walk, from 0.
     """
-    robot, s = declared(plan.file), plan.settings
-    for slower in (1.0, 0.6, 0.3) if course else (1.0,):
+    robot, seed = declared(plan.file), _SEED + number
+    for slower in SPEEDS if course else (1.0,):
         segments = tuple(
-            Segment(PIECE, forward * slower, lateral * slower, turn * slower)
-            for forward, lateral, turn in course or ((0.0, 0.0, 0.0),)
+            Segment(PIECE, *(slower * x for x in twist)) for twist in course or ((0.0, 0.0, 0.0),)
         )
-        stand = s.floor_stand if course else s.floor_seconds
-        scenario = Scenario(
-            "floor", segments, ground_of(segments, plan.evenness, friction), stand=stand
-        )
+        ground = ground_of(segments, plan.evenness, FRICTIONS[number])
+        scenario = Scenario("floor", segments, ground, stand=STAND if course else _SECONDS)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot
             continue
         if not course:
-            log = replace(log, frame=log.frame[log.t - log.t[0] < s.floor_seconds - s.floor_stand])
-        log = _with_groups(log, plan.groups)
+            log = replace(log, frame=log.frame[log.t - log.t[0] < _SECONDS - STAND])
+        # Without the columns that the measured logs do not have.
+        lacking = [g for g in _GROUPS if g not in plan.groups]
+        gone = [n for g in lacking for n in group_columns(g, log.joints, log.legs)]
+        log = replace(log, frame=log.frame.drop(columns=gone))
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))
-        case = log_under_model(log, robot, s)
-        known_of_it = linearise([case], plan.effects, all_keys(case), evaluation_channels=False)
-        known_of_it = replace(known_of_it, table=table_of(case, plan.effects))
+        case = log_under_model(log, robot)
+        known = linearise([case], plan.effects, all_keys(case), evaluation_channels=False)
+        known = replace(known, table=table_of(case, plan.effects))
         # The same minimum noise as for the log, so that channels have the same relative weight.
-        weights = robust_weights(design(known_of_it), _least_noise(known_of_it.layout))
-        sums = run_sums(RunEvidence(case, known_of_it, weights.weight, {}), frozenset(), EXACT)
-        # The candidates' regressors are no longer needed.
-        return FloorWalk(known_of_it.only(()), weights, sums)
+        weights = robust_weights(design(known), _least_noise(known.layout))
+        sums = run_sums(RunEvidence(case, known, weights.weight, {}), frozenset(), EXACT)
+        t, every = known.t, np.ones(len(known.t), dtype=bool)
+        left = without_nuisance(known, weights.sigma, weights.weight, every)
+        late = t > t[0] + SETTLING if t[-1] - t[0] > 2.0 * SETTLING else every
+        return FloorWalk(left[late], weights.sigma, sums)
     return None
 
 
@@ -394,13 +366,3 @@ def ground_of(segments: Sequence[Segment], evenness: float, friction: float) -> 
     far = float(np.ceil(2 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in segments)))
     bumps = Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness)
     return Ground(friction, strips=(bumps,))
-
-
-def _with_groups(log: Log, groups: Groups) -> Log:
-    """Drop the groups of columns that the measured log does not have."""
-    every = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
-    drop = [g for g in every if g not in groups]
-    prefixes = {"imu": ("gyro_", "accel_"), "reference": ("ref_",), "ref_v": ("ref_v_",)}
-    gone = tuple(p for g in drop for p in prefixes.get(g, (f"{g}_",)))
-    names = [n for n in log.frame if gone and str(n).startswith(gone)]
-    return Log(log.frame.drop(columns=names), log.meta, log.name)

@@ -1,30 +1,47 @@
-"""Residual caused by sensor noise alone, from data sheets or from the readings."""
+"""Noise of the readings: by data sheets, by the readings themselves, and that of a reference.
+
+The reference in a log is interpolated between the samples of the motion capture, which
+`sim.log.reference` recovers; the noise of their poses and time stamps is estimated from the IMU
+(`sim.importing.reference_noise`). Simulated references have one sample a row and no noise.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
+from surefoot.models.alignment.alignment import align
 from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, linearise, table_of
-from surefoot.models.attribution.reference_sampling import reference_sampling, resample_reference
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.motion import motion_under_model
+from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import AXES, Effect, with_columns
+from surefoot.sim.importing.reference_check import check_reference
+from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, reference_noise
+from surefoot.sim.log import Log
+from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.sensors.streams import Sensors
 
+_SEED = 20_012
+"""Seed of the noise added to readings where their own noise is the floor."""
+COARSE_SHARE = 0.5
+"""Share of rows with a sample of their own below which a reference is interpolated."""
+_MOST_LATE = 0.25
+"""Largest remaining clock offset of a logged reference [s]: half a stride."""
+_LATE, _FAR = 1e-3, 0.02
+"""Clock offset [s] and distance of the tracked point [m] below which a trace hardly differs."""
 CONSTANT_STEPS = 1.5
 """Quantisation steps: a signal that changes by less over a bin may keep its error throughout."""
 
 
 def data_sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
     """Standard deviation (W,) of a bin's residual from the sensors' noise and uneven ground."""
-    sigma = np.zeros(layout.width)
-    for name, columns in layout.channels.items():
-        sigma[columns] = channels()[name].noise(Sensors(), rate, evenness)
-    return sigma
+    every, sensors = channels(), Sensors()
+    return np.array([every[name].noise(sensors, rate, evenness) for name in layout.channel_of])
 
 
 def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:
@@ -33,7 +50,7 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
     As much noise again is added to the readings, and its effect on the residual measured, with the
     effects compensated.
     """
-    rng = np.random.default_rng(cases[0].settings.reading_seed)
+    rng = np.random.default_rng(_SEED)
     change = [
         table_of(_with_more_noise(case, rng), effects) - table_of(case, effects) for case in cases
     ]
@@ -43,7 +60,8 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
 
 
 def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping[Key, float]:
-    """Size [its unit] that the readings' noise alone gives each candidate that takes loads.
+    """Size [its unit] that the readings' noise alone gives candidates that take loads; without
+    those that it gives none.
 
     The noise of a torque is in the residual and, through the load, in the candidate's regressor. A
     fit of one to the other then finds a spring where there is none. As much noise again adds as
@@ -55,9 +73,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     """
     by_load = {name for name, kind in known_effects().items() if kind.uses_loads}
     keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
-    if not keys:
-        return {}
-    rng = np.random.default_rng(cases[0].settings.reading_seed)
+    rng = np.random.default_rng(_SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = linearise(cases, (), keys), linearise(noisy, (), keys)
     change = np.nan_to_num(after.table - before.table) / sigma
@@ -65,8 +81,8 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     for key, old, new in zip(keys, before.X, after.X, strict=True):
         was, now = (one.values / sigma[one.columns] for one in (old, new))
         both = np.sum(change[:, new.columns] * now) - np.sum(change[:, old.columns] * was)
-        square = np.sum(was**2)
-        sizes[key] = float(both / square) if square else 0.0
+        if both and was.any():
+            sizes[key] = float(both / np.sum(was**2))
     return sizes
 
 
@@ -82,7 +98,9 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
     for group in ("q", "dq", "tau"):
         for joint in log.joints if log.has(group) else ():
             values = log.frame[f"{group}_{joint}"].to_numpy()
-            step = _resolution(values)
+            # The smallest change of a reading.
+            steps = np.abs(np.diff(values))
+            step = np.min(steps, where=steps > 0, initial=np.inf) if steps.any() else 0.0
             stays = np.abs(np.diff(values[first], append=values[-1])) < CONSTANT_STEPS * step
             rounding = np.repeat(rng.uniform(-0.5, 0.5, len(count)) * stays, count) * step
             noisy[f"{group}_{joint}"] = (
@@ -110,13 +128,101 @@ def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogU
             level = np.sqrt(np.mean(bends**2) / 6.0) if len(bends) else 0.0
             noisy[f"foot_{leg}_{axis}"] = feet + rng.normal(0.0, level, len(feet))
     log = with_columns(log, noisy)
-    if sampling := reference_sampling(case.log, case.settings):
+    if sampling := reference_sampling(case.log):
         log = resample_reference(log, sampling, rng)
     motion = motion_under_model(log, case.robot, case.fixed)
     return replace(case, log=log, motion=replace(motion, level=case.motion.level))
 
 
-def _resolution(values: np.ndarray) -> float:
-    """Smallest non-zero change of a reading (N,) between rows."""
-    steps = np.abs(np.diff(values))
-    return float(np.min(steps, where=steps > 0, initial=np.inf)) if steps.any() else 0.0
+@dataclass(frozen=True)
+class ReferenceSampling:
+    """Sampling and noise of a reference.
+
+    Attributes:
+        intervals: times between samples (K,) [s], empty where there is one in every row.
+        position: standard deviation of a sample's position [m].
+        angle: standard deviation of a sample's attitude [rad].
+        stamp: standard deviation of a sample's time stamp [s].
+    """
+
+    intervals: tuple[float, ...]
+    position: float
+    angle: float
+    stamp: float = 0.0
+
+
+def reference_sampling(log: Log) -> ReferenceSampling | None:
+    """Estimate the sampling and noise of a log's reference.
+
+    None where it has too few samples, or one in every row and a velocity of its own, as simulated
+    references have.
+    """
+    if not log.has("reference"):
+        return None
+    uses = ("ref_ok", "imu", "reference", "ref_v")
+    return log.once("sampling of the reference", uses, lambda: _sampling(log))
+
+
+def _sampling(log: Log) -> ReferenceSampling | None:
+    poses = reference_poses(log)
+    every_row = len(poses.t) > COARSE_SHARE * len(log.t)
+    if len(poses.t) < FEWEST_SAMPLES or (every_row and log.has("ref_v")):
+        return None
+    intervals = () if every_row else tuple(np.round(np.diff(poses.t), 6))
+    noise = reference_noise(log.t, log.gyro, log.accel, poses) if log.has("imu") else None
+    if noise is None:
+        return None if every_row else ReferenceSampling(intervals, 0.0, 0.0)
+    return ReferenceSampling(intervals, noise.position, noise.angle, noise.stamp)
+
+
+def resample_reference(log: Log, sampling: ReferenceSampling, rng: np.random.Generator) -> Log:
+    """Resample the reference of a log, with noise and interpolation as in `sampling`."""
+    t = then = log.t
+    if sampling.intervals:
+        repeats = int(np.ceil((t[-1] - t[0]) / sum(sampling.intervals)))
+        then = t[0] + np.cumsum(np.tile(sampling.intervals, repeats))
+        then = np.concatenate([t[:1], then[then < t[-1]], t[-1:]])
+    seen = np.clip(then + rng.normal(0.0, sampling.stamp, len(then)), t[0], t[-1])
+    p_GI = _at(seen, t, log.ref_p)
+    p_GI += rng.normal(0.0, sampling.position, p_GI.shape)
+    turned = Rotation.from_rotvec(rng.normal(0.0, sampling.angle, p_GI.shape))
+    R_GI = Slerp(t, Rotation.from_matrix(log.ref_R_GI))(seen) * turned
+    q_GI = quaternion_from_matrix(Slerp(then, R_GI)(t).as_matrix())
+    path = _at(t, then, p_GI)
+    columns = {f"ref_p_{a}": path[:, i] for i, a in enumerate("xyz")}
+    columns |= {f"ref_q_{a}": q_GI[:, i] for i, a in enumerate("wxyz")}
+    return with_columns(log, columns)
+
+
+def reference_notes(log: Log) -> tuple[str, ...]:
+    """Notes on a measured reference: wrong samples, their noise, and any error of its clock or
+    tracked point that the IMU alone reveals.
+    """
+    sampling = reference_sampling(log)
+    if sampling is None:
+        return ()
+    notes = list(check_reference(reference_poses(log)).faults)
+    if not log.has("imu"):
+        return tuple(notes)
+    notes.append(
+        f"reference: noise of {1e3 * sampling.position:.2g} mm, "
+        f"{np.degrees(sampling.angle):.2g} deg and {1e3 * sampling.stamp:.2g} ms, "
+        "included in the noise floor"
+    )
+    found = align(log, most=_MOST_LATE)
+    late, far = abs(found.offset), float(np.linalg.norm(found.p_IM))
+    if late > max(_LATE, found.offset_half_width):
+        notes.append(
+            f"reference: by the IMU, {1e3 * found.offset:.1f} ms (+-"
+            f"{1e3 * found.offset_half_width:.1f}) must be added to its stamps: run surefoot align"
+        )
+    if far > max(_FAR, float(np.linalg.norm(found.p_IM_half_width))):
+        notes.append(
+            f"reference: the tracked point is {1e3 * far:.0f} mm from the IMU: run surefoot align"
+        )
+    return (*notes, *(f"reference: {fault}" for fault in found.faults))
+
+
+def _at(then: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Interpolate values (N, 3), given at times t (N,), at the times `then` (K,)."""
+    return np.column_stack([np.interp(then, t, x) for x in values.T])

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.models.attribution.effect_sizes import Found, prior_of
 from surefoot.models.attribution.explain import FittedRun
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.forces import Push
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.outside_forces import Push
-from surefoot.models.attribution.priors import prior_of
 from surefoot.sim.effects import Effect
 from surefoot.sim.robot.limbs import Limbs
 

@@ -9,11 +9,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.common.series import low_pass, white_noise, without_low_pass
 from surefoot.sim.log import Log, joint_velocity, reference_velocity
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import shown_feet
 from surefoot.sim.robot.limbs import Limbs
@@ -29,8 +28,6 @@ LEAST_NOISE_RATIO = 1.5
 """Noise ratio of accelerations from rates to those from angles above which angles are used; below
 it rates are preferred, since they need no smoothing window.
 """
-END_WINDOW = 0.006
-"""Averaging time at either end of a bin for the change of a rate over it [s]."""
 
 
 @dataclass(frozen=True)
@@ -288,8 +285,7 @@ def mean_rate_of_change(x: np.ndarray, t: np.ndarray, motion: ReferenceMotion) -
 
     The first bin has no preceding row and starts at its first row.
     """
-    rows = max(1, round(END_WINDOW / np.median(np.diff(t))))
-    x = uniform_filter1d(x, rows - 1 + rows % 2, axis=0)
+    x = steady_rate(t, x)
     if not motion.moved.any():
         x = np.concatenate([0.5 * (x[1:] + x[:-1]), x[-1:]])
     last = motion.first + motion.count - 1

@@ -28,6 +28,7 @@ from surefoot.models.residuals.soft_ground import foot_sinking
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
+    curvature,
     dynamics_inputs,
     inverse_dynamics,
 )
@@ -89,7 +90,10 @@ class ResidualInputs:
     @cached_property
     def steps(self) -> DynamicsInputs:
         """Inputs of inverse dynamics."""
-        return dynamics_inputs(self.bins, self.robot)
+        steps, robot = dynamics_inputs(self.bins, self.robot), self.robot
+        if robot.fixed and robot.dynamics is not None and self.log.has("q"):
+            steps = replace(steps, curved=curvature(self.log, self.motion, robot.dynamics))
+        return steps
 
     @cached_property
     def inverse_dynamics(self) -> InverseDynamics | None:

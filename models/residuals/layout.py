@@ -1,6 +1,6 @@
 """Table of residuals of a log under a model: the columns of each channel, and their values."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -39,18 +39,22 @@ class Layout:
     @cached_property
     def channel_of(self) -> tuple[str, ...]:
         """Channel of each column."""
-        sizes = {name: place.stop - place.start for name, place in self.channels.items()}
-        return tuple(name for name, size in sizes.items() for _ in range(size))
+        return tuple(n for n, at in self.channels.items() for _ in range(at.start, at.stop))
+
+    @cached_property
+    def kinds(self) -> tuple[tuple[str, str], ...]:
+        """Channel and kind of each column, which tell its noise."""
+        return tuple(zip(self.channel_of, (one.kind for one in self.columns), strict=True))
 
     @cached_property
     def groups(self) -> tuple[list[int], ...]:
         """Columns that come from one reading."""
-        return self._alike([column.group for column in self.columns])
+        return self._collected("group")
 
     @cached_property
     def alike(self) -> tuple[list[int], ...]:
         """Columns with the same noise level."""
-        return self._alike([column.kind for column in self.columns])
+        return self._collected("kind")
 
     @cached_property
     def masked_by(self) -> tuple[tuple[str, ...], ...]:
@@ -75,11 +79,10 @@ class Layout:
     def __contains__(self, name: str) -> bool:
         return name in self.channels
 
-    def _alike(self, words: Sequence[str]) -> tuple[list[int], ...]:
-        """Columns of one channel with the same word."""
+    def _collected(self, what: str) -> tuple[list[int], ...]:
         found: dict[tuple[str, str], list[int]] = {}
-        for column, key in enumerate(zip(self.channel_of, words, strict=True)):
-            found.setdefault(key, []).append(column)
+        for c, name in enumerate(self.channel_of):
+            found.setdefault((name, getattr(self.columns[c], what)), []).append(c)
         return tuple(found.values())
 
 

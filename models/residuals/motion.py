@@ -68,22 +68,16 @@ def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceM
     return sloping if moves[1] < moves[0] else motion
 
 
-def can_dead_reckon(log: Log) -> bool:
-    """Whether a log has what `with_dead_reckoning` needs."""
-    return all(map(log.has, ("imu", "q", "contact"))) and bool(log.contact.any())
-
-
 def motion_without_reference(log: Log, robot: Machine) -> ReferenceMotion:
     """Stances, bins and vertical of a walk without a reference.
 
     No foot stands or swings where the log lacks IMU, angles or contacts, or where it gives the
     feet: their differences while one turns depend on how far each rolls, which is not known.
     """
-    feet = robot.feet
-    if feet is None or feet.roll_unknown or not can_dead_reckon(log):
+    reckoned = with_dead_reckoning(log, robot.feet)
+    if reckoned is None:
         motion = reference_motion(log, robot.limbs, fixed=True)
         return replace(motion, lifted=motion.standing, by_reference=False)
-    reckoned = with_dead_reckoning(log, feet)
     motion = within_windows(reference_motion(reckoned, robot.limbs), reckoned, robot)
     nothing = np.zeros((len(log.t), 3))
     unknown = np.full_like(nothing, np.nan)
@@ -92,12 +86,17 @@ def motion_without_reference(log: Log, robot: Machine) -> ReferenceMotion:
     )
 
 
-def with_dead_reckoning(log: Log, feet: Feet) -> Log:
+def with_dead_reckoning(log: Log, feet: Feet | None) -> Log | None:
     """Replace a log's reference by dead reckoning.
 
     The velocity is the mean over the standing feet, up is the direction of the mean specific force,
-    and the heading is the integral of the gyro. The log of a walk needs IMU, angles and contacts.
+    and the heading is the integral of the gyro. None where the log lacks IMU, angles or contacts,
+    where no foot ever stands, or where it is unknown how far the feet roll.
     """
+    if feet is None or feet.roll_unknown or not all(map(log.has, ("imu", "q", "contact"))):
+        return None
+    if not log.contact.any():
+        return None
     up = uniform_filter1d(log.accel, max(1, round(LEVELLING_WINDOW * log.rate)), axis=0)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     by_foot = feet.imu_velocity(*feet.readings(log), at_rows(log.gyro), up, log.contact)

@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from surefoot.models.residuals.binning import BIN, Bins
+from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, bin_mean
 from surefoot.models.residuals.feet import HALFWAY
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.inverse_dynamics import Dynamics
 from surefoot.sim.robot.kinematics import leg_forward
 from surefoot.sim.robot.machine import Machine
 
@@ -29,12 +32,15 @@ class DynamicsInputs:
         up_B: the ground's normal in B (M, 3).
         swings: joints whose foot is in the air for three bins (M, J).
         steady: bins in which, and next to which, no foot lands or lifts (M,).
+        curved: means over the rows of each bin of the torques by inverse dynamics, less those at
+            the means (M, J) [N m]; zero on a walk.
     """
 
     bins: Bins
     up_B: np.ndarray
     swings: np.ndarray
     steady: np.ndarray
+    curved: np.ndarray | float = 0.0
 
     @cached_property
     def needed(self) -> np.ndarray:
@@ -53,6 +59,8 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     whole = np.zeros(len(bins.t), dtype=bool)
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
+    # The equation is smoothed over three bins, each of which needs the rate before it.
+    whole = minimum_filter1d(whole, 3, mode="constant")
     up_B = np.zeros((len(bins.t), 3))
     # Joints that belong to no leg carry no foot's load.
     swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros_like(whole)
@@ -67,6 +75,23 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
                 swings[:, chain] = lifted[:, [leg]]
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
     return DynamicsInputs(bins, up_B, swings & whole[:, None], steady & whole)
+
+
+def curvature(log: Log, motion: ReferenceMotion, dynamics: Dynamics) -> np.ndarray:
+    """Means over the rows of each bin of the torques by inverse dynamics, less those at the means
+    (M, J) [N m]: within a bin, inertia and weight do not change linearly.
+    """
+
+    def made() -> np.ndarray:
+        q, mean = log.q, bin_mean(motion)
+        slow = derivative(log.t, q, JOINT_WINDOW, causal=False) if motion.rates_of_angles else None
+        dq = steady_rate(log.t, joint_velocity(log) if slow is None else slow)
+        rates = q, dq, np.gradient(dq, log.t, axis=0)
+        _, of_rows = dynamics.inverse(*rates)
+        _, of_means = dynamics.inverse(*map(mean, rates))
+        return mean(of_rows) - of_means
+
+    return log.once("curvature of torques", ("q", "dq"), made, dynamics, motion)
 
 
 def smooth_121(x: np.ndarray) -> np.ndarray:
@@ -101,7 +126,7 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics | Non
     wrench, torque = load_wrench(s.bins, robot), np.zeros_like(s.bins.q)
     more, torque[s.needed] = robot.dynamics.inverse(*s.motion)
     wrench[s.needed] += more
-    return InverseDynamics(wrench, torque)
+    return InverseDynamics(wrench, torque + s.curved)
 
 
 def load_wrench(bins: Bins, machine: Machine) -> np.ndarray:

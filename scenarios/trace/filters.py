@@ -1,14 +1,18 @@
 """Influence of the effects found on each filter: its errors without and with them in the model."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.special import stdtrit
 
 from surefoot.estimator.evaluation.run_summary import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import SEGMENT, Metrics, align_first, evaluate, matched, path_length
+from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.residuals.binning import at_rows
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
@@ -32,6 +36,10 @@ REPORTED = {
 """Metrics of a filter and their headings."""
 _FIELDS = [name for name in REPORTED if name != "drift"]
 """Those that are fields of `estimator.metrics.Metrics`."""
+HARM = 1.05
+"""Ratio of a filter's error, after to before, from which compensation makes it worse."""
+PARTS = 4
+"""Parts of a log over which the errors of filters are compared."""
 DEAD_RECKONING = "dead_reckoning"
 """Listed among the filters: leg odometry, integrated with the reference's attitude."""
 
@@ -170,6 +178,54 @@ def stretch(log: Log, begin: float, end: float) -> Log | None:
         return None
     part = log.rows(slice(int(good[0]), int(rows[-1]) + 1))
     return replace(part, meta=replace(part.meta, rate=log.rate))
+
+
+def harmful_to_filters(
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect]
+) -> tuple[Effect, str] | None:
+    """The effect without which leg odometry or the leg filter errs least, and which of the two;
+    None where neither errs more with the effects than without one of them.
+
+    Judged by the relative error (RPE) on `PARTS` of each log: the mean increase exceeds `HARM`, and
+    zero with a confidence of 97.5 % by Student's t.
+    """
+    parts = [
+        (case, *ends)
+        for case in cases
+        if not case.fixed and case.log.has("imu") and case.log.has("reference")
+        for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], PARTS + 1))
+    ]
+
+    def errors(compensated: Sequence[Effect]) -> dict[str, np.ndarray]:
+        """Logarithm of the RPE of each part (n,), by filter."""
+        found: dict[str, list[float]] = {}
+        for case, begin, end in parts:
+            log, robot = compensate_all(compensated, case.log, case.robot)
+            part, feet = stretch(log, begin, end), shown_feet(log, robot.feet)
+            if part is None or feet is None or not (part.has("contact") and part.contact.any()):
+                continue
+            truth, tried = reference(part), {DEAD_RECKONING: dead_reckoned(part, feet)}
+            with suppress(SurefootError):  # the log lacks an input of the filter
+                tried["leg"] = filtered("leg", part, robot, Learnt())
+            for name, estimate in tried.items():
+                error = evaluate(truth, estimate).rpe_trans
+                found.setdefault(name, []).append(np.log(max(error, 1e-12)))
+        return {name: np.array(x) for name, x in found.items()}
+
+    known, worst = errors(effects), None
+    for one in effects:
+        less = errors([e for e in effects if e != one])
+        for name, with_all in known.items():
+            if name not in less or len(less[name]) != len(with_all):
+                continue
+            more = with_all - less[name]
+            more = more[np.isfinite(more)]
+            if len(more) < PARTS - 1 or np.mean(more) < np.log(HARM):
+                continue
+            doubt = stdtrit(len(more) - 1, 0.975) * np.std(more, ddof=1) / np.sqrt(len(more))
+            if (excess := float(np.mean(more) - doubt)) > 0.0:
+                worst = max(worst or (0.0, one, name), (excess, one, name), key=lambda x: x[0])
+    return worst and worst[1:]
 
 
 def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[str, float]]]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student_t
 
-from surefoot.models.attribution.reference_sampling import reference_sampling, resample_reference
+from surefoot.models.attribution.sensor_noise import reference_sampling, resample_reference
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
 from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.models.attribution.data import LACKING
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.residuals.channels import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
@@ -75,6 +75,19 @@ def sections(found: Trace) -> list[Section]:
         )
         table = _levels(found.channels)
         parts.append(Section("Residual before and after", words, table, (picture,)))
+    if found.rejected:
+        words = "Effects that were considered last and are not among those found."
+        table = [
+            {
+                "effect": one.name,
+                "target": one.target,
+                "value": f"{one.value:.3g}",
+                "unit": found.unit_of(one.name, one.target),
+                "because": why,
+            }
+            for one, why in found.rejected
+        ]
+        parts.append(Section("Considered and rejected", words, table))
     if found.least:
         words = "The least size of each change that would have been named in 95 of 100 such logs."
         table = [
@@ -189,6 +202,11 @@ def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
             "high": f"{f.interval[1]:.4g}",
             "unit": found.unit_of(f.effect.name, f.effect.target),
         }
+        | (
+            {"standard deviations": f"{f.excess:.1f}", "between blocks": f"{f.agreement:.1f}"}
+            if np.isfinite(f.excess)
+            else {}
+        )
         for f in ones
     ]
 

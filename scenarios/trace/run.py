@@ -12,7 +12,13 @@ from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.model_error import ModelError, model_error_from_dict
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
-from surefoot.scenarios.trace.filters import BeforeAfter, before_and_after, mean_metrics
+from surefoot.scenarios.trace.filters import (
+    HARM,
+    BeforeAfter,
+    before_and_after,
+    harmful_to_filters,
+    mean_metrics,
+)
 from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
@@ -25,6 +31,8 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
+_REPORT_SHARE = 0.35
+"""Share of each log, at its end, that filters run over."""
 
 
 @dataclass(frozen=True)
@@ -97,18 +105,19 @@ def trace_logs(
     one that is known by its feet alone.
     """
     report = progress or (lambda share: None)
-    settings, learnt = options.constants, options.learnt
-    found = diagnose(logs, robot, options, lambda share: report(0.88 * share))
+    learnt = options.learnt
+    judged = replace(options, harmful=harmful_to_filters)
+    found = diagnose(logs, robot, judged, lambda share: report(0.88 * share))
     cases = [run.case for run in found.runs]
     if found.attribution is not None and not cases:
-        cases = logs_under_model(logs, robot, options.declared or (), settings)
-    stretches = _filtered(cases, found.effects, learnt, settings.report_share)
+        cases = logs_under_model(logs, robot, options.declared or ())
+    stretches = _filtered(cases, found.effects, learnt, _REPORT_SHARE)
     held_out = [run.case for run in found.held_out.runs] if found.held_out else []
     unseen = _filtered(held_out, found.effects, learnt, 1.0)
     filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
     harm = (
-        *_harm(filters, settings.harm_ratio),
-        *(f"held out: {one}" for one in _harm(unseen_filters, settings.harm_ratio)),
+        *_harm(filters),
+        *(f"held out: {one}" for one in _harm(unseen_filters)),
     )
     report(1.0)
     known = vars(replace(found, notes=found.notes + harm))
@@ -123,12 +132,12 @@ def trace_logs(
     )
 
 
-def _harm(filters: Filters, limit: float) -> tuple[str, ...]:
-    """A sentence for each filter whose APE_trans grew by more than the factor `limit`."""
+def _harm(filters: Filters) -> tuple[str, ...]:
+    """A sentence for each filter whose APE_trans grew by more than HARM."""
     return tuple(
         f"{name} filter: larger error with the effects found"
         for name, m in filters.items()
-        if m["after"]["ape_trans"] > limit * m["before"]["ape_trans"]
+        if m["after"]["ape_trans"] > HARM * m["before"]["ape_trans"]
     )
 
 

@@ -5,7 +5,7 @@ from functools import partial
 from math import isfinite
 from typing import Any
 
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.scenarios.trace.filters import DEAD_RECKONING
 from surefoot.scenarios.trace.result import Filters, Trace
@@ -86,8 +86,8 @@ def beyond_bounds(found: Trace) -> list[str]:
     """
     if found.verdict != "none_of_these" or found.attribution is None:
         return []
-    last = found.attribution.rounds[-1] if found.attribution.rounds else ()
-    out = [c for c in last if c.at_bound and c.share > _MUCH]
+    first = found.attribution.rounds[0] if found.attribution.rounds else ()
+    out = [c for c in first if c.at_bound and c.share > _MUCH]
     lines = []
     for one in sorted(out, key=lambda c: -c.share)[:2]:
         kind = known_effects()[one.key[0]]
@@ -96,7 +96,7 @@ def beyond_bounds(found: Trace) -> list[str]:
         low, high = (factor * x for x in kind.bounds_on(found.limbs, one.key[1]))
         lines.append(
             f"  {one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
-            f"{100 * one.share:.0f} % of the remaining residual, but its bounds are {low:.3g} and "
+            f"{100 * one.share:.0f} % of the residual, but its bounds are {low:.3g} and "
             f"{high:.3g}"
         )
     return lines

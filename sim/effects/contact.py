@@ -13,7 +13,7 @@ from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.base import Effect, declared_on
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative
+from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
 
@@ -92,14 +92,16 @@ class Armature(_DriveEffect):
             joint.armature = self.left_of(joint.armature, joint.name)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate: np.gradient(rate, log.t)), robot
+        return _less_torque(
+            log, robot, self, lambda rate: np.gradient(steady_rate(log.t, rate), log.t)
+        ), robot
 
 
 class FootSlip(Effect):
     """The ground has less friction than declared: every coefficient is reduced by this share.
 
     No model compensates it, since friction has no influence below its limit. Sliding feet under
-    load reveal it, which `trace` uses for an estimate (`models.attribution.friction`); stances that
+    load reveal it, which `trace` uses for an estimate (`models.attribution.forces`); stances that
     slide are masked.
     """
 

@@ -7,6 +7,7 @@ phase; a window of the past has none for motions of constant acceleration.
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log.log import Log
@@ -15,6 +16,8 @@ JOINT_WINDOW = 0.025
 """Window for joints [s]: passes 50 Hz at 400 to 500 Hz, faster than any motion of a leg of this
 size.
 """
+RATE_WINDOW = 0.006
+"""Averaging time of rates before they are differentiated [s]."""
 REFERENCE_WINDOW = 0.1
 """Window for references [s]: motion capture has 60 to 120 Hz and stamps accurate to milliseconds;
 about 12 Hz pass.
@@ -147,6 +150,14 @@ def joint_velocity(log: Log, causal: bool = False) -> np.ndarray:
     log.require("q")
     what = f"joint velocity {causal}"
     return log.once(what, ["q"], lambda: derivative(log.t, log.q, JOINT_WINDOW, causal))
+
+
+def steady_rate(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Rates (N, ...) averaged over RATE_WINDOW, from which every acceleration of joints is taken:
+    two ways would differ in noise, by which one effect would look better than another.
+    """
+    rows = max(1, round(RATE_WINDOW / np.median(np.diff(t))))
+    return uniform_filter1d(rate, rows - 1 + rows % 2, axis=0)
 
 
 def foot_velocity(log: Log) -> np.ndarray:

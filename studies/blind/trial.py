@@ -11,7 +11,7 @@ from studies.blind.plan import PLAN, Case, study_robot
 from surefoot import Log, Scenario, walk
 from surefoot.extend import Effect, Ground, Patch, Segment, SurefootError, read_toml
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
-from surefoot.models.attribution.settings import DEFAULT
+from surefoot.models.attribution.forces import DRY_FRICTION
 
 STANDING_TIME = 20.0
 """Duration of the logs of a standing robot [s], with effects that standing cannot distinguish."""
@@ -83,7 +83,7 @@ def size_over_floor(found: Diagnosis, one: Effect) -> float | None:
     zero for an effect that is no candidate and leaves no channel above its noise floor.
     """
     if one.name == "foot_slip" and found.friction is not None:
-        return one.value / max(1.0 - found.friction.held / DEFAULT.dry_friction, 1e-3)
+        return one.value / max(1.0 - found.friction.held / DRY_FRICTION, 1e-3)
     rounds = found.attribution.rounds if found.attribution else ()
     for c in rounds[0] if rounds else ():
         if c.key == (one.name, one.target):

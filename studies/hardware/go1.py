@@ -25,8 +25,8 @@ from surefoot.extend import (
     reference,
     stance_phase,
 )
+from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.evidence import log_under_model, table_of
-from surefoot.models.attribution.split import split_of
 from surefoot.models.residuals.layout import layout_for
 from surefoot.scenarios.reporting import AFTER, BEFORE, INK, METRICS, new_figure, set_title
 from surefoot.scenarios.trace.filters import filtered

@@ -9,7 +9,7 @@ from known_evidence import BINS, NOISE, WIDTH, evidence
 
 from surefoot.models.attribution.data import dead_contacts
 from surefoot.models.attribution.design import design
-from surefoot.models.attribution.robust_weights import robust_weights, slips
+from surefoot.models.attribution.weights import robust_weights, slips
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.log import Log, Meta
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.explain import explain, problem_of, zeros_beside
 from surefoot.models.attribution.metric import interpolation_weights
 from surefoot.models.attribution.noise_floor import noise_floor, noise_floor_with
-from surefoot.models.attribution.split import split_of
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot

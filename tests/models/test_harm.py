@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.design import design, without_nuisance
 from surefoot.models.attribution.diagnose import find_harmful_effect
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.levels import channel_levels
 from surefoot.models.attribution.metric import metric_of
 from surefoot.models.attribution.noise_floor import noise_floor
-from surefoot.models.attribution.robust_weights import robust_weights
-from surefoot.models.attribution.split import split_of
+from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.channels import channels as known_channels
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
-from surefoot.models.attribution.angle_error import angle_error_basis, angle_errors
+from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.explain import explain, problem_of
 from surefoot.models.attribution.noise_floor import noise_floor, noise_floor_with
-from surefoot.models.attribution.settings import DEFAULT
-from surefoot.models.attribution.split import split_of
+from surefoot.models.attribution.unexplained import angle_curves, curved_angles
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -29,14 +28,14 @@ def found(one):
     result = explain(
         problem, lambda effects: noise_floor_with(floor, effects).error, lambda *_: None
     )
-    return result, angle_errors(result, [case], DEFAULT)
+    return result, curved_angles(result, [case])
 
 
 @pytest.mark.long
 def test_a_curve_is_told_from_the_line_that_comes_nearest():
     result, bent = found(OUTSIDE_EFFECTS["encoder_eccentricity"]("FL_thigh", 0.03))
     assert result.found, "something of the catalogue comes near"
-    assert [(one.joint, one.channel) for one in bent[:1]] == [("FL_thigh", "leg_velocity")]
+    assert [(one.column, one.channel) for one in bent[:1]] == [("FL_thigh", "leg_velocity")]
 
 
 @pytest.mark.slow
@@ -51,7 +50,7 @@ def test_bends_leave_out_what_an_offset_and_a_scale_can_do():
     log = walk(replace(COURSE, segments=(Segment(1.0, 0.5),)), ROBOT, 3)
     q = log.frame["q_FL_thigh"].to_numpy()
     even = np.linspace(q.min(), q.max(), 2001)
-    for change in angle_error_basis(log, "FL_thigh")[:5]:
+    for change in [*angle_curves(log, "FL_thigh").values()][:5]:
         curve = np.interp(even, np.sort(q), change["q_FL_thigh"][np.argsort(q)])
         line = np.polynomial.Legendre.fit(even, curve, 1)
         assert np.abs(line.coef).max() < 0.05

@@ -10,6 +10,7 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.data import data_notes
 from surefoot.models.attribution.evidence import log_under_model
+from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.residuals.channels import BUNDLED_CHANNELS, CHANNELS, channels
 from surefoot.sim.common.errors import SurefootError
@@ -112,7 +113,9 @@ def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch, source, 
         assert list(channels.__wrapped__()) == [kind.name for kind in BUNDLED_CHANNELS]
         robot = Robot.load("spot_class")
         case = log_under_model(synthetic_walk(0, 6.0), robot)
-        (note,) = [n for n in data_notes([case], NoiseFloor(np.zeros(0), (), "")) if "mine" in n]
+        none = ModelError(0, (), np.zeros(0), np.zeros((0, 0)), {}, {})
+        no_floor = NoiseFloor(np.zeros(0), (), "", none)
+        (note,) = [n for n in data_notes([case], no_floor) if "mine" in n]
         assert note.startswith("plugin mine = own_thing:Mine (surefoot.channels): ")
     finally:
         plugins.cache_clear()

@@ -1,10 +1,14 @@
-"""How large effects are, and what an implausible size costs."""
+"""How large effects are, and what it costs them to be on some parts only."""
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.priors import PRIORS, prior_of, prior_penalty
+from surefoot.models.attribution.effect_sizes import (
+    SPREAD_BETWEEN_PARTS,
+    price_of_some_parts,
+    prior_of,
+    priors,
+)
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import QUADRUPED
 
@@ -16,16 +20,16 @@ def test_every_prior_is_of_an_effect_within_its_bounds_and_has_a_source():
         assert 0 < prior.within <= np.max(np.abs(kind.bounds))
         assert len(prior.source) > 10
         assert prior.within < prior.most
-    assert len(set(PRIORS) & set(known)) > 15
+    assert set(priors()) <= set(known)
 
 
-def test_a_size_costs_what_a_normal_density_says():
-    within = PRIORS["gyro_scale"].within
-    density = [np.exp(-0.5 * (1.96 * x / within) ** 2) for x in (0.0, 0.16)]
-    assert_allclose(
-        prior_penalty("gyro_scale", "z", 0.16, QUADRUPED), -2 * np.log(density[1] / density[0])
-    )
-    assert prior_penalty("gyro_scale", "z", within, QUADRUPED) == pytest.approx(1.96**2)
+def test_what_machines_have_by_construction_costs_more_on_some_parts_only():
+    spread = SPREAD_BETWEEN_PARTS["foot_rolling"]
+    costs = [price_of_some_parts("foot_rolling", at, QUADRUPED) for at in ("all", "FL")]
+    assert costs == [0.0, pytest.approx((1.96 / spread) ** 2)]
+    some = [price_of_some_parts("leg_compliance", at, QUADRUPED) for at in ("calf", "FL_calf")]
+    assert some[0] == 0.0 < some[1]
+    assert price_of_some_parts("gyro_scale", "z", QUADRUPED) == 0.0
 
 
 def test_an_effect_of_ones_own_says_how_large_it_is():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.reference_sampling import (
+from surefoot.models.attribution.sensor_noise import (
     ReferenceSampling,
     reference_notes,
     reference_sampling,
@@ -69,5 +69,5 @@ def test_a_reference_with_a_noisy_sample_a_row_is_seen_by_the_floor(log):
     assert found.intervals == ()
     assert found.position == pytest.approx(0.6e-3, rel=0.35)
     assert reference_sampling(noisy) is None
-    assert any("included in the noise floor" in note for note in reference_notes(measured, found))
-    assert reference_notes(noisy, None) == ()
+    assert any("included in the noise floor" in note for note in reference_notes(measured))
+    assert reference_notes(noisy) == ()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from surefoot.models.attribution.evidence import log_under_model
-from surefoot.models.attribution.robust_weights import RobustWeights
 from surefoot.models.attribution.unexplained import regressor_library, sparse_regression
+from surefoot.models.attribution.weights import RobustWeights
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment

@@ -7,7 +7,7 @@ import pytest
 from known_evidence import QUADRUPED
 from numpy.testing import assert_allclose
 
-from surefoot.models.attribution.robust_weights import correlated_entries
+from surefoot.models.attribution.weights import correlated_entries
 from surefoot.models.residuals.binning import BIN, at_rows, reference_motion
 from surefoot.models.residuals.feet import (
     FEWEST_STANCE_BINS,

@@ -2,9 +2,9 @@
 
 import pytest
 
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
+from surefoot.models.attribution.forces import Push
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.outside_forces import Push
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
 from surefoot.sim.effects import effect
 

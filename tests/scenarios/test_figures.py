@@ -55,7 +55,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
         ),
         "mixing": observer_errors.mixing_curve(mixing(train)),
         "residuals": residuals({"leg_velocity": level}),
-        "gains": candidate_gains({"a": (0.5, 0.4, 0.6), "b": (0.1, 0.0, 0.2)}, ["a"]),
+        "gains": candidate_gains({"a": 0.5, "b": 0.1}, ["a"]),
     }
 
 
@@ -69,7 +69,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
         ("distributions", ["error [m/s]", "Gaussian fit, test", "meant: at least 80 %"]),
         ("mixing", ["lag [samples of 10 ms]", "β(lag)"]),
         ("residuals", ["RMS [m/s]", "leg velocity", "0.3", "0.1", "noise floor"]),
-        ("gains", ["50.0 %", "10.0 %", "held-out data [%]"]),
+        ("gains", ["50.0 %", "10.0 %", "residual explained [%]"]),
     ],
 )
 def test_a_figure_says_what_it_shows(drawn, name, said):

@@ -7,11 +7,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from surefoot.models.attribution.data import dead_contacts, readings, untraceable_reason
+from surefoot.models.attribution.data import dead_contacts, readings, split_of, untraceable_reason
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
-from surefoot.models.attribution.split import split_of
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import OUTPUTS, TraceOptions, trace, trace_logs
 from surefoot.scenarios.trace.words import caution, summary
@@ -132,7 +131,7 @@ def test_a_declared_effect_is_part_of_the_model():
 @pytest.mark.long
 def test_a_leg_is_measured_on_a_floor_that_is_no_more_even_than_floors_are():
     """Its map says so; the model then walks on such a floor too, and 2 mm of a calf are seen."""
-    ground = ground_of(COURSE, EVENNESS)
+    ground = ground_of(COURSE, EVENNESS, 0.8)
     one = effect("link_length", "RR_calf", 0.002)
     log = walk(Scenario("uneven", COURSE, ground), ROBOT, 4, effects=[one], declared=False)
     log = replace(log, meta=replace(log.meta, model={"ground_evenness": EVENNESS}))
@@ -165,12 +164,12 @@ def test_data_that_cannot_tell_are_not_identifiable(tmp_path):
     assert json.loads((tmp_path / "trace.json").read_text())["verdict"] == "not_identifiable"
 
 
-def test_a_reference_that_covers_only_the_report_is_not_identifiable():
+def test_a_reference_that_covers_half_a_second_is_not_identifiable():
     frame = log_with().frame.copy()
-    frame["ref_ok"] = (frame["t"] > 0.8 * frame["t"].iloc[-1]).astype(float)
+    frame["ref_ok"] = (frame["t"] > frame["t"].iloc[-1] - 0.5).astype(float)
     found = trace_logs([replace(log_with(), frame=frame)], ROBOT)
     assert found.verdict == "not_identifiable"
-    assert "too little reference: 0.0 s to fit" in summary(found)
+    assert "too little reference" in summary(found)
 
 
 @pytest.mark.parametrize("columns", [("ref_p", "ref_q", "ref_v"), ("ref_p",), ("ref_q",)])

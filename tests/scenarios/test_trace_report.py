@@ -3,7 +3,7 @@
 import pandas as pd
 
 from surefoot.models.attribution.data import LACKING
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.scenarios.demo import _loop_sections
 from surefoot.scenarios.reporting.tables import as_frame
 from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from pendulum import swung
 
-from surefoot.models.attribution.found import Found
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.run import TraceOptions, trace, trace_logs, unchanged_beside
 from surefoot.scenarios.trace.words import size_in_words, summary

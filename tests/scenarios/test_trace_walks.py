@@ -9,14 +9,15 @@ from pushes import pushed
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.models.attribution.friction import (
+from surefoot.models.attribution.forces import (
+    FEWEST_SLIDES,
     FootFriction,
     estimate_friction,
+    outside_forces,
+    pushed_bins,
     slip_effect,
     slip_notes,
 )
-from surefoot.models.attribution.outside_forces import outside_forces, pushed_bins
-from surefoot.models.attribution.settings import DEFAULT
 from surefoot.models.residuals.binning import BIN
 from surefoot.scenarios.trace.filters import dead_reckoned, drift
 from surefoot.sim.effects import effect
@@ -51,7 +52,7 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
     assert found is not None
     assert found.limit == pytest.approx(0.12, rel=0.1)
     assert found.everywhere
-    (one,) = slip_effect(found, DEFAULT)
+    (one,) = slip_effect(found)
     assert (one.effect.name, one.effect.value) == ("foot_slip", pytest.approx(0.85, abs=0.02))
     assert one.interval[0] - 0.01 < 0.85 < one.interval[1] + 0.01
 
@@ -59,16 +60,16 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
 def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(log):
     found = friction(log)
     assert found is not None
-    assert (found.limit, slip_effect(found, DEFAULT)) == (None, ())
+    assert (found.limit, slip_effect(found)) == (None, ())
     assert 0.05 < found.held < 0.8
-    (note,) = slip_notes(found, True, DEFAULT)
+    (note,) = slip_notes(found, True)
     assert f"coefficient of friction of up to {found.held:.2f}" in note
 
 
 def test_slides_in_one_place_are_no_loss_all_over():
     patched = FootFriction(0.12, (0.11, 0.13), slides=12, everywhere=False, held=0.2)
-    assert slip_effect(patched, DEFAULT) == ()
-    (note,) = slip_notes(patched, True, DEFAULT)
+    assert slip_effect(patched) == ()
+    (note,) = slip_notes(patched, True)
     assert note.endswith("in places; feet that did not slide used a coefficient of up to 0.20")
 
 
@@ -78,26 +79,26 @@ def test_slides_on_two_patches_are_in_places():
     assert found is not None
     assert found.limit is not None
     assert found.limit == pytest.approx(0.1, rel=0.1)
-    assert found.slides >= DEFAULT.fewest_slides
+    assert found.slides >= FEWEST_SLIDES
     assert found.held > 1.5 * found.limit
     assert not found.everywhere
-    (note,) = slip_notes(found, True, DEFAULT)
+    (note,) = slip_notes(found, True)
     assert "in places; feet that did not slide" in note
 
 
 def test_feet_that_hold_with_more_do_not_slide():
     """What elastic legs make of a walk of the Go1's model: feet that seem to slide at nothing."""
     elastic = FootFriction(0.041, (0.038, 0.044), slides=140, everywhere=True, held=0.136)
-    assert slip_effect(elastic, DEFAULT) == ()
-    assert slip_effect(replace(elastic, held=0.045), DEFAULT) != ()
+    assert slip_effect(elastic) == ()
+    assert slip_effect(replace(elastic, held=0.045)) != ()
 
 
 @pytest.mark.parametrize(("held", "scatter"), [(0.3, 0.0), (0.12, 0.5)])
 def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, scatter):
     """As a delay makes them: feet seem to move while they push, at any share of their force."""
     odd = FootFriction(0.12, (0.11, 0.13), 40, everywhere=True, held=held, scatter=scatter)
-    assert slip_effect(odd, DEFAULT) == ()
-    assert "may look like sliding" in slip_notes(odd, True, DEFAULT)[0]
+    assert slip_effect(odd) == ()
+    assert "may look like sliding" in slip_notes(odd, True)[0]
 
 
 @pytest.mark.parametrize(
@@ -106,7 +107,7 @@ def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, 
 def test_another_effect_is_not_taken_for_lost_friction(log, one):
     altered, known = effect(*one).compensate(log, ROBOT)
     found = estimate_friction([log_under_model(altered, known)], np.random.default_rng(0))
-    assert slip_effect(found, DEFAULT) == ()
+    assert slip_effect(found) == ()
 
 
 @pytest.mark.parametrize(
@@ -122,7 +123,7 @@ def test_feet_that_yield_are_not_taken_for_lost_friction(robot, one):
     robot, fault = Robot.load(robot), effect(*one)
     yields = walk(Scenario("zigzag", ZIGZAG, GROUND), robot, 0, [fault], declared=False)
     case = log_under_model(*fault.compensate(yields, robot))
-    assert slip_effect(estimate_friction([case], np.random.default_rng(0)), DEFAULT) == ()
+    assert slip_effect(estimate_friction([case], np.random.default_rng(0))) == ()
 
 
 def test_friction_is_that_with_the_effects_found_compensated():
@@ -132,7 +133,7 @@ def test_friction_is_that_with_the_effects_found_compensated():
     seeming, found = friction(log), diagnose([log], ROBOT)
     assert seeming is not None
     assert found.friction is not None
-    assert seeming.slides >= DEFAULT.fewest_slides
+    assert seeming.slides >= FEWEST_SLIDES
     assert [(e.name, e.target) for e in found.effects] == [("clock_scale", "joints")]
     assert found.friction.slides == 0
 
@@ -140,7 +141,7 @@ def test_friction_is_that_with_the_effects_found_compensated():
 def test_without_torques_friction_is_not_identifiable(log):
     bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_")])
     assert friction(replace(log, frame=bare)) is None
-    assert "without torques" in slip_notes(None, True, DEFAULT)[0]
+    assert "without torques" in slip_notes(None, True)[0]
 
 
 def test_outside_forces_are_found_where_they_act(log):

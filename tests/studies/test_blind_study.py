@@ -20,7 +20,7 @@ from studies.blind.report import (
 from studies.blind.study import run_blind_study
 from studies.blind.trial import ground_and_course, size_over_floor, standing_part
 from surefoot.models.attribution.diagnose import Diagnosis
-from surefoot.models.attribution.friction import FootFriction
+from surefoot.models.attribution.forces import FootFriction
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.robot import Robot

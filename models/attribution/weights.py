@@ -1,20 +1,47 @@
-"""Robust weights of a residual, and masks of stances in which a foot slid or stood on an edge.
+"""Weights of the entries of a residual table.
 
-Both are computed after fitting the whole catalogue, so that neither can remove an effect of the
-catalogue: a stance is masked if it stands out from the other stances of its foot, not if all of
-them are wrong.
+Outliers count less. Stances in which a foot slid or stood on an edge, and bins in which a joint
+with dry friction nearly stands still, do not count. Weights and masks of stances are computed after
+fitting the whole catalogue, so that neither can remove an effect of the catalogue: a stance is
+masked if it stands out from the other stances of its foot, not if all of them are wrong.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from surefoot.models.attribution.design import Design, add_block
-from surefoot.models.residuals.binning import BIN
+from surefoot.models.attribution.evidence import Evidence, LogUnderModel
+from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.layout import Layout
+from surefoot.models.residuals.torques import dilate
+from surefoot.sim.effects import Effect
+from surefoot.sim.log import joint_velocity
+from surefoot.sim.physics.leg_loads import STICTION_RATE
 
+OUTLIER = 2.5
+"""Standard deviations beyond which an entry of the table loses weight."""
+ROUNDS = 3
+"""Iterations of weights and noise, after which they hardly change."""
+SLIP_OUTLIER = 6.0
+"""Robust deviations above its foot's median from which a stance is masked."""
+SLOWEST_SLIP = 0.02
+"""Speed below which a standing foot creeps on compliant contacts and does not slide [m/s]."""
+RAISED_STANCE = 0.001
+"""Deviation of a stance's height from the foot's others from which it is on an edge [m]."""
+FEWEST_STANCES = 5
+"""Stances of a foot from which one of them can stand out."""
+FAR_ABOVE = 3.0
+"""Ratio to the floor from which what is left of a channel is an error of the model, which recurs in
+every stance and makes all sizes uncertain.
+"""
 MOST_LAGS = 15
 """Lags over which autocorrelations are summed, in entries: the length of a stance."""
+SLOW = 0.5
+"""Share of a joint's RMS rate below which it is slow, at most: small slides never reach
+STICTION_RATE.
+"""
 
 
 @dataclass(frozen=True)
@@ -38,7 +65,7 @@ class RobustWeights:
 
 def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     """Compute robust weights of an evidence with noise floor `floor` (W,)."""
-    layout, settings, there = data.evidence.layout, data.evidence.settings, data.there
+    layout, there = data.evidence.layout, data.there
     feet = layout.by_leg("leg_velocity")
     legged = len(feet) > 0
     masked = np.zeros((len(there), len(feet)), dtype=bool)
@@ -46,31 +73,24 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
     left = data.y
     for last in (False, True) if legged else (True,):
-        for _ in range(settings.weight_rounds):
+        for _ in range(ROUNDS):
             left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
             sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))
-            weight = (there & ~spoiled) * _outlier_weights(layout, left / sigma, settings.outlier)
+            weight = (there & ~spoiled) * _outlier_weights(layout, left / sigma)
         if not last:
             slid, elsewhere = slips(data, left)
             masked, spoiled = slid | elsewhere, _invalidated(layout, slid, elsewhere)
     standing = there[:, feet[:, 0]].sum() if legged else 0
     share = float(masked.sum() / max(standing, 1))
-    z = np.clip(left / sigma, -settings.outlier, settings.outlier)
+    z = np.clip(left / sigma, -OUTLIER, OUTLIER)
     alike = correlated_entries(layout, np.where(weight > 0, z, np.nan))
     # A model error within the stance recurs in every stance, so more stances do not make it more
     # certain: a column far above the floor counts as one entry, and the mean over the stance, which
     # is a channel of its own, decides.
-    columns = noisy_leg_columns(layout, sigma, floor, settings.far_ratio)
+    columns = layout.of("leg_velocity")
+    columns = columns[sigma[columns] > FAR_ABOVE * floor[columns]]
     alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
     return RobustWeights(sigma, weight, masked, share, alike)
-
-
-def noisy_leg_columns(
-    layout: Layout, sigma: np.ndarray, floor: np.ndarray, far: float
-) -> np.ndarray:
-    """Columns of `leg_velocity` whose noise sigma (W,) exceeds `far` times the floor."""
-    columns = layout.of("leg_velocity")
-    return columns[sigma[columns] > far * floor[columns]]
 
 
 def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:
@@ -116,43 +136,33 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
     fastest bin, since a sliding foot sticks again before the stance is over and a mean would miss
     every second slip; and by its height, since a foot on an edge does not slide.
     """
-    layout, settings = data.evidence.layout, data.evidence.settings
+    layout = data.evidence.layout
     velocity, heights = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
     masked = np.zeros((2, len(left), len(velocity)), dtype=bool)
     for leg in range(len(velocity)):
         speed = np.sqrt(np.sum(left[:, velocity[leg]] ** 2, axis=1))
-        stances = stance_bins(data.evidence.t, data.evidence.log, np.isfinite(speed))
-        if len(stances) < 5:
+        stances = _stances(data.evidence, np.isfinite(speed))
+        if len(stances) < FEWEST_STANCES:
             continue
         fastest = np.array([speed[bins].max() for bins in stances])
         height = np.nan_to_num(np.array([left[bins, heights[leg, 0]].mean() for bins in stances]))
         off = np.abs(height - np.median(height))
-        for kind, (score, least) in enumerate(
-            ((fastest, settings.slowest_slip), (off, settings.raised_stance))
-        ):
-            for stance in np.flatnonzero(_stands_out(score, least, settings.slip_outlier)):
+        for kind, score, least in ((0, fastest, SLOWEST_SLIP), (1, off, RAISED_STANCE)):
+            middle = np.median(score)
+            # Spread from the lower quartile, since slips inflate the upper side only.
+            spread = 1.4826 * (middle - np.quantile(score, 0.25))
+            most = max(middle + SLIP_OUTLIER * spread, least)
+            for stance in np.flatnonzero(score > most):
                 masked[kind, stances[stance], leg] = True
     return masked
 
 
-def _stands_out(score: np.ndarray, least: float, outlier: float) -> np.ndarray:
-    """Which stances (K,) score more than `outlier` deviations above the median, and above
-    `least`.
-    """
-    middle = np.median(score)
-    # Spread from the lower quartile, since slips inflate the upper side only.
-    spread = 1.4826 * (middle - np.quantile(score, 0.25))
-    return score > max(middle + outlier * spread, least)
-
-
-def stance_bins(t: np.ndarray, log: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
+def _stances(known: Evidence, there: np.ndarray) -> list[np.ndarray]:
     """Indices of the bins of each stance: adjacent in time, in one log, with a value of the
-    foot.
+    foot (M,).
     """
     rows = np.flatnonzero(there)
-    if not len(rows):
-        return []
-    apart = (np.diff(t[rows]) > 1.5 * BIN) | (np.diff(log[rows]) != 0)
+    apart = (np.diff(known.t[rows]) > 1.5 * BIN) | (np.diff(known.log[rows]) != 0)
     return np.split(rows, np.flatnonzero(apart) + 1)
 
 
@@ -186,10 +196,46 @@ def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:
     return np.maximum(sigma, 1e-12)
 
 
-def _outlier_weights(layout: Layout, z: np.ndarray, outlier: float) -> np.ndarray:
-    """Weights (M, W): one up to `outlier` deviations, then falling as the inverse square."""
+def _outlier_weights(layout: Layout, z: np.ndarray) -> np.ndarray:
+    """Weights (M, W): one up to OUTLIER deviations, then falling as the inverse square."""
     weight = np.ones_like(z)
     for group in layout.groups:
         size = np.sqrt(np.nansum(z[:, group] ** 2, axis=1) / len(group))
-        weight[:, group] = np.minimum(1.0, (outlier / np.maximum(size, outlier)) ** 2)[:, None]
+        weight[:, group] = np.minimum(1.0, (OUTLIER / np.maximum(size, OUTLIER)) ** 2)[:, None]
     return weight
+
+
+def sticks(cases: Sequence[LogUnderModel], effects: Sequence[Effect], layout: Layout) -> np.ndarray:
+    """Entries (M, W) of the residual table in which a machine on a fixed base may stick.
+
+    A joint that sticks has any friction up to its dry one, and how narrow the transition is differs
+    between drives. These torques tell a fit a little, but not whether an effect is missing.
+
+    Args:
+        cases: the logs.
+        effects: found and declared; the model's file may have friction as well.
+        layout: of the table.
+    """
+    masks = []
+    for case in cases:
+        mask = np.zeros((len(case.motion.t), layout.width), dtype=bool)
+        if case.fixed and case.log.has("q"):
+            rate = joint_velocity(case.log)
+            slow = np.minimum(STICTION_RATE, SLOW * np.sqrt(np.mean(rate**2, axis=0)))
+            still = bin_mean(case.motion)((np.abs(rate) < slow).astype(float)) > 0.0
+            for joint in _with_dry_friction(case, effects):
+                at = [n for n, name in enumerate(layout.names) if name == f"torque_{joint}"]
+                # The residual is smoothed over three bins.
+                mask[:, at] = dilate(still[:, case.log.joints.index(joint)])[:, None]
+        masks.append(mask)
+    return np.concatenate(masks)
+
+
+def _with_dry_friction(case: LogUnderModel, effects: Sequence[Effect]) -> set[str]:
+    """Names of the joints that have dry friction, by the effects or by the model's file."""
+    limbs, dynamics = case.robot.limbs, case.robot.dynamics
+    found = {joint for e in effects if e.name == "coulomb_friction" for joint in e.members(limbs)}
+    if dynamics is None:
+        return found
+    dry = dynamics.model.dof_frictionloss[dynamics.dof_adr] > 0.0
+    return found | {joint for joint, has in zip(limbs.joints, dry, strict=True) if has}
