@@ -37,9 +37,9 @@ from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_midd
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
