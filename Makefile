@@ -4,8 +4,8 @@ BIN := .venv/bin
 # As for the commands (`scenarios/cli/start.py`): the matrices are small, and more threads only wait.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check size docs readme nightly yardstick mutants study study-observer study-trace study-hardware study-bounds study-montecarlo \
-	study-walking study-bench study-realism study-loop suites tune tune-vision60 tune-spot lock clean
+.PHONY: setup demo test check size docs readme nightly yardstick mutants study study-observer study-trace study-loads study-hardware study-bounds \
+	study-montecarlo study-walking study-bench study-realism study-loop suites tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
 
@@ -71,6 +71,11 @@ study-observer: setup
 study-trace: setup
 	$(BIN)/python -m studies.blind -o out/blind_study \
 		--data docs/data/blind --page docs/results/blind.md
+
+# Loads tied to links of arms and walking robots, and machines on fixed bases; killed, it goes on.
+study-loads: setup
+	$(BIN)/python -m studies.loads -o out/loads \
+		--data docs/data/loads --page docs/results/loads.md
 
 # What models lack of real machines, drives and the Go1 on one page, the others on one each; a study
 # whose recording is not there is skipped.

@@ -18,9 +18,10 @@ from surefoot.models.attribution.effect_sizes import (
     Found,
     interior_bounds,
     plausible_size,
-    sized,
+    with_deviation,
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
+from surefoot.models.attribution.explain import CHANCE, NAMED
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
@@ -28,8 +29,8 @@ from surefoot.models.attribution.model_error import (
     NOTHING,
     ZERO,
     ModelError,
-    averaged,
     evidence_of,
+    window_averaged,
     windows,
 )
 from surefoot.sim.effects import AXES, effect, known_effects
@@ -37,12 +38,6 @@ from surefoot.sim.log import LogError, MemoisedLog
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 
-NAMED = 2.0 * np.log(1e3)
-"""Twice the logarithm of the odds from which a change is named: a thousand to one."""
-CHANCE = 0.005
-"""Probability by which Student's t of as many runs, less one, exceeds the least excess on one side:
-how runs differ is known no better than that.
-"""
 AS_LIKELY = 2.0 * np.log(20.0)
 """The same up to which another explanation is as good: twenty to one."""
 SURE = 1.645
@@ -81,12 +76,12 @@ _ROUNDS = 4
 """Most rounds in which the noise is adapted to what the best explanation leaves."""
 _AS_UNCHANGED = 1.05
 """Ratio of what it leaves to the noise at which it is as in the unchanged runs."""
-NEAR = 0.3
+_NEAR = 0.3
 """Share of the best evidence from which an explanation may turn out better in the refinement."""
 
 
 @dataclass(frozen=True)
-class Explanation:
+class Hypothesis:
     """One explanation of the runs.
 
     Attributes:
@@ -136,7 +131,7 @@ class Change:
     verdict: str
     reasons: tuple[str, ...]
     found: tuple[Found, ...]
-    rivals: tuple[Explanation, ...]
+    rivals: tuple[Hypothesis, ...]
     least: dict[Key, float]
     channels: dict[str, ChannelLevel] = field(default_factory=dict)
     zeros: tuple[tuple[Found, ...], ...] = ()
@@ -212,7 +207,7 @@ class _NewRuns:
             cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
         evidence = linearise(cases, chosen, [key], evaluation_channels=False)
         if cases[0].fixed:
-            evidence = averaged(evidence, windows(evidence))
+            evidence = window_averaged(evidence, windows(evidence))
         return self.metric.products(evidence.table, evidence.X)
 
 
@@ -237,7 +232,9 @@ def _zeros(new: _NewRuns, found: Sequence[Found]) -> tuple[tuple[Found, ...], ..
     """Zeros of each run beside the change."""
     keys = [key for key in new.keys if key[0] == ZERO and new.metric.belongs_to_log(key)]
     return tuple(
-        tuple(sized(key, x, e, new.machine) for key, (x, e) in zip(keys, zeros, strict=True))
+        tuple(
+            with_deviation(key, x, e, new.machine) for key, (x, e) in zip(keys, zeros, strict=True)
+        )
         for zeros in new.metric.zeros(keys, new.sizes(found))
     )
 
@@ -295,14 +292,14 @@ def _best(
     return Change(verdict, (), _found(best, new.machine), rivals, least), new
 
 
-def _ranked(new: _NewRuns) -> list[Explanation]:
+def _ranked(new: _NewRuns) -> list[Hypothesis]:
     """Every explanation, the one with the greatest evidence first."""
     tried = [_explained(keys, part, new) for keys, part in _explanations(new)]
     first = sorted((one for one in tried if one is not None), key=lambda one: -one.evidence)
     if first[0].evidence < NAMED:
         return first
     single = [one for one in first if len(one.keys) == 1]
-    near = [one for one in single if one.evidence > NEAR * first[0].evidence][:CONTENDERS]
+    near = [one for one in single if one.evidence > _NEAR * first[0].evidence][:CONTENDERS]
     # Far from zero, a lost zero does not look like its derivative.
     near += [one for one in single if _is_lost_zero(one.keys) and one.part <= first[0].part]
     refined = {one.keys: _refined(one, new) for one in near}
@@ -342,7 +339,7 @@ def _prior(key: Key, limbs: Limbs) -> float:
     return ATTITUDE if name == ZERO else plausible_size(name, target, limbs) / 1.96
 
 
-def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Explanation | None:
+def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hypothesis | None:
     """An explanation with its sizes, to first order; None where the runs do not show it."""
     place = [1 + new.keys.index(key) for key in keys]
     S = new.metric.S
@@ -364,7 +361,7 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Ex
     )
     sizes = prior**2 * np.linalg.solve(both, alone)
     gain = float(alone @ S[place, 0])
-    return Explanation(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence), gain)
+    return Hypothesis(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence), gain)
 
 
 def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
@@ -372,7 +369,7 @@ def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
     return keys[0][0] == ZERO and len(keys) == 1
 
 
-def _refined(one: Explanation, new: _NewRuns) -> Explanation:
+def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
     """An explanation by a single size, refined on the true residual."""
     (key,), prior = one.keys, _prior(one.keys[0], new.limbs)
     size, best = float(one.sizes[0]), replace(one, evidence=-np.inf)
@@ -398,7 +395,7 @@ def _refined(one: Explanation, new: _NewRuns) -> Explanation:
     return best
 
 
-def _least(one: Explanation, new: _NewRuns) -> float:
+def _least(one: Hypothesis, new: _NewRuns) -> float:
     """The least size that is named in 95 of 100 runs like these."""
     deviation, prior = float(one.deviations[0]), _prior(one.keys[0], new.limbs)
     ratio = (prior / deviation) ** 2
@@ -422,9 +419,9 @@ def _contradicted(rates: Sequence[Mapping[str, float]], known: ModelError) -> tu
     )
 
 
-def _distinct(others: Sequence[Explanation], best: Explanation) -> tuple[Explanation, ...]:
+def _distinct(others: Sequence[Hypothesis], best: Hypothesis) -> tuple[Hypothesis, ...]:
     """The best of each other part, and of each sensor."""
-    kept: list[Explanation] = []
+    kept: list[Hypothesis] = []
     for one in others:
         same = [k for k in (best, *kept) if k.of_sensor == one.of_sensor and k.part & one.part]
         if not same:
@@ -432,7 +429,7 @@ def _distinct(others: Sequence[Explanation], best: Explanation) -> tuple[Explana
     return tuple(kept)
 
 
-def _found(one: Explanation, machine: Machine) -> tuple[Found, ...]:
+def _found(one: Hypothesis, machine: Machine) -> tuple[Found, ...]:
     """The effects of an explanation; of several sizes, those that differ from zero."""
     pairs = zip(one.keys, one.sizes, one.deviations, strict=True)
     every = [(key, float(size), float(error)) for key, size, error in pairs]
@@ -440,16 +437,16 @@ def _found(one: Explanation, machine: Machine) -> tuple[Found, ...]:
         max(every, key=lambda x: abs(x[1]) / x[2])
     ]
     strongest = sorted(shown, key=lambda x: -abs(x[1]) / x[2])
-    return tuple(sized(key, size, error, machine) for key, size, error in strongest)
+    return tuple(with_deviation(key, size, error, machine) for key, size, error in strongest)
 
 
-def _within_bounds(one: Explanation, machine: Machine) -> bool:
+def _within_bounds(one: Hypothesis, machine: Machine) -> bool:
     """Whether a single size is one that its effect may have."""
     low, high = interior_bounds(*one.keys[0], machine)
     return low < one.sizes[0] < high
 
 
-def _words(one: Explanation) -> str:
+def _words(one: Hypothesis) -> str:
     """Such as 'an error of the angle of hook' or 'link_mass tail'."""
     if _is_lost_zero(one.keys):
         return f"q_{one.keys[0][1]} is off by {one.sizes[0]:+.2g}"

@@ -60,7 +60,7 @@ def with_clipped_size(one: Effect, value: float, machine: Machine) -> Effect:
     return replace(one, value=float(np.clip(value, low, high)))
 
 
-def sized(key: tuple[str, str], size: float, deviation: float, machine: Machine) -> Found:
+def with_deviation(key: tuple[str, str], size: float, deviation: float, machine: Machine) -> Found:
     """The effect of a name and target with this size, clipped, and its standard deviation."""
     half = 1.96 * deviation
     return Found(with_clipped_size(effect(*key, 0.0), size, machine), (size - half, size + half))

@@ -37,9 +37,9 @@ from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_midd
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.registry import channels
 from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
@@ -54,17 +54,17 @@ how runs differ is known no better than that.
 """
 LEAST_EXCESS = 6.0
 """The same where nothing but the noise of readings is known."""
-AGREED = 3.0
+BLOCKS_AGREE = 3.0
 """Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 3, 1
 """Single candidates and pairs that are refined in each round."""
-NEAR = 0.5
+_NEAR = 0.5
 """Share of the best evidence from which a candidate may turn out better in the refinement."""
 MOST_EFFECTS = 5
 """Most effects of a trace."""
-STEPS = 10
+NEWTON_STEPS = 10
 """Most Gauss-Newton steps of a refinement; noise in a derivative makes each fall short."""
 SETTLED = 0.02
 """Standard deviations by which sizes move once they have settled."""
@@ -76,7 +76,7 @@ INEXACT = 1e-4
 """Share of the squared residual that effects of the body explain which their models leave: 1 % of
 its amplitude.
 """
-EXACT = 1e-3
+EXACT_SHARE = 1e-3
 """Share of an effect's plausible size to which any model is exact."""
 ZERO_MOVED = 4.0
 """Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
@@ -309,7 +309,7 @@ def _unknown_size(key: Key, limbs: Limbs) -> float:
     name, target = key
     shows_in = [channels()[c] for c in known_effects()[name].channels_of(target) if c in channels()]
     levels = [channel.level_spread.get(target, 0.0) for channel in shows_in]
-    return max(EXACT * plausible_size(name, target, limbs), *levels, 0.0)
+    return max(EXACT_SHARE * plausible_size(name, target, limbs), *levels, 0.0)
 
 
 def explain(
@@ -458,7 +458,7 @@ class _State:
         earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
         if not (earned > 0.0).any():
             return earned
-        agreed = np.abs(chosen.sizes) > AGREED * chosen.between_blocks
+        agreed = np.abs(chosen.sizes) > BLOCKS_AGREE * chosen.between_blocks
         return np.where(agreed, earned, np.minimum(earned, -1.0))
 
 
@@ -574,7 +574,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
     known = {(e.name, e.target): e.value for e in state.effects}
     derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
     best = None
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         stale = [
             key
             for key, one in zip(keys, effects, strict=True)
@@ -681,9 +681,11 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     low, high = type(one).interior_bounds(one.target, state.problem.limbs)
     if not low < one.value < high:
         return "its size is at its bound"
-    if size <= AGREED * chosen.between_blocks[place]:
+    if size <= BLOCKS_AGREE * chosen.between_blocks[place]:
         excess = size / chosen.between_blocks[place]
-        return f"the log's blocks disagree on it: {excess:.1f} of {AGREED:g} standard deviations"
+        return (
+            f"the log's blocks disagree on it: {excess:.1f} of {BLOCKS_AGREE:g} standard deviations"
+        )
     if gained <= 0.0:
         return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
     doubt = state.doubt(state.problem.at([chosen.keys[place]]), chosen.deviations[[place]])[0]
@@ -701,7 +703,7 @@ def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.n
         able = first
     order = [int(i) for i in np.argsort(-beside.evidence)]
     best = float(np.max(beside.evidence, where=able, initial=0.0))
-    near = (i for i in order if able[i] and beside.evidence[i] > NEAR * best)
+    near = (i for i in order if able[i] and beside.evidence[i] > _NEAR * best)
     for i in islice(_distinct(near, problem), SINGLES):
         yield [keys[i]], beside.sizes[[i]]
     pairs = np.triu(_of_pairs(problem, beside), 1)

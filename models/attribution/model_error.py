@@ -36,11 +36,11 @@ from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import Limbs
 
-WINDOW = 0.45
+MEAN_WINDOW = 0.45
 """Length of the windows in which the torques of a machine on a fixed base are averaged [s]: long
 compared with rows whose torques jump, short compared with a swing.
 """
-OF_MEAN = float(np.sqrt(1.5 * BIN / WINDOW))
+OF_MEAN = float(np.sqrt(1.5 * BIN / MEAN_WINDOW))
 """Noise of such a mean, relative to the white noise of its bins."""
 WHOLE = 0.8
 """Share of its bins that a window has at least."""
@@ -184,7 +184,7 @@ def evidence_of(
     if first.log.has("dq") and first.log.has("tau"):
         undriven = first.undriven
         known = with_changes(known, cases, effects, lambda log: angle_errors(log, undriven))
-    known = averaged(known, windows(known))
+    known = window_averaged(known, windows(known))
     of_rates, rates = known.layout.of("joint_rate"), []
     for run in range(len(cases)):
         table = known.table[known.log == run][:, of_rates]
@@ -238,7 +238,7 @@ def windows(known: Evidence) -> list[np.ndarray]:
     return [window_weights(known.t[known.log == i]) for i in range(known.log.max(initial=0) + 1)]
 
 
-def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
+def window_averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
     """An evidence whose rows are means over windows (`windows`), of each column over its values."""
     log = known.log
     table = known.table
@@ -259,7 +259,7 @@ def averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
         known,
         t=np.concatenate([w @ known.t[log == i] for i, w in enumerate(weights)]),
         log=np.repeat(np.arange(len(weights)), [len(w) for w in weights]),
-        table=means(weights, log, table),
+        table=window_means(weights, log, table),
         X=tuple(of(one) for one in known.X),
         Z=tuple(of(one) for one in known.Z),
     )
@@ -269,7 +269,7 @@ def at_middles(known: Evidence) -> Evidence:
     """An evidence with the means over windows (`windows`) in the bins at their middles, and nothing
     in all others.
     """
-    mean, place = averaged(known, windows(known)), []
+    mean, place = window_averaged(known, windows(known)), []
     for run in range(known.log.max(initial=0) + 1):
         own = np.flatnonzero(known.log == run)
         place.append(own[np.searchsorted(known.t[own], mean.t[mean.log == run])])
@@ -287,7 +287,7 @@ def at_middles(known: Evidence) -> Evidence:
     return replace(known, table=placed(mean.table, np.nan), X=X, Z=Z)
 
 
-def means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
+def window_means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Means of the columns of a table (M, W) over the windows of each log; NaN where a column has
     values for less than half of a window.
     """
@@ -318,11 +318,11 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     # The first and the last bin have no neighbour for the slope of a rate.
     if len(t) < 3:
         return np.zeros((0, len(t)))
-    middles = np.arange(t[1] + 0.5 * WINDOW, t[-2] - 0.5 * WINDOW, 0.5 * WINDOW)
-    x = (t - middles[:, None]) / WINDOW
+    middles = np.arange(t[1] + 0.5 * MEAN_WINDOW, t[-2] - 0.5 * MEAN_WINDOW, 0.5 * MEAN_WINDOW)
+    x = (t - middles[:, None]) / MEAN_WINDOW
     w = np.where(np.abs(x) < 0.5, 1.0 + np.cos(2.0 * np.pi * x), 0.0)
     total = w.sum(axis=1)
-    whole = total > WHOLE * WINDOW / np.median(np.diff(t))
+    whole = total > WHOLE * MEAN_WINDOW / np.median(np.diff(t))
     return w[whole] / total[whole, None]
 
 

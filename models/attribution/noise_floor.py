@@ -37,10 +37,10 @@ from surefoot.models.attribution.sensor_noise import (
     resample_reference,
 )
 from surefoot.models.attribution.weights import robust_weights
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout, layout_for
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.motion import with_dead_reckoning
 from surefoot.models.residuals.torques import declared
-from surefoot.models.residuals.without_reference import with_dead_reckoning
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip

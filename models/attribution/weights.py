@@ -38,6 +38,8 @@ every stance and makes all sizes uncertain.
 """
 MOST_LAGS = 15
 """Lags over which autocorrelations are summed, in entries: the length of a stance."""
+DRY = ("coulomb_friction", "load_friction")
+"""Effects that are dry friction."""
 SLOW = 0.5
 """Share of a joint's RMS rate below which it is slow, at most: small slides never reach
 STICTION_RATE.
@@ -234,7 +236,7 @@ def sticks(cases: Sequence[LogUnderModel], effects: Sequence[Effect], layout: La
 def _with_dry_friction(case: LogUnderModel, effects: Sequence[Effect]) -> set[str]:
     """Names of the joints that have dry friction, by the effects or by the model's file."""
     limbs, dynamics = case.robot.limbs, case.robot.dynamics
-    found = {joint for e in effects if e.name == "coulomb_friction" for joint in e.members(limbs)}
+    found = {joint for e in effects if e.name in DRY for joint in e.members(limbs)}
     if dynamics is None:
         return found
     dry = dynamics.model.dof_frictionloss[dynamics.dof_adr] > 0.0

@@ -18,9 +18,16 @@ EFFECT_NAMES = (
     *("encoder_offset", "link_length", "foot_rolling", "imu_rotation", "gyro_scale", "joint_delay"),
     *("gyro_bias", "accel_bias", "accel_scale", "imu_position", "gyro_g_sensitivity", "imu_delay"),
     *("imu_lowpass", "encoder_scale", "leg_compliance", "foot_elasticity", "backlash", "payload"),
-    *("hip_offset", "mounting_rotation", "viscous_friction", "coulomb_friction", "armature"),
-    *("torque_scale", "torque_bias", "torque_delay", "com_offset", "foot_slip", "soft_ground"),
-    *("contact_delay", "reference_delay", "clock_scale", "leg_heading", "rate_delay"),
+    *("hip_offset", "mounting_rotation", "viscous_friction", "coulomb_friction", "load_friction"),
+    *("armature", "torque_scale", "torque_bias", "torque_delay", "com_offset", "foot_slip"),
+    *(
+        "soft_ground",
+        "contact_delay",
+        "reference_delay",
+        "clock_scale",
+        "leg_heading",
+        "rate_delay",
+    ),
     *("command_delay", "link_mass", "link_com", "link_inertia"),
 )
 """Names of the bundled effects; the catalogue itself takes seconds to import."""

@@ -38,7 +38,7 @@ _FIELDS = [name for name in REPORTED if name != "drift"]
 """Those that are fields of `estimator.metrics.Metrics`."""
 HARM = 1.05
 """Ratio of a filter's error, after to before, from which compensation makes it worse."""
-PARTS = 4
+LOG_PARTS = 4
 """Parts of a log over which the errors of filters are compared."""
 DEAD_RECKONING = "dead_reckoning"
 """Listed among the filters: leg odometry, integrated with the reference's attitude."""
@@ -186,14 +186,14 @@ def harmful_to_filters(
     """The effect without which leg odometry or the leg filter errs least, and which of the two;
     None where neither errs more with the effects than without one of them.
 
-    Judged by the relative error (RPE) on `PARTS` of each log: the mean increase exceeds `HARM`, and
-    zero with a confidence of 97.5 % by Student's t.
+    Judged by the relative error (RPE) on `LOG_PARTS` of each log: the mean increase exceeds `HARM`,
+    and zero with a confidence of 97.5 % by Student's t.
     """
     parts = [
         (case, *ends)
         for case in cases
         if not case.fixed and case.log.has("imu") and case.log.has("reference")
-        for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], PARTS + 1))
+        for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], LOG_PARTS + 1))
     ]
 
     def errors(compensated: Sequence[Effect]) -> dict[str, np.ndarray]:
@@ -220,7 +220,7 @@ def harmful_to_filters(
                 continue
             more = with_all - less[name]
             more = more[np.isfinite(more)]
-            if len(more) < PARTS - 1 or np.mean(more) < np.log(HARM):
+            if len(more) < LOG_PARTS - 1 or np.mean(more) < np.log(HARM):
                 continue
             doubt = stdtrit(len(more) - 1, 0.975) * np.std(more, ddof=1) / np.sqrt(len(more))
             if (excess := float(np.mean(more) - doubt)) > 0.0:

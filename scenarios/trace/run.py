@@ -180,8 +180,12 @@ def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> ModelErr
 
 
 def _found(said: Any, declared: Sequence[Effect]) -> bool:
-    """Whether a trace's effects are these."""
+    """Whether a trace's effects are these, in any order: the file has them as they are compensated,
+    the trace the strongest first.
+    """
     if not isinstance(said, list) or not all(isinstance(one, dict) for one in said):
         return False
     found = [(one.get("name"), one.get("target"), one.get("value")) for one in said]
-    return found == [(one.name, one.target, one.value) for one in declared]
+    return sorted(found, key=repr) == sorted(
+        ((one.name, one.target, one.value) for one in declared), key=repr
+    )

@@ -14,6 +14,7 @@ from surefoot.sim.effects.base import Effect, declared_on
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
+from surefoot.sim.physics.gears import load_share, set_load_share
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
 
@@ -48,7 +49,7 @@ class ViscousFriction(_DriveEffect):
             joint.damping[0] = self.left_of(joint.damping[0], joint.name)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate: rate), robot
+        return _less_torque(log, robot, self, lambda rate, _: rate), robot
 
 
 class CoulombFriction(_DriveEffect):
@@ -70,7 +71,30 @@ class CoulombFriction(_DriveEffect):
             joint.frictionloss = self.left_of(joint.frictionloss, joint.name)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate: np.tanh(rate / _stiction(rate))), robot
+        return _less_torque(log, robot, self, lambda rate, _: _sense(rate)), robot
+
+
+class LoadFriction(_DriveEffect):
+    """A joint's gear loses a share of its motor's torque, against its motion: its friction grows
+    with the load.
+
+    Gears of high ratio lose most, worm gears half and more. The loss is that of Hamon, Gautier and
+    Garrec, "Dynamic identification of robots with a dry friction model depending on load and
+    velocity", IROS 2010.
+    """
+
+    name = "load_friction"
+    unit = "ratio"
+    bounds = (0.0, 0.9)
+    channels = ("joint_torque", "base_wrench")
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        for joint in _joints(spec, robot, self):
+            share = self.left_of(load_share(spec, joint.name), joint.name)
+            set_load_share(spec, joint.name, share)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return _less_torque(log, robot, self, lambda rate, tau: np.abs(tau) * _sense(rate)), robot
 
 
 class Armature(_DriveEffect):
@@ -93,7 +117,7 @@ class Armature(_DriveEffect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(
-            log, robot, self, lambda rate: np.gradient(steady_rate(log.t, rate), log.t)
+            log, robot, self, lambda rate, _: np.gradient(steady_rate(log.t, rate), log.t)
         ), robot
 
 
@@ -165,6 +189,11 @@ def _stiction(rate: np.ndarray) -> float:
     return min(STICTION_RATE, max(NOISE_WIDTH * float(white_noise(rate)), least, 1e-9))
 
 
+def _sense(rate: np.ndarray) -> np.ndarray:
+    """Sense of a joint's motion (N,), -1 to 1: the sign of its rate, smoothed."""
+    return np.tanh(rate / _stiction(rate))
+
+
 def _rate(log: Log, joint: str) -> np.ndarray:
     """A joint's rate (N,) [rad/s], as logged or else derived from its angle."""
     if f"dq_{joint}" in log.columns:
@@ -174,9 +203,10 @@ def _rate(log: Log, joint: str) -> np.ndarray:
 
 
 def _less_torque(
-    log: Log, robot: Robot, one: Effect, taken: Callable[[np.ndarray], np.ndarray]
+    log: Log, robot: Robot, one: Effect, taken: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> Log:
-    """Subtract the torque lost in the drives: `taken` gives it for a unit size from a rate (N,).
+    """Subtract the torque lost in the drives: `taken` gives it for a unit size from rate and
+    torque (N,).
 
     The commanded torque is reduced as well, since a motor delivers its command before the losses.
     """
@@ -184,8 +214,9 @@ def _less_torque(
     if asked and not log.has("tau_ff"):
         columns = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
     for joint in one.members(robot.limbs):
-        less = one.value * taken(_rate(log, joint))
-        columns[f"tau_{joint}"] = log.columns[f"tau_{joint}"] - less
+        torque = log.columns[f"tau_{joint}"]
+        less = one.value * taken(_rate(log, joint), torque)
+        columns[f"tau_{joint}"] = torque - less
         if asked:
             columns[f"tau_ff_{joint}"] = log.columns.get(f"tau_ff_{joint}", 0.0) - less
     return log.with_columns(columns)

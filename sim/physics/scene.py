@@ -10,6 +10,7 @@ from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.ground.height_map import HeightMap, surface
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
+from surefoot.sim.physics.gears import Gears, gears_of
 from surefoot.sim.physics.springs import Springs, springs_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
@@ -33,6 +34,7 @@ class World:
     start: np.ndarray  # (nq,) standing at the origin
     height_map: HeightMap  # of the ground
     springs: Springs  # of an elastic robot
+    gears: Gears  # of its joints
 
 
 def robot_spec(robot: Robot) -> mujoco.MjSpec:
@@ -149,6 +151,7 @@ def build_world(robot: Robot, ground: Ground, spec: mujoco.MjSpec | None = None)
         start=start,
         height_map=height_map,
         springs=springs_of(model, robot.joint_names),
+        gears=gears_of(model, robot.joint_names),
     )
 
 

@@ -23,6 +23,7 @@ from surefoot.sim.gait.course import Course
 from surefoot.sim.gait.irregular import estimated_base
 from surefoot.sim.gait.state import Gait, LegMemory, RobotState, standing
 from surefoot.sim.ground.height_map import HeightMap, height
+from surefoot.sim.physics.gears import Gears
 from surefoot.sim.physics.scene import TIMESTEP, World
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
@@ -66,6 +67,8 @@ class MjViews(NamedTuple):
     qpos_adr: np.ndarray  # (12,)
     dof_adr: np.ndarray  # (12,)
     touch_adr: np.ndarray  # (4,)
+    friction: np.ndarray  # (nv,) N m, dry
+    gears: Gears
     unstable: np.ndarray  # counts of MuJoCo's warnings
 
 
@@ -92,6 +95,8 @@ def mj_views(world: World, data: mujoco.MjData) -> MjViews:
         qpos_adr=world.qpos_adr,
         dof_adr=world.dof_adr,
         touch_adr=world.touch_adr,
+        friction=world.model.dof_frictionloss,
+        gears=world.gears,
         unstable=data.warning.number,
     )
 
@@ -268,6 +273,10 @@ def step(body, trace, k):
     copy_row(body.qpos, trace.qpos[k])
     copy_row(body.qvel, trace.qvel[k])
     copy_row(body.ctrl, trace.command[k])
+    for j in range(12):
+        if body.gears.share[j] > 0.0:
+            lost = body.gears.share[j] * abs(body.ctrl[j])
+            body.friction[body.dof_adr[j]] = body.gears.dry[j] + lost
     _mj_step(body.model, body.data)
     copy_row(body.actuator_force, trace.tau[k])
     for leg in range(4):

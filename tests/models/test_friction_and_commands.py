@@ -46,7 +46,9 @@ def test_a_motors_law_asks_for_what_it_says(with_ahead, with_rates):
     np.testing.assert_allclose(asked, law + with_ahead * ahead, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["viscous_friction", "coulomb_friction", "armature"])
+@pytest.mark.parametrize(
+    "name", ["viscous_friction", "coulomb_friction", "load_friction", "armature"]
+)
 @pytest.mark.parametrize("by_law", [False, True])
 def test_what_a_drive_takes_is_taken_of_what_was_asked_too(log, name, by_law):
     if by_law:
@@ -67,6 +69,13 @@ def test_friction_of_a_robot_that_logs_its_commands_is_measured(log):
     evidence = linearise([case], [], [key])
     assert "command" in evidence.layout
     assert size_of(case, evidence) == pytest.approx(STIFF.value, rel=0.02)
+
+
+def test_a_share_of_the_torque_that_a_gear_loses_is_measured_on_a_walk():
+    lost = effect("load_friction", "FR_calf", 0.15)
+    case = log_under_model(walk(COURSE, ROBOT, 2, [lost], declared=False), ROBOT)
+    evidence = linearise([case], [], [(lost.name, lost.target)])
+    assert size_of(case, evidence) == pytest.approx(lost.value, rel=0.1)
 
 
 @pytest.mark.parametrize("late", [3e-4, 3.1e-3])

@@ -25,7 +25,7 @@ SUBSTEPS = 5
 """Of each row."""
 
 
-def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
+def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, load=0.0, seed=0):
     """The pendulum driven through sines; friction and rotor are put into its MjSpec."""
     spec = mujoco.MjSpec.from_file(str(PENDULUM.file))
     joint = spec.joint("shoulder")
@@ -44,6 +44,8 @@ def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
         goal = 1.2 * np.sin(2.0 * t) + 0.6 * np.sin(5.1 * t + 1.0)
         before = data.ctrl[0]
         data.ctrl[0] = 20.0 * (goal - data.qpos[0]) - 1.0 * data.qvel[0]
+        if load:
+            model.dof_frictionloss[0] = dry + load * abs(data.ctrl[0])
         # At the row's own time the torque is between those of the steps around it.
         torque = 0.5 * (before + data.ctrl[0]) * (1.0 + scale)
         rows.append((t, data.qpos[0], data.qvel[0], torque))
@@ -60,6 +62,7 @@ def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, seed=0):
     [
         ({"viscous": 0.1}, "viscous_friction", 0.1),
         ({"dry": 0.2}, "coulomb_friction", 0.2),
+        ({"load": 0.15}, "load_friction", 0.15),
         ({"rotor": 0.02}, "armature", 0.02),
         ({"scale": 0.1}, "torque_scale", 0.1),
     ],

@@ -217,6 +217,23 @@ def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path
     assert changed.effects[0].value == pytest.approx(0.5, rel=0.25)
 
 
+def test_a_bias_of_all_runs_is_no_change_and_nor_is_the_order_of_effects(tmp_path):
+    """A torque sensor's zero, which each run has at about one size, and a drive's effects."""
+
+    def biased(seed):
+        log = run(seed, armature=0.03, friction=0.5)
+        return with_columns(log, {"tau_shoulder": log.tau[:, 0] + 0.8})
+
+    trace([biased(seed) for seed in range(4)], PENDULUM, tmp_path, force=True)
+    file = tmp_path / "effects.toml"
+    declared = load_effects(file)
+    since = unchanged_beside(file, declared)
+    assert since is not None
+    assert unchanged_beside(file, declared[::-1]) is not None
+    again = trace_logs([biased(7)], PENDULUM, TraceOptions(declared=declared, since=since))
+    assert (again.verdict, names(again)) == ("unchanged", [])
+
+
 def test_another_traces_runs_say_nothing_and_damaged_ones_are_one_line(tmp_path):
     save_effects(tmp_path / "effects.toml", [ROTOR])
     file = tmp_path / "trace.json"

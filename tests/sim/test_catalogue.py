@@ -238,9 +238,10 @@ def place_of_feet(model):
     return np.array([data.site(f"sole_{leg}").xpos for leg in LEGS])
 
 
-def missing_torque(world: World, motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the swinging knee's motor gives beyond MuJoCo's inverse dynamics of the world: its
-    torque [N m], rate [rad/s] and acceleration [rad/s^2]; exact but for what the world lacks."""
+def missing_torque(world: World, motion) -> tuple[np.ndarray, ...]:
+    """What the swinging knee's motor gives beyond MuJoCo's inverse dynamics of the world, exact
+    but for what the world lacks [N m]; beside it the motor's torque [N m], rate [rad/s] and
+    acceleration [rad/s^2]."""
     model, data = world.model, mujoco.MjData(world.model)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
     qpos = np.empty((len(motion.t), model.nq))
@@ -256,24 +257,25 @@ def missing_torque(world: World, motion) -> tuple[np.ndarray, np.ndarray, np.nda
         data.qacc[:] = (qvel[k + 1] - qvel[k]) / TIMESTEP
         mujoco.mj_inverse(model, data)
         torque.append(motion.tau[k, J] - data.qfrc_inverse[world.dof_adr[J]])
-    return np.array(torque), rate[swing + 1], (np.diff(rate) / TIMESTEP)[swing]
+    return np.array(torque), motion.tau[swing, J], rate[swing + 1], np.diff(rate)[swing] / TIMESTEP
 
 
 @pytest.mark.parametrize(
     ("name", "value", "size"),
     [
-        ("viscous_friction", 2.0, lambda rate, acceleration: rate),
-        ("coulomb_friction", 2.0, lambda rate, acceleration: np.sign(rate)),
-        ("armature", 0.1, lambda rate, acceleration: acceleration),
-        (None, 0.0, lambda rate, acceleration: rate),
+        ("viscous_friction", 2.0, lambda tau, rate, acceleration: rate),
+        ("coulomb_friction", 2.0, lambda tau, rate, acceleration: np.sign(rate)),
+        ("load_friction", 0.2, lambda tau, rate, acceleration: np.abs(tau) * np.sign(rate)),
+        ("armature", 0.1, lambda tau, rate, acceleration: acceleration),
+        (None, 0.0, lambda tau, rate, acceleration: rate),
     ],
 )
 def test_drives_take_the_torque_that_the_effect_says(name, value, size):
     without = plan(COURSE, SPOT, 3)
     made = plan(COURSE, SPOT, 3, [effect(name, "RL_calf", value)] if name else [])
     motion = simulate_motion(made.world, SPOT, made.gait, made.course)
-    torque, rate, acceleration = missing_torque(without.world, motion)
-    expected = value * size(rate, acceleration)
+    torque, *drive = missing_torque(without.world, motion)
+    expected = value * size(*drive)
     assert len(torque) > 100
     # Dry friction takes a few samples to change sides and as much to slide at full strength.
     off = np.quantile(np.abs(torque - expected), 0.9)
@@ -332,7 +334,7 @@ def test_the_whole_catalogue_is_here():
         *("leg_compliance", "foot_elasticity"),  # test_elastic
         *("link_mass", "link_com", "link_inertia", "leg_heading", "command_delay"),
         *("hip_offset", "link_length", "foot_rolling", "soft_ground"),
-        *("viscous_friction", "coulomb_friction", "armature"),
+        *("viscous_friction", "coulomb_friction", "load_friction", "armature"),
         *("payload", "com_offset", "foot_slip"),
         *("contact_delay", "mounting_rotation"),
     }

@@ -1,0 +1,1 @@
+"""The study of loads tied to links, and of machines on fixed bases."""
