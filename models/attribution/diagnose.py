@@ -16,7 +16,7 @@ from surefoot.models.attribution.data import (
     untraceable_reason,
 )
 from surefoot.models.attribution.design import without_nuisance
-from surefoot.models.attribution.effect_sizes import Found, in_order, is_sampling_lag
+from surefoot.models.attribution.effect_sizes import Found, is_sampling_lag
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -57,7 +57,7 @@ from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_o
 from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights, sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.effects import Effect, compensate_all
+from surefoot.sim.effects import Effect, compensate_all, in_order
 from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
 
@@ -575,8 +575,7 @@ def logs_under_model(
     robot = _with_declared(robot, declared)
     read = [readings(log, robot.limbs.feet_alone) for log in logs]
     return [
-        log_under_model(*compensate_all(in_order(declared), log, robot), passive_joints(log))
-        for log in read
+        log_under_model(*compensate_all(declared, log, robot), passive_joints(log)) for log in read
     ]
 
 

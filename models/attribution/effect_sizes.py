@@ -4,7 +4,6 @@ Priors of the catalogue are in priors.toml. A plug-in effect states its own by t
 `plausible`, in its unit; without it, any size within its bounds is equally plausible.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -32,13 +31,6 @@ class Found:
     interval: tuple[float, float]
     excess: float = np.nan
     agreement: float = np.nan
-
-
-def in_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Effects in the order in which they are compensated: errors of sensors before those of the
-    body, whose sizes are in true units.
-    """
-    return tuple(sorted(effects, key=lambda one: type(one).edit_spec is not Effect.edit_spec))
 
 
 def interior_bounds(name: str, target: str, machine: Machine) -> tuple[float, float]:

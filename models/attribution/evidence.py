@@ -30,7 +30,7 @@ from surefoot.models.residuals.jacobians import (
 from surefoot.models.residuals.layout import Layout, ResidualTable, filled, layout_for, residual
 from surefoot.models.residuals.motion import motion_under_model, with_ground
 from surefoot.sim.common.sources import code_digest
-from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
+from surefoot.sim.effects import Effect, compensate_all, effect, in_order, known_effects
 from surefoot.sim.effects.base import AXES, changed_columns, with_columns
 from surefoot.sim.log import Log, MemoisedLog
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
@@ -315,8 +315,8 @@ class _Linear:
     def __init__(
         self, case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
     ):
-        # In the order of `compensate_all`, one after the other, to start again from any of them.
-        self.case, self.chosen = case, sorted(chosen, key=lambda e: e.uses_loads)
+        # One after the other, to start again from any of them.
+        self.case, self.chosen = case, in_order(chosen)
         self.stages = [(case.log, case.robot)]
         for one in self.chosen:
             self.stages.append(compensate_all([one], *self.stages[-1]))

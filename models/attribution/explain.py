@@ -17,7 +17,6 @@ from scipy.special import stdtrit
 from surefoot.models.attribution.effect_sizes import (
     PER_RUN_EFFECTS,
     Found,
-    in_order,
     interior_bounds,
     plausible_size,
     price_of_some_parts,
@@ -40,7 +39,7 @@ from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import layout_for
-from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
+from surefoot.sim.effects import Effect, compensate_all, effect, in_order, known_effects
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 

@@ -206,9 +206,9 @@ def noise_floor_with(
         return _floor_of_readings(floor.readings, effects)
     if floor.plan is None:
         return floor
-    limbs = declared(floor.plan.file).limbs
+    robot = declared(floor.plan.file)
     telling = tuple(
-        with_clipped_size(e, float(f"{e.value:.1e}"), limbs)
+        with_clipped_size(e, float(f"{e.value:.1e}"), robot)
         for e in effects
         if is_compensated_approximately(e)
     )
