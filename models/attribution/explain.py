@@ -420,7 +420,7 @@ class _State:
         return float(stdtrit(runs - 1, 1.0 - CHANCE)) if runs > 1 else LEAST_EXCESS
 
     def bias(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
-        """Most by which the sizes of some candidates (k,) with these standard deviations are biased.
+        """Most by which sizes of candidates (k,) with these standard deviations are biased.
 
         Interpolation by a share f of a row lowers the variance of the mean of n rows by 2 f / n. A
         shift by x then seems to explain 2 x E / BIN of E entries, and is biased by E / BIN times
