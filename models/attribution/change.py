@@ -18,7 +18,7 @@ from surefoot.models.attribution.effect_sizes import (
     Found,
     interior_bounds,
     plausible_size,
-    sized,
+    with_deviation,
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.explain import CHANCE, NAMED
@@ -232,7 +232,9 @@ def _zeros(new: _NewRuns, found: Sequence[Found]) -> tuple[tuple[Found, ...], ..
     """Zeros of each run beside the change."""
     keys = [key for key in new.keys if key[0] == ZERO and new.metric.belongs_to_log(key)]
     return tuple(
-        tuple(sized(key, x, e, new.machine) for key, (x, e) in zip(keys, zeros, strict=True))
+        tuple(
+            with_deviation(key, x, e, new.machine) for key, (x, e) in zip(keys, zeros, strict=True)
+        )
         for zeros in new.metric.zeros(keys, new.sizes(found))
     )
 
@@ -435,7 +437,7 @@ def _found(one: Hypothesis, machine: Machine) -> tuple[Found, ...]:
         max(every, key=lambda x: abs(x[1]) / x[2])
     ]
     strongest = sorted(shown, key=lambda x: -abs(x[1]) / x[2])
-    return tuple(sized(key, size, error, machine) for key, size, error in strongest)
+    return tuple(with_deviation(key, size, error, machine) for key, size, error in strongest)
 
 
 def _within_bounds(one: Hypothesis, machine: Machine) -> bool:

@@ -9,7 +9,7 @@ from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channe
 from surefoot.models.attribution.noise_floor import NoiseFloor, ground_evenness
 from surefoot.models.attribution.sensor_noise import reference_notes
 from surefoot.models.residuals.binning import BIN, bin_mean
-from surefoot.models.residuals.registry import CHANNELS, channels
+from surefoot.models.residuals.channels import CHANNELS, channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 

@@ -16,7 +16,7 @@ from surefoot.models.attribution.data import (
     untraceable_reason,
 )
 from surefoot.models.attribution.design import without_nuisance
-from surefoot.models.attribution.effect_sizes import Found, in_order, is_sampling_lag
+from surefoot.models.attribution.effect_sizes import Found, is_sampling_lag
 from surefoot.models.attribution.evidence import (
     Evidence,
     Key,
@@ -57,7 +57,7 @@ from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_o
 from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights, sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.effects import Effect, compensate_all
+from surefoot.sim.effects import Effect, compensate_all, in_order
 from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
 
@@ -258,17 +258,14 @@ def diagnose(
     sides = _residuals([run.case for run in runs], effects, result.metric, floors.last, split.fit)
     pushes = outside_forces(sides.cases, sides.after, sides.evidence)
     pushed = pushed_bins(sides.cases, sides.evidence, pushes)
-    rng = np.random.default_rng(seed)
-    gone = [
-        f for f in found if pushes and not _still_explains(f.effect, effects, sides, pushed, rng)
-    ]
+    gone = [f for f in found if pushes and not _still_explains(f.effect, effects, sides, pushed)]
     found = tuple(f for f in found if f not in gone)
     sides = sides.without(sticks(sides.cases, [*model, *effects], sides.evidence.layout))
     # The verdict, on the part that no fit has seen and on held-out logs.
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if options.holdout:
-        held_out = _held_out(unseen, effects, lags, floors, several, rng, model)
+        held_out = _held_out(unseen, effects, lags, floors.last, several, model)
     progress(0.95)
     curves = curved_angles(result, sides.cases)
     verdict, reasons = verdict_of(
@@ -386,8 +383,14 @@ def _residuals(
     floor: NoiseFloor,
     use: np.ndarray,
 ) -> Residuals:
-    """Residuals before and after these effects; nuisance parameters are fitted on the bins `use`
-    (M,).
+    """Residuals before and after these effects.
+
+    Args:
+        cases: the logs.
+        effects: to compensate.
+        metric: with its weights.
+        floor: noise floor of the model with the effects.
+        use: mask (M,) of the bins that nuisance parameters are fitted on.
     """
     before, after = linearise(cases, (), ()), linearise(cases, effects, ())
     weights = metric.robust
@@ -442,14 +445,21 @@ def _held_out(
     cases: Sequence[LogUnderModel],
     effects: Sequence[Effect],
     lags: Sequence[Found],
-    floors: _Floors,
+    floor: NoiseFloor,
     several: bool,
-    rng: np.random.Generator,
     declared: Sequence[Effect],
 ) -> HeldOutRuns:
-    """Evaluate effects on held-out logs, fitting only each log's own zeros and biases."""
+    """Evaluate effects on held-out logs, fitting only each log's own zeros and biases.
+
+    Args:
+        cases: the logs.
+        effects: found.
+        lags: of the rows, which are compensated as well.
+        floor: noise floor of the model with the effects.
+        several: whether zeros, biases and clocks belong to each log.
+        declared: effects of the model.
+    """
     runs, worsened, sides = [], [], []
-    floor = floors.last
     for number, case in enumerate(cases, 1):
         every = np.ones(len(case.motion.t), dtype=bool)
         fitted, metric = zeros_beside(
@@ -461,11 +471,11 @@ def _held_out(
         one = one.without(sticks([run.case], [*declared, *effects], one.evidence.layout))
         sides.append(one)
         for this in effects:
-            others = [e for e in effects if e != this]
-            less = _residuals([run.case], others, metric, floor, every).after
-            if worse := _made_worse(less, one, rng):
+            gains = _gains(this, effects, one, every)
+            most = max(gains, key=lambda name: abs(gains[name].sum()), default="")
+            if most and _interval(gains[most])[1] < 0.0:
                 worsened.append(
-                    f"held-out run {number}: {this.name} {this.target} makes {worse} worse"
+                    f"held-out run {number}: {this.name} {this.target} makes {most} worse"
                 )
     before, after = (
         np.concatenate([getattr(one, side) for one in sides]) for side in ("before", "after")
@@ -473,28 +483,28 @@ def _held_out(
     bins = [one.evidence.t for one in sides]
     log = np.repeat(np.arange(len(bins)), [len(t) for t in bins])
     evidence = replace(sides[-1].evidence, t=np.concatenate(bins), log=log)
-    every = Residuals([run.case for run in runs], evidence, before, after, sides[-1].weights, floor)
-    levels = every.levels(np.ones(len(log), dtype=bool))
+    whole = Residuals([run.case for run in runs], evidence, before, after, sides[-1].weights, floor)
+    levels = whole.levels(np.ones(len(log), dtype=bool))
     return HeldOutRuns(levels, tuple(runs), tuple(worsened))
 
 
-def _made_worse(without: np.ndarray, known: Residuals, rng: np.random.Generator) -> str:
-    """The channel that an effect changes most, if the effect makes it worse; else "".
-
-    Judged by the weighted squared residual of blocks, with a 95 % bootstrap interval.
-
-    Args:
-        without: residual (M, W) with all effects but this one compensated.
-        known: with all effects compensated.
-        rng: of the block bootstrap.
+def _gains(
+    one: Effect, effects: Sequence[Effect], sides: Residuals, used: np.ndarray
+) -> dict[str, np.ndarray]:
+    """By channel, what an effect beside the others explains of each block, over the bins of a mask
+    `used` (M,).
     """
-    weights = known.weights
-    gains = block_gains(without, known.after, known.evidence, weights.sigma, weights.weight)
-    if not gains:
-        return ""
-    most = max(gains, key=lambda name: abs(gains[name].sum()))
-    high = np.percentile(block_bootstrap_counts(len(gains[most]), rng) @ gains[most], 97.5)
-    return most if high < 0 else ""
+    weights = sides.weights
+    others = linearise(sides.cases, [e for e in effects if e != one], ())
+    less = without_nuisance(others, weights.sigma, weights.weight, used)
+    weight = np.where(used[:, None], weights.weight, 0.0)
+    return block_gains(less, sides.after, sides.evidence, weights.sigma, weight)
+
+
+def _interval(blocks: np.ndarray) -> np.ndarray:
+    """95 % interval (2,) of the sum over blocks, by a bootstrap."""
+    drawn = block_bootstrap_counts(len(blocks), np.random.default_rng(0)) @ blocks
+    return np.percentile(drawn, [2.5, 97.5])
 
 
 def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[FittedRun, ...]:
@@ -548,23 +558,14 @@ def _above_floor(channels: dict[str, ChannelLevel]) -> list[str]:
 
 
 def _still_explains(
-    one: Effect,
-    effects: Sequence[Effect],
-    sides: Residuals,
-    pushed: np.ndarray,
-    rng: np.random.Generator,
+    one: Effect, effects: Sequence[Effect], sides: Residuals, pushed: np.ndarray
 ) -> bool:
     """Whether an effect still explains anything outside the bins of a mask `pushed` (M,)."""
     if not type(one).is_compensated():
         return True
-    others = linearise(sides.cases, [e for e in effects if e != one], ())
-    weights, used = sides.weights, ~pushed
-    less = without_nuisance(others, weights.sigma, weights.weight, used)
-    weight = np.where(used[:, None], weights.weight, 0.0)
-    gains = block_gains(less, sides.after, sides.evidence, weights.sigma, weight)
-    blocks = np.concatenate([gains[name] for name in one.channels_of(one.target) if name in gains])
-    drawn = block_bootstrap_counts(len(blocks), rng) @ blocks if len(blocks) else np.zeros(1)
-    return bool(np.percentile(drawn, 2.5) > 0)
+    gains = _gains(one, effects, sides, ~pushed)
+    blocks = [gains[name] for name in one.channels_of(one.target) if name in gains]
+    return bool(blocks) and bool(_interval(np.concatenate(blocks))[0] > 0.0)
 
 
 def logs_under_model(
@@ -574,8 +575,7 @@ def logs_under_model(
     robot = _with_declared(robot, declared)
     read = [readings(log, robot.limbs.feet_alone) for log in logs]
     return [
-        log_under_model(*compensate_all(in_order(declared), log, robot), passive_joints(log))
-        for log in read
+        log_under_model(*compensate_all(declared, log, robot), passive_joints(log)) for log in read
     ]
 
 

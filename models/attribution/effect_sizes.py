@@ -4,7 +4,6 @@ Priors of the catalogue are in priors.toml. A plug-in effect states its own by t
 `plausible`, in its unit; without it, any size within its bounds is equally plausible.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -34,13 +33,6 @@ class Found:
     agreement: float = np.nan
 
 
-def in_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Effects in the order in which they are compensated: errors of sensors before those of the
-    body, whose sizes are in true units.
-    """
-    return tuple(sorted(effects, key=lambda one: type(one).edit_spec is not Effect.edit_spec))
-
-
 def interior_bounds(name: str, target: str, machine: Machine) -> tuple[float, float]:
     """Bounds of an effect on this machine, for derivatives within them: no link of a machine on a
     fixed base loses more mass than it has.
@@ -60,7 +52,7 @@ def with_clipped_size(one: Effect, value: float, machine: Machine) -> Effect:
     return replace(one, value=float(np.clip(value, low, high)))
 
 
-def sized(key: tuple[str, str], size: float, deviation: float, machine: Machine) -> Found:
+def with_deviation(key: tuple[str, str], size: float, deviation: float, machine: Machine) -> Found:
     """The effect of a name and target with this size, clipped, and its standard deviation."""
     half = 1.96 * deviation
     return Found(with_clipped_size(effect(*key, 0.0), size, machine), (size - half, size + half))

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 
@@ -15,30 +16,22 @@ from surefoot.models.residuals.binning import (
     mean_rate_of_change,
 )
 from surefoot.models.residuals.channel import ResidualInputs
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.contact_timing import CHANGE_WINDOW
 from surefoot.models.residuals.jacobians import (
     CHAINED_CHANNELS,
     Regressor,
     ResidualJacobians,
     explained_share,
-    residual_jacobians,
     sparse,
     unchanged_channels,
-    wrt_readings,
-    wrt_robot,
+    under_model,
 )
-from surefoot.models.residuals.layout import Layout, layout_for
-from surefoot.models.residuals.registry import channels
-from surefoot.models.residuals.residual import (
-    ResidualTable,
-    filled,
-    motion_under_model,
-    residual,
-    with_ground,
-)
+from surefoot.models.residuals.layout import Layout, ResidualTable, filled, layout_for, residual
+from surefoot.models.residuals.motion import motion_under_model, with_ground
 from surefoot.sim.common.sources import code_digest
-from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
-from surefoot.sim.effects.base import changed_columns, with_columns
+from surefoot.sim.effects import Effect, compensate_all, effect, in_order, known_effects
+from surefoot.sim.effects.base import AXES, changed_columns, with_columns
 from surefoot.sim.log import Log, MemoisedLog
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot.machine import Machine
@@ -215,41 +208,36 @@ def linearise(
         before: an evidence whose derivatives may be reused.
         evaluation_channels: whether to compute the channels that are never fitted.
     """
-    parts = [_Linear(case, chosen, evaluation_channels) for case in cases]
-    tables, reading_scale = [p.table for p in parts], tuple(tuple(p.reading_scale) for p in parts)
-    starts = np.cumsum([0] + [len(table) for table in tables])
-    same = before is not None and before.reading_scale == reading_scale
-    if before is not None and same and _same_bins(before, np.concatenate(tables)):
-        own = {(e.name, e.target) for e in chosen}
-        if any(part.contacts_differ for part in parts):
+    logs = [_Linear(case, chosen, evaluation_channels) for case in cases]
+    starts, table = (
+        np.cumsum([0] + [len(one.table) for one in logs]),
+        np.concatenate([one.table for one in logs]),
+    )
+    scale = tuple(tuple(one.reading_scale) for one in logs)
+
+    def regressor(key: Key) -> Regressor:
+        return joined_regressor([one.regressor(key) for one in logs], starts)
+
+    if before is not None and before.reading_scale == scale and _same_bins(before, table):
+        stale = {(e.name, e.target) for e in chosen}
+        if any(one.contacts_differ for one in logs):
             # The same bins may be in stance and yet a different set of feet share the load.
-            own |= {key for key in before.keys if known_effects()[key[0]].uses_loads}
-        X = tuple(
-            joined_regressor([p.regressor(key) for p in parts], starts) if key in own else one
-            for key, one in zip(before.keys, before.X, strict=True)
-        )
-        return replace(before, table=np.concatenate(tables), X=X)
-    X = tuple(joined_regressor([p.regressor(key) for p in parts], starts) for key in keys)
-    Z, deviations, bias_of = [], [], []
-    for i, part in enumerate(parts):
-        for one, deviation, key in part.nuisance_regressors():
-            whole = np.zeros((starts[-1], len(one.columns)))
-            whole[starts[i] : starts[i + 1]] = one.values
-            Z.append(Regressor(one.columns, whole))
-            deviations.append(deviation)
-            bias_of.append(key)
-    log = np.repeat(np.arange(len(parts)), np.diff(starts))
+            stale |= {key for key in before.keys if known_effects()[key[0]].uses_loads}
+        known = zip(before.keys, before.X, strict=True)
+        X = tuple(regressor(key) if key in stale else one for key, one in known)
+        return replace(before, table=table, X=X)
+    of_logs = [(i, *one) for i, log in enumerate(logs) for one in log.nuisance_regressors()]
     return Evidence(
-        layout=parts[0].parts.layout,
-        t=np.concatenate([p.parts.t for p in parts]),
-        log=log,
-        table=np.concatenate(tables),
+        layout=logs[0].layout,
+        t=np.concatenate([case.motion.t for case in cases]),
+        log=np.repeat(np.arange(len(logs)), np.diff(starts)),
+        table=table,
         keys=tuple(keys),
-        X=X,
-        Z=tuple(Z),
-        deviations=np.array(deviations),
-        bias_of=tuple(bias_of),
-        reading_scale=reading_scale,
+        X=tuple(map(regressor, keys)),
+        Z=tuple(joined_regressor([one], starts, i) for i, one, *_ in of_logs),
+        deviations=np.array([deviation for *_, deviation, _ in of_logs]),
+        bias_of=tuple(key for *_, key in of_logs),
+        reading_scale=scale,
         groups=frozenset(
             (name, target)
             for name, target in keys
@@ -288,24 +276,20 @@ def table_of(
 
     Without `evaluation_channels`, the channels that are only evaluated and never fitted are NaN.
     """
-    parts = _parts(case, chosen, evaluation_channels)[2]
-    return _table(case, chosen, parts) * _reading_scale(case, chosen)
+    return _Linear(case, chosen, evaluation_channels).table
 
 
-def _reading_scale(case: LogUnderModel, chosen: Sequence[Effect]) -> np.ndarray:
+def _reading_scale(layout: Layout, chosen: Sequence[Effect]) -> np.ndarray:
     """Factors (W,) of the columns that bring residuals back to the scale of the readings.
 
     Compensating a scale of a reading divides its residual by it, noise included, so that the
     largest scale would leave the least; with masses that shrink as well, next to nothing.
     """
-    layout = layout_for(case.robot.limbs)
     factor = np.ones(layout.width)
     for one in chosen:
-        columns = _SCALED.get(one.name, ())
-        if columns:
-            parts = one.members(case.robot.limbs)
-            scaled = {f"{column}_{part}" for column in columns for part in parts}
-            factor[[name in scaled for name in layout.names]] *= 1.0 + one.value
+        for column in _SCALED.get(one.name, ()):
+            scaled = [f"{column}_{part}" for part in one.members(layout.limbs)]
+            factor[np.isin(layout.names, scaled)] *= 1.0 + one.value
     return factor
 
 
@@ -317,56 +301,89 @@ _SCALED = {
 """Effect that scales a reading -> columns of the residual that have its unit, by its parts."""
 
 
-def _parts(
-    case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
-) -> tuple[Log, Machine, ResidualTable, ReferenceMotion]:
-    log, robot = compensate_all(chosen, case.log, case.robot)
-    motion = case.motion
-    if log is not case.log and _changes_motion(changed_columns(case.log, log)):
-        motion = replace(
-            motion_under_model(log, robot, case.fixed),
-            level=case.motion.level,
-            normal_G=case.motion.normal_G,
-        )
-    names = [
-        name
-        for name, channel in channels().items()
-        if evaluation_channels or not channel.evaluation_only
-    ]
-    return log, robot, residual(log, robot, motion, names), motion
-
-
-def _table(case: LogUnderModel, chosen: Sequence[Effect], parts: ResidualTable) -> np.ndarray:
-    """The table (M, W) of `parts`, each channel without the effects that are unseen by it."""
-    unseen = {name for one in chosen for name in one.unseen_by}
-    table, motion = parts.table.copy(), parts.inputs.motion
-    for name in unseen.intersection(parts.names):
-        seen = [one for one in chosen if name not in one.unseen_by]
-        log, robot = compensate_all(seen, case.log, case.robot)
-        columns = parts.layout.of(name)
-        table[:, columns] = residual(log, robot, motion, [name]).table[:, columns]
-    return table
-
-
 class _Linear:
-    """Residual of one log with the chosen effects compensated, and its derivatives."""
+    """Residual of one log with the chosen effects compensated, and its derivatives.
+
+    Attributes:
+        table: residuals (M, W), each channel without the effects that are unseen by it, on the
+            scale of the readings.
+        reading_scale: factors (W,) of the columns that gave it this scale.
+        parts: residuals of all channels with all of the chosen compensated.
+        contacts_differ: whether the chosen change the contacts.
+    """
 
     def __init__(
         self, case: LogUnderModel, chosen: Sequence[Effect], evaluation_channels: bool = True
     ):
-        self.case, self.chosen = case, list(chosen)
-        self.log, self.robot, self.parts, self.motion = _parts(case, chosen, evaluation_channels)
-        self.joints = self.log.joints
-        self.reading_scale = _reading_scale(case, chosen)
-        self.table = _table(case, chosen, self.parts) * self.reading_scale
+        # One after the other, to start again from any of them.
+        self.case, self.chosen = case, in_order(chosen)
+        self.stages = [(case.log, case.robot)]
+        for one in self.chosen:
+            self.stages.append(compensate_all([one], *self.stages[-1]))
+        self.log, self.robot = self.stages[-1]
+        self.motion = self._motion(case.log, self.log, self.robot, case.motion)
         self.contacts_differ = self.motion is not case.motion and any(
             name.startswith("contact_") for name in changed_columns(case.log, self.log)
         )
+        self.layout = layout_for(case.robot.limbs)
+        every, known = tuple(self.layout.channels), channels()
+        self.fitted = [name for name in every if not known[name].evaluation_only]
+        self.names = every if evaluation_channels else self.fitted
+        self.reading_scale = _reading_scale(self.layout, self.chosen)
+        self.table, self._seeing_all = self._tables(self.chosen, self.names)
         self._known: dict[Key, Regressor] = {}
+
+    def _motion(
+        self, before: Log, log: Log, robot: Machine, motion: ReferenceMotion
+    ) -> ReferenceMotion:
+        """The reference motion of a log, given the `motion` of the log `before` a change."""
+        if log is before or not any(
+            name.startswith(("ref_", "contact_")) for name in changed_columns(before, log)
+        ):
+            return motion
+        ground = {"level": motion.level, "normal_G": motion.normal_G}
+        return replace(motion_under_model(log, robot, self.case.fixed), **ground)
+
+    def _tables(
+        self, effects: Sequence[Effect], names: Sequence[str]
+    ) -> tuple[np.ndarray, ResidualTable]:
+        """The table with other sizes of the chosen effects, and the residuals of those of the
+        channels `names` that see all of them.
+        """
+        seeing: dict[tuple[Effect, ...], list[str]] = {tuple(effects): []}
+        for name in names:
+            seen = tuple(one for one in effects if name not in one.unseen_by)
+            seeing.setdefault(seen, []).append(name)
+        log, robot = self._compensated(effects)
+        motion = self._motion(self.case.log, log, robot, self.case.motion)
+        direct = residual(log, robot, motion, seeing.pop(tuple(effects)))
+        table = direct.table.copy()
+        for seen, of_these in seeing.items():
+            columns = self.layout.of(*of_these)
+            others = residual(*self._compensated(seen), motion, of_these)
+            table[:, columns] = others.table[:, columns]
+        return table * _reading_scale(self.layout, effects), direct
+
+    def _compensated(self, effects: Sequence[Effect]) -> tuple[Log, Machine]:
+        """The log and the model with these effects compensated, from where they first differ from
+        the chosen.
+        """
+        pairs = zip(effects, self.chosen, strict=False)
+        same = len([*takewhile(lambda pair: pair[0] is pair[1], pairs)])
+        return compensate_all(effects[same:], *self.stages[same])
+
+    @cached_property
+    def parts(self) -> ResidualTable:
+        direct = self._seeing_all
+        others = [name for name in self.names if name not in direct.names]
+        more, columns = filled(self.layout, direct.inputs, others), self.layout.of(*others)
+        table = direct.table.copy()
+        table[:, columns] = more[:, columns]
+        return replace(direct, table=table, names=tuple(self.names))
 
     @cached_property
     def jacobians(self) -> ResidualJacobians:
-        return residual_jacobians(self.parts, self.robot)
+        return ResidualJacobians(self.parts)
 
     def regressor(self, key: Key) -> Regressor:
         """Derivative of the residual table with respect to the size of `key`."""
@@ -383,68 +400,77 @@ class _Linear:
             # To first order, a group of equal sizes is the sum of its members.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
         sizes = kind.starts_on(key[1], self.log)
-        tried = [self._derivative_at_zero(key, size) for size in sizes]
-        if len(tried) == 1:
-            return tried[0]
+        if len(sizes) == 1:
+            return self._derivative_at_zero(key, sizes[0], self.fitted)
+        # No fit uses the evaluation channels, but they help to choose between several starts.
+        tried = [self._derivative_at_zero(key, size, self.names) for size in sizes]
         # A start of either sign is valid for sizes of that sign; take the one that agrees best.
         shares = [explained_share(one, self.table) for one in tried]
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
-    def _derivative_at_zero(self, key: Key, step: float) -> Regressor:
-        """Derivative at zero, by a difference of the residual or the effect's chain rule."""
+    def _derivative_at_zero(self, key: Key, step: float, names: Sequence[str]) -> Regressor:
+        """Derivative at zero, by the effect's chain rule or by a difference of these channels."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
-        rule = known_effects()[key[0]].chain_rule
-        if rule == "readings":
-            change = self._by_chain_rule(log, step)
-            self._add_change_without_chain_rule(change, log, robot, step)
-        elif rule is not None and robot is not self.robot:
-            change = wrt_robot(self.parts, self.robot, robot, step)
+        if known_effects()[key[0]].chain_rule == "readings":
+            change = self._by_chain_rule(log, robot, step)
         else:
-            change = self._by_difference(key, log, robot, step)
+            change = self._by_difference(key, log, robot, names) / step
         if key[0] in _SCALED:
-            by_scale = (_reading_scale(self.case, [effect(*key, step)]) - 1.0) / step
+            by_scale = (_reading_scale(self.layout, [effect(*key, step)]) - 1.0) / step
             change = change + by_scale * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
+
+    def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
+        """Regressor of additions (N,) to columns of the log."""
+        columns = {name: self.log.columns[name] + _CHANGE_STEP * x for name, x in added.items()}
+        change = self._by_chain_rule(with_columns(self.log, columns), self.robot, _CHANGE_STEP)
+        return self._to_reading_scale(sparse(change, self.parts.table))
 
     def _to_reading_scale(self, one: Regressor) -> Regressor:
         """A regressor of the residual as one of the table."""
         return Regressor(one.columns, one.values * self.reading_scale[one.columns])
 
-    def by_columns(self, added: Mapping[str, np.ndarray]) -> Regressor:
-        """Regressor of additions (N,) to columns of the log."""
-        columns = {name: self.log.columns[name] + x for name, x in added.items()}
-        change = self._by_chain_rule(with_columns(self.log, columns), 1.0)
-        small = {n: self.log.columns[n] + _CHANGE_STEP * x for n, x in added.items()}
-        self._add_change_without_chain_rule(
-            change, with_columns(self.log, small), self.robot, _CHANGE_STEP
-        )
-        return self._to_reading_scale(sparse(change, self.parts.table))
-
-    def _by_chain_rule(self, log: Log, step: float) -> np.ndarray:
-        """Change of the table (M, W) per unit, by the chain rule, for a `log` that is `step` units
-        away.
+    def _by_chain_rule(self, log: Log, robot: Machine, step: float) -> np.ndarray:
+        """Change of the table (M, W) per unit, for a log that is `step` units away: by the chain
+        rule, and by differences in the channels without one.
         """
-        change = _change(self.log, log, self.joints, self.motion, step)
-        return wrt_readings(self.parts, self.jacobians, change)
-
-    def _add_change_without_chain_rule(
-        self, change: np.ndarray, log: Log, robot: Machine, step: float
-    ) -> None:
-        """Add to `change` (M, W), by differences, the channels without a chain rule."""
-        layout, inputs = self.parts.layout, ResidualInputs(log, robot, self.motion)
-        names = [name for name in layout.channels if name not in CHAINED_CHANNELS]
-        columns = layout.of(*names)
-        after = filled(layout, inputs, names)[:, columns]
+        change = self.jacobians.wrt_readings(_change(self.log, log, self.motion, step))
+        names = [name for name in self.layout.channels if name not in CHAINED_CHANNELS]
+        columns = self.layout.of(*names)
+        after = filled(self.layout, ResidualInputs(log, robot, self.motion), names)[:, columns]
         change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
+        return change
+
+    def _by_difference(
+        self, key: Key, log: Log, robot: Machine, names: Sequence[str]
+    ) -> np.ndarray:
+        """Change of the table (M, W) to this log and model, in those of the channels `names` that
+        the effect may change.
+        """
+        inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
+        same = unchanged_channels(self.robot, robot) if log is self.log else ()
+        if known_effects()[key[0]].chain_rule is not None and robot is not self.robot:
+            # Such a step moves contact changes by less than a row: their times are kept.
+            same = (*same, *(name for name in names if channels()[name].of_events))
+            inputs = under_model(self.parts.inputs, robot)
+        only = _event_channels(key) or names
+        again = [name for name in names if name in only and name not in same]
+        return filled(self.layout, inputs, again) - self.parts.table
 
     def _derivative_at_value(self, key: Key) -> Regressor:
+        """Derivative by central differences at the value of a chosen effect."""
         step = known_effects()[key[0]].step_of(key[1])
-        ahead, behind = (
-            table_of(self.case, _with_size_step(self.chosen, key, s), evaluation_channels=False)
-            for s in (step, -step)
-        )
-        return self._where_it_shows(key, sparse((behind - ahead) / (2 * step), self.parts.table))
+
+        def table(more: float) -> np.ndarray:
+            effects = [
+                effect(*key, e.value + more) if (e.name, e.target) == key else e
+                for e in self.chosen
+            ]
+            return self._tables(effects, self.fitted)[0]
+
+        change = (table(-step) - table(step)) / (2 * step)
+        return self._where_it_shows(key, sparse(change, self.parts.table))
 
     def _where_it_shows(self, key: Key, one: Regressor) -> Regressor:
         """Restrict the regressor of an effect to channels in which it shows.
@@ -453,28 +479,12 @@ class _Linear:
         which come from stances with more or fewer samples, and events that were lost or matched to
         a neighbour.
         """
-        names = _event_channels(key)
-        if not names:
-            seen = ~np.isin(one.columns, self.parts.layout.of(*known_effects()[key[0]].unseen_by))
-            return Regressor(one.columns[seen], one.values[:, seen])
-        own = np.isin(one.columns, self.parts.layout.of(*names))
-        values, step = one.values[:, own], known_effects()[key[0]].step_of(key[1])
-        return Regressor(
-            one.columns[own], np.where(np.abs(step * values) < CHANGE_WINDOW, values, 0.0)
-        )
-
-    def _by_difference(self, key: Key, log: Log, robot: Machine, step: float) -> np.ndarray:
-        motion, same = self.motion, ()
-        if log is self.log:
-            same = unchanged_channels(self.robot, robot)
-        elif _changes_motion(changed_columns(self.log, log)):
-            motion = replace(motion_under_model(log, robot, self.case.fixed), level=motion.level)
-        only = _event_channels(key) or self.parts.names
-        again = [name for name in self.parts.names if name in only and name not in same]
-        if len(known_effects()[key[0]].starts_on(key[1], self.log)) == 1:
-            # No fit uses those; they only help to choose between several starts.
-            again = [name for name in again if not channels()[name].evaluation_only]
-        return (residual(log, robot, motion, again).table - self.parts.table) / step
+        kind, names, values = known_effects()[key[0]], _event_channels(key), one.values
+        shown = ~np.isin(one.columns, self.layout.of(*kind.unseen_by))
+        if names:
+            shown = np.isin(one.columns, self.layout.of(*names))
+            values = np.where(np.abs(kind.step_of(key[1]) * values) < CHANGE_WINDOW, values, 0.0)
+        return Regressor(one.columns[shown], values[:, shown])
 
     def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:
         """Nuisance parameters of the log: regressor, prior standard deviation, and the candidate
@@ -483,19 +493,19 @@ class _Linear:
         out: list[tuple[Regressor, float, Key | None]] = []
         parts, sensors = self.parts, Sensors()
         if not self.case.fixed and self.case.log.has("imu"):
-            deviations = {"gyro": sensors.gyro_turn_on, "accel": sensors.accel_turn_on}
-            for axis, name in enumerate("xyz"):
-                for kind, turn_on in deviations.items():
-                    ones = {axis: np.ones(len(parts.t))}
-                    unit = {kind: ones} | ({"omega": ones} if kind == "gyro" else {})
-                    one = sparse(wrt_readings(parts, self.jacobians, unit), parts.table)
+            for axis, name in enumerate(AXES):
+                ones = {axis: np.ones(len(parts.t))}
+                for kind, turn_on, unit in (
+                    ("gyro", sensors.gyro_turn_on, {"gyro": ones, "omega": ones}),
+                    ("accel", sensors.accel_turn_on, {"accel": ones}),
+                ):
+                    one = sparse(self.jacobians.wrt_readings(unit), parts.table)
                     out.append((one, turn_on, (f"{kind}_bias", name)))
-        for name, columns in parts.layout.channels.items():
+        for name in self.layout.channels:
+            which = self.layout.of(name)
             for values in channels()[name].nuisance_regressors(parts.inputs):
-                which = parts.layout.of(name)
-                there = np.isfinite(parts.table[:, columns])
-                one = self._to_reading_scale(Regressor(which, there * values))
-                out.append((one, np.inf, None))
+                one = Regressor(which, np.where(np.isfinite(parts.table[:, which]), values, 0.0))
+                out.append((self._to_reading_scale(one), np.inf, None))
         return out
 
 
@@ -506,63 +516,43 @@ def _event_channels(key: Key) -> tuple[str, ...]:
     return tuple(names) if of_events else ()
 
 
-def _changes_motion(columns: Sequence[str]) -> bool:
-    return any(name.startswith(("ref_", "contact_")) for name in columns)
-
-
-def _with_size_step(chosen: Sequence[Effect], key: Key, step: float) -> list[Effect]:
-    return [effect(*key, e.value + step) if (e.name, e.target) == key else e for e in chosen]
-
-
 def _change(
-    old: Log, new: Log, joints: Sequence[str], motion: ReferenceMotion, step: float
+    old: Log, new: Log, motion: ReferenceMotion, step: float
 ) -> dict[str, dict[int, np.ndarray]]:
     """Change of each stream per unit of an effect: stream -> index -> means over bins (M,).
 
     Args:
         old: log before the change.
-        new: log after it; its attrs name the columns that changed.
-        joints: names, in the order of the columns.
+        new: log after it.
         motion: reference motion of the log, with its bins.
         step: size of the change, in the effect's unit.
     """
     change: dict[str, dict[int, np.ndarray]] = {}
-    mean = bin_mean(motion)
+    mean, logged = bin_mean(motion), old.has("dq")
     for name in changed_columns(old, new):
         stream, _, what = name.partition("_")
-        if stream in ("gyro", "accel"):
-            place = "xyz".index(what)
-        elif what in joints:
-            place = joints.index(what)
-        else:
+        parts = AXES if stream in ("gyro", "accel") else old.joints
+        if what not in parts:
             continue
-        rows = new.columns[name] - old.columns[name]
-        means = {stream: mean(rows)}
+        place, x = parts.index(what), new.columns[name] - old.columns[name]
+        rows, rates = {stream: x}, None
         if stream == "gyro":
-            means["omega"] = mean(at_rows(rows))
-        elif stream == "q" or (stream == "dq" and not motion.rates_of_angles):
-            means |= _joint_bin_means(stream, rows, old.t, motion)
-        if stream == "q" and (motion.rates_of_angles or not old.has("dq")):
-            # Joint rates that were not logged are derived from the angles.
-            rates = derivative(old.t, rows[:, None], JOINT_WINDOW, causal=False)[:, 0]
-            means |= _joint_bin_means("dq", rates, old.t, motion)
-            if not old.has("dq"):
-                means["dq"] = mean(rates)
+            rows["omega"] = at_rows(x)
+        elif stream == "q":
+            rows["q_step"] = at_torques(x, motion)
+            if motion.rates_of_angles or not logged:
+                # Joint rates that were not logged are derived from the angles.
+                rates = derivative(old.t, x[:, None], JOINT_WINDOW, causal=False)[:, 0]
+                rows |= {} if logged else {"dq": rates}
+        elif stream == "dq" and not motion.rates_of_angles:
+            rates = x
+        means = {kind: mean(values) for kind, values in rows.items()}
+        if rates is not None:
+            means["dq_step"] = mean(at_torques(rates, motion))
+            means["ddq"] = mean_rate_of_change(rates, old.t, motion)
         for kind, values in means.items():
             change.setdefault(kind, {})[place] = values / step
     return change
-
-
-def _joint_bin_means(
-    stream: str, rows: np.ndarray, t: np.ndarray, motion: ReferenceMotion
-) -> dict[str, np.ndarray]:
-    """Bin means, at the times of the torques, of a change of angle or rate (N,); for a rate, also
-    of its derivative.
-    """
-    means = {f"{stream}_step": bin_mean(motion)(at_torques(rows, motion))}
-    if stream == "dq":
-        means["ddq"] = mean_rate_of_change(rows, t, motion)
-    return means
 
 
 def _same_bins(before: Evidence, table: np.ndarray) -> bool:
@@ -586,12 +576,12 @@ def summed_regressor(parts: Sequence[Regressor]) -> Regressor:
     return Regressor(columns, values)
 
 
-def joined_regressor(parts: Sequence[Regressor], starts: np.ndarray) -> Regressor:
-    """Concatenate the regressors of several logs."""
-    if len(parts) == 1:
+def joined_regressor(parts: Sequence[Regressor], starts: np.ndarray, first: int = 0) -> Regressor:
+    """Concatenate the regressors of several logs, from the log `first` on; zero in the others."""
+    if len(starts) == 2:
         return parts[0]
     columns = np.unique(np.concatenate([p.columns for p in parts]))
     values = np.zeros((starts[-1], len(columns)))
-    for i, part in enumerate(parts):
-        values[starts[i] : starts[i + 1], np.searchsorted(columns, part.columns)] = part.values
+    for part, start, end in zip(parts, starts[first:], starts[first + 1 :], strict=False):
+        values[start:end, np.searchsorted(columns, part.columns)] = part.values
     return Regressor(columns, values)

@@ -17,7 +17,6 @@ from scipy.special import stdtrit
 from surefoot.models.attribution.effect_sizes import (
     PER_RUN_EFFECTS,
     Found,
-    in_order,
     interior_bounds,
     plausible_size,
     price_of_some_parts,
@@ -37,10 +36,10 @@ from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_midd
 from surefoot.models.attribution.noise_floor import is_compensated_approximately
 from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.registry import channels
-from surefoot.sim.effects import Effect, compensate_all, effect, known_effects
+from surefoot.sim.effects import Effect, compensate_all, effect, in_order, known_effects
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 
@@ -54,7 +53,7 @@ how runs differ is known no better than that.
 """
 LEAST_EXCESS = 6.0
 """The same where nothing but the noise of readings is known."""
-BLOCKS_AGREE = 3.0
+BLOCKS_AGREE = 2.0
 """Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
@@ -64,7 +63,7 @@ _NEAR = 0.5
 """Share of the best evidence from which a candidate may turn out better in the refinement."""
 MOST_EFFECTS = 5
 """Most effects of a trace."""
-MOST_STEPS = 10
+NEWTON_STEPS = 10
 """Most Gauss-Newton steps of a refinement; noise in a derivative makes each fall short."""
 SETTLED = 0.02
 """Standard deviations by which sizes move once they have settled."""
@@ -420,37 +419,40 @@ class _State:
         runs = self.error.runs
         return float(stdtrit(runs - 1, 1.0 - CHANCE)) if runs > 1 else LEAST_EXCESS
 
-    def doubt(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
-        """Standard deviations of the sizes of some candidates (k,), beyond those by noise and model
-        error (k,).
+    def bias(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+        """Most by which sizes of candidates (k,) with these standard deviations are biased.
 
         Interpolation by a share f of a row lowers the variance of the mean of n rows by 2 f / n. A
         shift by x then seems to explain 2 x E / BIN of E entries, and is biased by E / BIN times
-        its variance, which counts as two standard deviations.
+        its variance; half a row between rows, nothing more is gained.
         """
         known = np.where(np.isfinite(deviations), deviations, 0.0)
-        seems = 0.5 * self.problem.shift[at] * self.metric.entries[at] / BIN * known**2
-        return np.hypot(self.problem.unknown[at], seems)
+        shift = self.problem.shift[at]
+        row = 1.0 / min(case.log.rate for case in self.problem.cases)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            most = np.where(shift > 0.0, 0.5 * row / shift, 0.0)
+        return np.minimum(shift * self.metric.entries[at] / BIN * known**2, most)
 
     def earned(self, keys: Sequence[Key], sizes: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """By how much the evidence for sizes with these standard deviations exceeds its price (k,);
         negative also where a size does not reach the least excess or is at its bound.
         """
         at = self.problem.at(keys)
-        variance = np.hypot(deviations, self.doubt(at, deviations)) ** 2
+        variance = np.hypot(deviations, self.problem.unknown[at]) ** 2
         prior = self.problem.prior[at] ** 2
+        bounds = [interior_bounds(*key, self.problem.machine) for key in keys]
+        inside = np.array(
+            [low < x < high for x, (low, high) in zip(sizes, bounds, strict=True)], bool
+        )
+        sizes = np.maximum(np.abs(sizes) - self.bias(at, deviations), 0.0)
         with np.errstate(invalid="ignore"):
             evidence = (
                 sizes**2 / variance - sizes**2 / (variance + prior) - np.log1p(prior / variance)
             )
             evidence = np.where(np.isfinite(variance), evidence, -np.inf) - self.problem.price[at]
             evidence -= INEXACT * np.sum(self.metric.shares[at] * self.explained, axis=-1)
-            excess = np.abs(sizes) / np.sqrt(variance)
+            excess = sizes / np.sqrt(variance)
         least = self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
-        bounds = [interior_bounds(*key, self.problem.machine) for key in keys]
-        inside = np.array(
-            [low < x < high for x, (low, high) in zip(sizes, bounds, strict=True)], bool
-        )
         return np.where((excess > least) & inside, evidence, np.minimum(evidence, -1.0))
 
     def earned_by(self, chosen: Chosen) -> np.ndarray:
@@ -574,7 +576,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
     known = {(e.name, e.target): e.value for e in state.effects}
     derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
     best = None
-    for _ in range(MOST_STEPS):
+    for _ in range(NEWTON_STEPS):
         stale = [
             key
             for key, one in zip(keys, effects, strict=True)
@@ -688,8 +690,9 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
         )
     if gained <= 0.0:
         return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
-    doubt = state.doubt(state.problem.at([chosen.keys[place]]), chosen.deviations[[place]])[0]
-    excess = size / np.hypot(chosen.deviations[place], doubt)
+    at = state.problem.at([chosen.keys[place]])
+    size -= state.bias(at, chosen.deviations[[place]])[0]
+    excess = max(size, 0.0) / np.hypot(chosen.deviations[place], state.problem.unknown[at][0])
     return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
 
 
@@ -781,11 +784,12 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     total = max(float(beside.S[0, 0]), 1e-300)
     gains = beside.sizes * beside.S[1:, 0]
     every = np.arange(len(problem.keys))
-    deviations = np.hypot(beside.deviations, state.doubt(every, beside.deviations))
+    deviations = np.hypot(beside.deviations, problem.unknown)
     ratio = (problem.prior / deviations) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         enough = np.sqrt((problem.price + np.log1p(ratio)) * (1.0 + ratio) / ratio)
     least = np.maximum(enough, state.least_excess) * deviations
+    least += state.bias(every, beside.deviations)
     out = []
     for i in np.argsort(-beside.evidence):
         low, high = interior_bounds(*problem.keys[i], problem.machine)
@@ -810,8 +814,9 @@ def _with_intervals(state: _State, chosen: Chosen) -> tuple[Found, ...]:
     noise, both = np.diag(chosen.of_noise), np.diag(chosen.covariance)
     runs = state.error.runs
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
-    square = 1.96**2 * (noise + state.doubt(at, np.sqrt(both)) ** 2)
+    square = 1.96**2 * (noise + state.problem.unknown[at] ** 2)
     half = np.sqrt(square + of_model * np.maximum(both - noise, 0.0))
+    half += state.bias(at, np.sqrt(both))
     blocks = chosen.between_blocks if len(chosen.effects) else ()
     found = [
         Found(

@@ -8,7 +8,7 @@ from surefoot.models.attribution.evidence import Evidence
 from surefoot.models.attribution.noise_floor import NoiseFloor
 from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
 from surefoot.models.residuals.channel import Channel
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.channels import channels
 
 AT_FLOOR_RATIO = 1.05
 """Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""

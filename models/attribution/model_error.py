@@ -36,11 +36,11 @@ from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import Limbs
 
-TORQUE_WINDOW = 0.45
+MEAN_WINDOW = 0.45
 """Length of the windows in which the torques of a machine on a fixed base are averaged [s]: long
 compared with rows whose torques jump, short compared with a swing.
 """
-OF_MEAN = float(np.sqrt(1.5 * BIN / TORQUE_WINDOW))
+OF_MEAN = float(np.sqrt(1.5 * BIN / MEAN_WINDOW))
 """Noise of such a mean, relative to the white noise of its bins."""
 WHOLE = 0.8
 """Share of its bins that a window has at least."""
@@ -316,13 +316,11 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     # The first and the last bin have no neighbour for the slope of a rate.
     if len(t) < 3:
         return np.zeros((0, len(t)))
-    middles = np.arange(
-        t[1] + 0.5 * TORQUE_WINDOW, t[-2] - 0.5 * TORQUE_WINDOW, 0.5 * TORQUE_WINDOW
-    )
-    x = (t - middles[:, None]) / TORQUE_WINDOW
+    middles = np.arange(t[1] + 0.5 * MEAN_WINDOW, t[-2] - 0.5 * MEAN_WINDOW, 0.5 * MEAN_WINDOW)
+    x = (t - middles[:, None]) / MEAN_WINDOW
     w = np.where(np.abs(x) < 0.5, 1.0 + np.cos(2.0 * np.pi * x), 0.0)
     total = w.sum(axis=1)
-    whole = total > WHOLE * TORQUE_WINDOW / np.median(np.diff(t))
+    whole = total > WHOLE * MEAN_WINDOW / np.median(np.diff(t))
     return w[whole] / total[whole, None]
 
 

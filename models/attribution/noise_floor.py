@@ -37,10 +37,10 @@ from surefoot.models.attribution.sensor_noise import (
     resample_reference,
 )
 from surefoot.models.attribution.weights import robust_weights
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout, layout_for
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.motion import with_dead_reckoning
 from surefoot.models.residuals.torques import declared
-from surefoot.models.residuals.without_reference import with_dead_reckoning
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
@@ -206,9 +206,9 @@ def noise_floor_with(
         return _floor_of_readings(floor.readings, effects)
     if floor.plan is None:
         return floor
-    limbs = declared(floor.plan.file).limbs
+    robot = declared(floor.plan.file)
     telling = tuple(
-        with_clipped_size(e, float(f"{e.value:.1e}"), limbs)
+        with_clipped_size(e, float(f"{e.value:.1e}"), robot)
         for e in effects
         if is_compensated_approximately(e)
     )

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.models.alignment.alignment import align
 from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, linearise, table_of
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout
-from surefoot.models.residuals.registry import channels
-from surefoot.models.residuals.residual import motion_under_model
+from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects

@@ -3,6 +3,7 @@
 A bin is short compared with a step of a walk and long compared with a sample.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -72,7 +73,7 @@ class ReferenceMotion:
     """Time for which feet already move before their contacts end [s]."""
     by_reference: bool = True
     """Whether the motion is from a reference. Without one, velocity and position are zero, and feet
-    are compared with each other (`models.residuals.without_reference`).
+    are compared with each other (`models.residuals.motion`).
     """
     normal_G: np.ndarray | None = None
     """Normal of the ground (N, 3) in the world, where it is not vertical."""
@@ -162,31 +163,26 @@ def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMo
 
     Raises LogError where it has no reference, unless its base is `fixed`.
     """
-    t = log.t
+    t, legs = log.t, len(limbs.legs)
     number = np.floor((t - t[0]) / BIN + 1e-6).astype(int)
     first = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(np.append(first, len(t)))
     bins = {"first": first, "count": count, "t": np.add.reduceat(t, first) / count}
-    none = np.zeros((len(t), 3))
-    legs = len(limbs.legs)
+    standing, lifted = np.zeros((2, len(t), legs), dtype=bool)
     if fixed:
-        every, feet = np.ones(len(t), dtype=bool), np.zeros((len(t), legs), dtype=bool)
+        none, every = np.zeros((len(t), 3)), np.ones(len(t), dtype=bool)
         still = np.broadcast_to(np.eye(3), (len(t), 3, 3))
-        return ReferenceMotion(none, none, none, none, still, every, ~every, feet, ~feet, **bins)
+        return ReferenceMotion(
+            none, none, none, none, still, every, ~every, standing, ~lifted, **bins
+        )
     log.require("reference")
     R_GI, v_GI, ok = log.ref_R_GI, reference_velocity(log), log.ref_ok
+    gyro, accel = (np.concatenate([x[:1], x]) for x in imu_between_states(t, R_GI, v_GI))
     dt = np.diff(t)
-    gyro, accel = np.zeros_like(v_GI), np.zeros_like(v_GI)
-    gyro[1:], accel[1:] = imu_between_states(t, R_GI, v_GI)
-    gyro[0], accel[0] = gyro[1], accel[1]
     whole = np.concatenate([[False], dt < 1.5 * np.median(dt)])
-    feet = np.zeros((2, len(t), legs), dtype=bool)
     if log.has("contact"):
-        feet = np.stack(
-            [
-                inside_stances(t, c, STANCE_MARGIN, STANCE_MARGIN)
-                for c in (log.contact, ~log.contact)
-            ]
+        standing, lifted = (
+            inside_stances(t, c, STANCE_MARGIN, STANCE_MARGIN) for c in (log.contact, ~log.contact)
         )
     return ReferenceMotion(
         gyro=gyro,
@@ -196,79 +192,59 @@ def reference_motion(log: Log, limbs: Limbs, fixed: bool = False) -> ReferenceMo
         R_GI=R_GI,
         ok=ok,
         moved=ok & np.concatenate([[False], ok[:-1]]) & whole,
-        standing=feet[0] & ok[:, None],
-        lifted=feet[1] & ok[:, None],
+        standing=standing & ok[:, None],
+        lifted=lifted & ok[:, None],
         **bins,
     )
 
 
 def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
     """Bin means of a log's readings, with the model's IMU mounting."""
-    n, joints = len(motion.ok), len(log.joints)
-    none = np.full((n, max(joints, 1)), np.nan)
-    q = log.q if log.has("q") else none
-    dq = joint_velocity(log) if log.has("q") else none
-    mean, angles, rates = bin_mean(motion), ("q",), ("q", "dq")
+    n, mean, legged = len(motion.ok), bin_mean(motion), robot.legged
+    none, angles, rates = np.full((n, max(len(log.joints), 1)), np.nan), ("q",), ("q", "dq")
+    q, dq = (log.q, joint_velocity(log)) if log.has("q") else (none, none)
+    moving = derivative(log.t, q, JOINT_WINDOW, causal=False) if motion.rates_of_angles else dq
     gyro = accel = np.full((n, 3), np.nan)
-    omega = motion.gyro
-    if log.has("imu") and not robot.fixed:
-        slow = robot.extras.imu_lowpass
+    omega, slow = motion.gyro, None if robot.fixed else robot.extras.imu_lowpass
+    if log.has("imu") and slow is not None:
         # Over a bin, the noise that this adds averages out.
         omega = without_low_pass(log.gyro, slow, log.rate)
-        gyro = np.where(
-            motion.moved[:, None], log.gyro - low_pass(motion.gyro, slow, log.rate), gyro
+        gyro, accel = (
+            np.where(motion.moved[:, None], x - low_pass(known, slow, log.rate), np.nan)
+            for x, known in ((log.gyro, motion.gyro), (log.accel, motion.accel))
         )
-        accel = np.where(
-            motion.moved[:, None], log.accel - low_pass(motion.accel, slow, log.rate), accel
-        )
+
+    def of(name: str, uses: Sequence[str], rows: Callable[[], np.ndarray], *given) -> np.ndarray:
+        return log.once(f"binned {name}", uses, lambda: mean(rows()), *given)
+
     # A reference without velocities is too coarse for accelerations of the base.
     known = log.has("ref_v") or not log.has("imu")
-
-    moving = derivative(log.t, q, JOINT_WINDOW, causal=False) if motion.rates_of_angles else dq
-
-    legged, feet = robot.legged, shown_feet(log, robot.feet)
-
-    def base() -> np.ndarray:
-        if legged is None:
-            return np.zeros((len(motion.t), 9))
-        imu = (motion.gyro, motion.accel) if known else (omega, log.accel)
-        return mean(base_motion(log.t, *imu, legged))
-
-    of_feet = () if feet is None else feet.groups
-
-    def feet_readings() -> tuple[np.ndarray, np.ndarray]:
-        place, rate = (none, none) if feet is None else feet.readings(log)
-        return mean(place), mean(rate)
-
-    def tau() -> np.ndarray:
-        return mean(log.tau if log.has("tau") else none)
-
-    def lag() -> np.ndarray:
-        return mean(q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0))
-
-    of_base = () if known else ("imu",)
+    imu = (motion.gyro, motion.accel) if known else (omega, log.accel)
     mounted = () if legged is None else (legged.R_BI, legged.p_BI)
+    feet = shown_feet(log, robot.feet)
+    shown = (none, none) if feet is None else feet.readings(log)
     return Bins(
         t=motion.t,
-        q=log.once("binned q", angles, lambda: mean(q)),
-        dq=log.once("binned dq", rates, lambda: mean(dq)),
-        tau=log.once("binned tau", ["tau"], tau),
+        q=of("q", angles, lambda: q),
+        dq=of("dq", rates, lambda: dq),
+        tau=of("tau", ("tau",), lambda: log.tau if log.has("tau") else none),
         gyro=_where_most(gyro, motion),
         accel=_where_most(accel, motion),
-        omega=log.once(
-            "binned omega",
-            ["imu"],
-            lambda: mean(at_rows(omega)),
-            motion,
-            None if robot.fixed else robot.extras.imu_lowpass,
+        omega=of("omega", ("imu",), lambda: at_rows(omega), motion, slow),
+        base=of(
+            "base",
+            () if known else ("imu",),
+            lambda: np.zeros((n, 9)) if legged is None else base_motion(log.t, *imu, legged),
+            *(motion, *mounted),
         ),
-        base=log.once("binned base", of_base, base, motion, *mounted),
         **motion.means,
-        lag=log.once("binned lag", rates, lag),
-        q_step=log.once("binned q_step", angles, lambda: mean(at_torques(q, motion)), motion),
-        dq_step=log.once("binned dq_step", rates, lambda: mean(at_torques(moving, motion)), motion),
+        lag=of("lag", rates, lambda: q - cumulative_trapezoid(dq, log.t, axis=0, initial=0.0)),
+        q_step=of("q_step", angles, lambda: at_torques(q, motion), motion),
+        dq_step=of("dq_step", rates, lambda: at_torques(moving, motion), motion),
         ddq=log.once("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
-        feet=log.once("binned feet", of_feet, feet_readings),
+        feet=log.once(
+            "binned feet", () if feet is None else feet.groups, lambda: (*map(mean, shown),)
+        ),
     )
 
 
@@ -285,6 +261,12 @@ def bin_mean(motion: ReferenceMotion):
 def at_rows(omega: np.ndarray) -> np.ndarray:
     """Rates (N, ...) at the rows' own times, from rows that hold the mean of the preceding step."""
     return 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
+
+
+def interpolated(then: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Values (K, ...) at the times `then` (K,), linear between those of x (N, ...) at t (N,)."""
+    columns = [np.interp(then, t, column) for column in x.reshape(len(x), -1).T]
+    return np.stack(columns, axis=1).reshape(len(then), *x.shape[1:])
 
 
 def at_torques(x: np.ndarray, motion: ReferenceMotion) -> np.ndarray:

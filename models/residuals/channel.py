@@ -23,15 +23,14 @@ from typing import ClassVar
 import numpy as np
 
 from surefoot.models.residuals.binning import Bins, ReferenceMotion, binned
-from surefoot.models.residuals.feet import HALFWAY, between_feet, leg_velocities
-from surefoot.models.residuals.soft_ground import foot_loads, foot_sinking
+from surefoot.models.residuals.feet import between_feet, leg_velocities
+from surefoot.models.residuals.soft_ground import foot_sinking
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
     curvature,
     dynamics_inputs,
     inverse_dynamics,
-    link_jacobians,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, shown_feet
@@ -81,22 +80,20 @@ class ResidualInputs:
     @cached_property
     def bins(self) -> Bins:
         """Bin means of the readings, with the sinkage of the feet on soft ground."""
-        bins, robot = self._readings, self.robot.legged
+        bins, robot = binned(self.log, self.robot, self.motion), self.robot.legged
         stands = self.log.has("q") and bins.standing.any() and self.motion.by_reference
         if robot is None or not (stands and robot.extras.softness):
             return bins
-        known = self.log, robot, self.motion, bins
-        load = foot_loads(*known, dynamics_inputs(bins, robot))
-        depth, v_sole = foot_sinking(*known, load)
+        depth, v_sole = foot_sinking(self.log, robot, self.motion, bins)
         return replace(bins, depth=depth, v_sole=v_sole)
 
     @cached_property
     def steps(self) -> DynamicsInputs:
         """Inputs of inverse dynamics."""
-        steps, depth = dynamics_inputs(self.bins, self.robot), self.bins.depth
-        if self.robot.fixed and self.robot.dynamics is not None and self.log.has("q"):
-            steps = replace(steps, curved=curvature(self.log, self.motion, self.robot.dynamics))
-        return steps if depth is None else replace(steps, sunk=HALFWAY * depth)
+        steps, robot = dynamics_inputs(self.bins, self.robot), self.robot
+        if robot.fixed and robot.dynamics is not None and self.log.has("q"):
+            steps = replace(steps, curved=curvature(self.log, self.motion, robot.dynamics))
+        return steps
 
     @cached_property
     def inverse_dynamics(self) -> InverseDynamics | None:
@@ -112,10 +109,12 @@ class ResidualInputs:
         return shown if shown is not None and self.bins.standing.any() else None
 
     @cached_property
-    def link_jacobians(self) -> np.ndarray | None:
-        """Derivatives of inverse dynamics by the inertia of each link; None without a model."""
-        dynamics = self.robot.dynamics
-        return None if dynamics is None else link_jacobians(self.steps, dynamics)
+    def link_jacobians(self) -> np.ndarray:
+        """Derivatives (5, J, nv, K) of the generalised forces by each link's mass, centre and
+        inertia, in the K needed bins, of a machine with a model.
+        """
+        assert self.robot.dynamics is not None
+        return self.robot.dynamics.link_derivatives(*self.steps.motion)
 
     @cached_property
     def leg_velocities(self) -> np.ndarray | None:
@@ -128,16 +127,6 @@ class ResidualInputs:
             return None
         v = leg_velocities(self.bins, self.feet)
         return v if self.motion.by_reference else between_feet(v)
-
-    @cached_property
-    def _readings(self) -> Bins:
-        return binned(self.log, self.robot, self.motion)
-
-    def under_model(self, robot: Machine, needed: InverseDynamics | None) -> "ResidualInputs":
-        """The same readings under the model of another body, whose inverse dynamics are known."""
-        other = replace(self, robot=robot)
-        vars(other).update(bins=self.bins, steps=self.steps, inverse_dynamics=needed)
-        return other
 
 
 class Channel:
@@ -195,7 +184,9 @@ class Channel:
         raise NotImplementedError
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
-        """Regressors of nuisance parameters of each log, (M, 1) or (M, columns), without bounds."""
+        """Regressors of nuisance parameters of each log, (M, 1) or (M, columns), without bounds;
+        what they are where the residual has no value does not matter.
+        """
         return ()
 
     def is_available(self, log: Log, fixed: bool, level: bool, by_feet: bool = False) -> bool:

@@ -1,4 +1,5 @@
-"""The bundled residual channels, each against the log's reference or its model.
+"""The residual channels: the bundled ones, against the log's reference or its model, then those of
+plug-ins.
 
     imu_gyro, imu_accel   reading minus the value implied by the reference motion
     leg_velocity          body velocity by each standing foot's kinematics minus the reference's
@@ -15,11 +16,12 @@ Residuals are means over bins of 20 ms.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from functools import cache
+from typing import Any, ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN, Bins, bin_mean
+from surefoot.models.residuals.binning import BIN, Bins, bin_mean, interpolated
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
 from surefoot.models.residuals.feet import (
@@ -28,7 +30,9 @@ from surefoot.models.residuals.feet import (
     stance_means,
     travel_regressors,
 )
-from surefoot.models.residuals.torques import slope, torque_residual, wrench_residual
+from surefoot.models.residuals.torques import slope, smooth_121, unbalanced_wrench
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.plugins import Registry
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot.feet import shown_feet
@@ -108,7 +112,9 @@ class LegVelocity(Channel):
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """Shares of their way that feet of unknown size roll, where the log gives the feet."""
-        return [np.nan_to_num(way) for way in _unknown_rolling(inputs)]
+        feet = shown_feet(inputs.log, inputs.robot.feet)
+        known = feet is None or not feet.roll_unknown
+        return () if known else travel_regressors(inputs.bins, feet)
 
 
 class StanceVelocity(LegVelocity):
@@ -128,14 +134,7 @@ class StanceVelocity(LegVelocity):
 
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """The same shares as of the leg velocity."""
-        ways = _unknown_rolling(inputs)
-        return [np.nan_to_num(_means_of_stances(inputs.bins, way)) for way in ways]
-
-
-def _unknown_rolling(inputs: ResidualInputs) -> Sequence[np.ndarray]:
-    """`travel_regressors` of feet that may roll by any share of their way."""
-    feet = shown_feet(inputs.log, inputs.robot.feet)
-    return travel_regressors(inputs.bins, feet) if feet is not None and feet.roll_unknown else ()
+        return [_means_of_stances(inputs.bins, way) for way in super().nuisance_regressors(inputs)]
 
 
 def _means_of_stances(bins: Bins, v: np.ndarray) -> np.ndarray:
@@ -217,8 +216,10 @@ class JointTorque(Channel):
         return _per_joint("torque", self.unit, limbs)
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        needed = inputs.inverse_dynamics
-        return None if needed is None else torque_residual(inputs.steps, needed)
+        s, needed = inputs.steps, inputs.inverse_dynamics
+        if needed is None:
+            return None
+        return np.where(s.swings, smooth_121(s.bins.tau - needed.torque), np.nan)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate))
@@ -238,10 +239,10 @@ class BaseWrench(Channel):
         return (*_of_axes("force", "N", limbs), *_of_axes("moment", "N m", limbs))
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        robot, needed = inputs.robot.legged, inputs.inverse_dynamics
+        robot, s, needed = inputs.robot.legged, inputs.steps, inputs.inverse_dynamics
         if robot is None or needed is None:
             return None
-        return wrench_residual(inputs.steps, needed, robot)
+        return np.where(s.steady[:, None], smooth_121(unbalanced_wrench(s, needed, robot)), np.nan)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return sensors.torque_noise / np.sqrt(rows_of_bin(rate)) / LEVER_ARM * np.sqrt(12)
@@ -298,8 +299,9 @@ class ContactTiming(Channel):
         )
 
     def residual(self, inputs: ResidualInputs) -> np.ndarray | None:
-        known = inputs.motion, inputs.robot.extras
-        return None if inputs.feet is None else contact_timing(inputs.log, inputs.feet, *known)
+        if inputs.feet is None:
+            return None
+        return contact_timing(inputs.log, inputs.feet, inputs.motion, inputs.robot.extras)
 
     def noise(self, sensors: Sensors, rate: float, evenness: float) -> float:
         return 1.0 / rate
@@ -325,8 +327,7 @@ class CommandedTorque(Channel):
             if asked is None or not log.has("tau"):
                 return None
             if late:
-                then = log.t - late
-                asked = np.column_stack([np.interp(then, log.t, column) for column in asked.T])
+                asked = interpolated(log.t - late, log.t, asked)
             return bin_mean(inputs.motion)(log.tau - asked)
 
         uses = ("tau", "tau_ff", *law)
@@ -386,3 +387,28 @@ def _per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
 def rows_of_bin(rate: float) -> float:
     """Number of rows in a bin."""
     return max(1.0, BIN * rate)
+
+
+CHANNEL_GROUP = "surefoot.channels"
+"""Entry point group for channels of other packages."""
+BUNDLED_CHANNELS: tuple[type[Channel], ...] = (
+    *(ImuGyro, ImuAccel, LegVelocity, StanceVelocity, StanceDisplacement, FootHeight),
+    *(JointTorque, BaseWrench, JointRate, ContactTiming, CommandedTorque),
+)
+
+
+def _check(kind: Any) -> None:
+    if not (isinstance(kind, type) and issubclass(kind, Channel)):
+        raise SurefootError("must be a subclass of Channel")
+
+
+CHANNELS = Registry(
+    CHANNEL_GROUP, {kind.name: kind for kind in BUNDLED_CHANNELS}, ("name", "unit", "needs"), _check
+)
+"""Name -> class; a plug-in's is imported and checked when it is looked up."""
+
+
+@cache
+def channels() -> dict[str, Channel]:
+    """Name -> channel, of those that can be used (see `Registry.usable` for the others)."""
+    return {name: kind() for name, kind in CHANNELS.usable()[0].items()}

@@ -46,24 +46,22 @@ def contact_timing(
 
     Each change is in the bin in which the foot stopped or started to move; all other bins are NaN.
     """
-    rows, bounce = max(1, round(CHANGE_WINDOW * log.rate)), round(SHORTEST_FLIGHT * log.rate)
-    turns = [changes(stands) for stands in log.contact.T]
     moves = log.once(
         "when touching points stop and start",
         (*feet.groups, "imu", "contact", "reference", "ref_v"),
-        lambda: _all_motion_changes(log, feet, motion, turns, rows, bounce),
+        lambda: _all_motion_changes(log, feet, motion),
         *(motion.R_GI, motion.v_I, motion.gyro, motion.ok, motion.normal_G),
         *vars(feet).values(),  # the same objects until they change
     )
-    late = np.full((len(motion.first), 2 * len(turns)), np.nan)
+    late = np.full((len(motion.first), 2 * len(moves)), np.nan)
     # A debounced contact begins late by the debounce time.
     begins = USUAL_DELAY[0] + log.meta.model.get("contact_debounce", 0.0) + extras.touchdown_late
     usual = (begins, USUAL_DELAY[1] + extras.liftoff_late)
-    for leg, (change, (at, when, lifts)) in enumerate(zip(turns, moves, strict=True)):
+    for leg, (change, (at, when, lifts)) in enumerate(moves):
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
         bins = np.searchsorted(motion.first, at[known], side="right") - 1
-        column = leg + len(turns) * lifts[known]
+        column = leg + len(moves) * lifts[known]
         late[bins, column] = (behind - np.where(lifts, *usual[::-1]))[known]
     return late
 
@@ -80,12 +78,13 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Machine) -> Referen
     feet = shown_feet(log, robot.feet)
     if feet is None:
         return motion
-    timing = contact_timing(log, feet, motion, robot.extras)
-    legs = timing.shape[1] // 2
-    begins, ends = timing[:, :legs], timing[:, legs:]
-    begins, ends = (x[np.isfinite(x)] for x in (begins, ends))
-    behind = float(np.median(begins)) if len(begins) >= FEWEST_CHANGES else 0.0
-    late = float(np.median(ends)) if len(ends) >= FEWEST_CHANGES else 0.0
+    begins, ends = (
+        part[np.isfinite(part)]
+        for part in np.hsplit(contact_timing(log, feet, motion, robot.extras), 2)
+    )
+    behind, late = (
+        float(np.median(x)) if len(x) >= FEWEST_CHANGES else 0.0 for x in (begins, ends)
+    )
     if behind > LEAST_SHIFT:
         loaded = STANCE_MARGIN + float(np.percentile(begins, NEARLY_ALL))
         swings = inside_stances(log.t, ~log.contact, STANCE_MARGIN, loaded)
@@ -99,42 +98,30 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Machine) -> Referen
 
 
 def _all_motion_changes(
-    log: Log,
-    feet: Feet,
-    motion: ReferenceMotion,
-    turns: Sequence[np.ndarray],
-    rows: int,
-    bounce: int,
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """`motion_changes` of each foot, at its contact changes `turns`.
+    log: Log, feet: Feet, motion: ReferenceMotion
+) -> list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Rows at which each foot's contact changes, and `motion_changes` there.
 
     Most feet stop and start close to the change of contact, so the search goes on into the stance
     only for those that do not.
-
-    Args:
-        log: the measured log.
-        feet: of the machine.
-        motion: reference motion of the log.
-        turns: rows at which each foot's contact changes.
-        rows: to search on either side.
-        bounce: rows up to which a foot in the air has only bounced.
     """
-    close = max(1, round(CLOSE_WINDOW * log.rate))
-    where = near_changes(turns, log.contact, rows, close) & motion.ok[:, None]
+    rows, close, bounce = (
+        round(time * log.rate) for time in (CHANGE_WINDOW, CLOSE_WINDOW, SHORTEST_FLIGHT)
+    )
+    rows, close, contact = max(1, rows), max(1, close), log.contact
+    turns = [changes(stands) for stands in contact.T]
+    where = near_changes(turns, contact, rows, close) & motion.ok[:, None]
     speed = speed_over_ground(log, feet, motion, where)
 
-    def search() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def search() -> list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
         return [
-            motion_changes(log.t, log.contact[:, leg], speed[:, leg], change, rows, bounce)
-            for leg, change in enumerate(turns)
+            (turn, motion_changes(log.t, contact[:, leg], speed[:, leg], turn, rows, bounce))
+            for leg, turn in enumerate(turns)
         ]
 
     moves = search()
-    left = [
-        change[np.isnan(when) & (at > 0)]
-        for change, (at, when, _) in zip(turns, moves, strict=True)
-    ]
-    more = near_changes(left, log.contact, rows, rows) & motion.ok[:, None] & ~where
+    left = [turn[np.isnan(when) & (at > 0)] for turn, (at, when, _) in moves]
+    more = near_changes(left, contact, rows, rows) & motion.ok[:, None] & ~where
     if not more.any():
         return moves
     speed = np.where(more, speed_over_ground(log, feet, motion, more), speed)
@@ -150,9 +137,8 @@ def near_changes(
     n = len(contact)
     near = np.zeros((n, len(turns)), dtype=bool)
     for leg, change in enumerate(turns):
-        lands = contact[change, leg]
-        before = np.where(lands, in_swing, in_stance)
-        after = np.where(lands, in_stance, in_swing)
+        after = np.where(contact[change, leg], in_stance, in_swing)
+        before = in_swing + in_stance - after
         count = np.zeros(n + 1, dtype=int)
         np.add.at(count, np.maximum(change - before - 1, 0), 1)
         np.add.at(count, np.minimum(change + after + 1, n), -1)
@@ -169,7 +155,7 @@ def speed_over_ground(
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     v = feet.imu_velocity(*feet.readings(log), omega, motion.normal_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
-    return np.sqrt(x * x + y * y + z * z)
+    return np.sqrt(x * x + y * y + z * z)  # unlike a norm over the last axis, fast
 
 
 @kernel
@@ -211,12 +197,11 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
             row += step
             if row < 0 or row >= len(t):
                 break
-            if not np.isfinite(speed[row]):
-                at[k] = row
-                break
-            if speed[row] <= STANDING_SPEED:
+            if speed[row] > STANDING_SPEED:
+                continue
+            at[k] = row
+            if np.isfinite(speed[row]):
                 share = (STANDING_SPEED - speed[row]) / (speed[row - step] - speed[row])
                 when[k] = t[row] + share * (t[row - step] - t[row])
-                at[k] = row
-                break
+            break
     return at, when, lifts

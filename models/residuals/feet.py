@@ -7,7 +7,7 @@ accumulates is their mean, and the displacement of the foot over the ground whil
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, at_rows
+from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, at_rows, interpolated
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet
 from surefoot.sim.sensors.stances import stances
@@ -163,10 +163,8 @@ def stance_displacement(
         use = (until - begin > SHORTEST_CONTACT) & (lost[end] == lost[first])
         use &= (first > 0) & (end < len(log.t))
         bins = np.searchsorted(motion.first, (first + end) // 2, side="right") - 1
-        for axis in range(2):
-            far = np.interp(until, edges, path[:, leg, axis])
-            far -= np.interp(begin, edges, path[:, leg, axis])
-            out[bins[use], leg, axis] = far[use]
+        far = interpolated(until, edges, path[:, leg]) - interpolated(begin, edges, path[:, leg])
+        out[bins[use], leg] = far[use]
     return out.reshape(len(out), -1)
 
 

@@ -11,22 +11,20 @@ from functools import cached_property
 import numpy as np
 
 from surefoot.models.residuals.channel import ResidualInputs
+from surefoot.models.residuals.channels import BUNDLED_CHANNELS
 from surefoot.models.residuals.feet import between_feet, foot_heights, leg_velocities, stance_means
-from surefoot.models.residuals.registry import BUNDLED_CHANNELS, channels
-from surefoot.models.residuals.residual import ResidualTable, filled
+from surefoot.models.residuals.layout import ResidualTable
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
-    dilate,
-    inverse_dynamics,
     load_wrench,
     slope,
     smooth_121,
     standing_feet_wrenches,
-    with_link_change,
 )
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Machine
 
 DIFFERENCE_STEP = 1e-5  # rad, rad/s
@@ -68,92 +66,115 @@ class ResidualJacobians:
     """Derivatives of a residual table in each bin; L legs of P joints, J joints in all.
 
     The order of the joints of a leg is that in `Limbs.chains`.
-
-    Attributes:
-        parts: the table.
-        robot: the model.
-        leg_omega: of the leg velocities by the rate of the IMU (M, 3 L, 3).
-        leg_q: of the leg velocities by the leg's own joint angles (M, L, 3, P).
-        leg_dq: of the leg velocities by the leg's own joint rates (M, L, 3, P).
-        height_q: of the foot heights by the leg's own joint angles (M, L, P).
     """
 
     parts: ResidualTable
-    robot: Machine
-    leg_omega: np.ndarray
-    leg_q: np.ndarray
-    leg_dq: np.ndarray
-    height_q: np.ndarray
 
     @cached_property
-    def dynamics_jacobians(self) -> np.ndarray:
-        """Derivatives (4, J, M, J + 6) of torques and wrench by each joint's angle, rate,
-        acceleration and torque.
-
-        They take most of the time, and are not needed for effects of the IMU alone.
+    def legs(self) -> dict[str, np.ndarray]:
+        """Of the leg velocities by the rate of the IMU, "omega" (M, L, 3, 3), and by the leg's own
+        joint angles and rates, "q" and "dq" (M, L, 3, P); of the foot heights by the leg's own
+        angles, "height" (M, L, P).
         """
-        _, joints = self.parts.inputs.bins.q.shape
-        needed = self.parts.inputs.inverse_dynamics
-        if needed is None or self.robot.dynamics is None:
-            return np.zeros((4, joints, len(self.parts.t), joints + 6))
-        return _dynamics_jacobians(self.parts, needed, self.robot)
-
-
-def residual_jacobians(parts: ResidualTable, robot: Machine) -> ResidualJacobians:
-    """Compute the derivatives with respect to the readings."""
-    layout, bins = parts.layout, parts.inputs.bins
-    m, joints = bins.q.shape
-    legs, chains = len(layout.limbs.legs), layout.limbs.chains
-    per = max(map(len, chains), default=0)
-    leg_omega, leg = np.zeros((m, 3 * legs, 3)), np.zeros((2, m, legs, 3, per))
-    height_q = np.zeros((m, legs, per))
-    feet = robot.feet
-    if feet is not None and np.isfinite(parts.table[:, layout.of("leg_velocity")]).any():
+        layout, inputs = self.parts.layout, self.parts.inputs
+        bins, feet, chains = inputs.bins, inputs.robot.feet, layout.limbs.chains
+        (m, joints), legs = bins.q.shape, len(layout.limbs.legs)
+        per = max(map(len, chains), default=0)
+        columns = {"omega": (3, 3), "q": (3, per), "dq": (3, per), "height": (per,)}
+        out = {name: np.zeros((m, legs, *shape)) for name, shape in columns.items()}
+        if feet is None or not np.isfinite(self.parts.table[:, layout.of("leg_velocity")]).any():
+            return out
         place, rate = bins.feet
         # Of each foot alone: contrasts between feet are taken in `wrt_readings`.
-        velocities = leg_velocities(bins, feet)
+        velocities, heights = (
+            leg_velocities(bins, feet),
+            self.parts.table[:, layout.of("foot_height")],
+        )
 
-        def by(**moved) -> np.ndarray:
-            ahead = leg_velocities(replace(bins, **moved), feet)
-            return np.nan_to_num(ahead - velocities) / DIFFERENCE_STEP
+        def by(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+            return np.nan_to_num(after - before).reshape(m, legs, -1) / DIFFERENCE_STEP
 
-        for axis in range(3):
-            leg_omega[:, :, axis] = by(omega=bins.omega + DIFFERENCE_STEP * np.eye(3)[axis])
-        heights = parts.table[:, layout.of("foot_height")]
+        for axis, along in enumerate(np.eye(3)):
+            turned = replace(bins, omega=bins.omega + DIFFERENCE_STEP * along)
+            out["omega"][..., axis] = by(velocities, leg_velocities(turned, feet))
         for j in range(per):
             # Perturb one joint of every leg at once, since a leg's columns depend on its own joints
             # only.
-            all_legs = np.zeros(joints)
-            all_legs[[chain[j] for chain in chains if j < len(chain)]] = DIFFERENCE_STEP
-            leg[0, ..., j] = by(feet=(place + all_legs, rate)).reshape(m, legs, 3)
-            leg[1, ..., j] = by(feet=(place, rate + all_legs)).reshape(m, legs, 3)
+            step = np.zeros(joints)
+            step[[chain[j] for chain in chains if j < len(chain)]] = DIFFERENCE_STEP
+            moved, faster = (
+                replace(bins, feet=one) for one in ((place + step, rate), (place, rate + step))
+            )
+            out["q"][..., j] = by(velocities, leg_velocities(moved, feet))
+            out["dq"][..., j] = by(velocities, leg_velocities(faster, feet))
             if np.isfinite(heights).any():
-                rise = foot_heights(replace(bins, feet=(place + all_legs, rate)), feet)
-                height_q[:, :, j] = np.nan_to_num(rise - heights) / DIFFERENCE_STEP
-    return ResidualJacobians(parts, robot, leg_omega, leg[0], leg[1], height_q)
+                out["height"][..., j] = by(heights, foot_heights(moved, feet))[..., 0]
+        return out
 
+    @cached_property
+    def dynamics(self) -> np.ndarray:
+        """Of the torques and the wrench by each joint's angle, rate, acceleration and torque
+        (4, J, M, J + 6).
 
-def _dynamics_jacobians(
-    parts: ResidualTable, needed: InverseDynamics, robot: Machine
-) -> np.ndarray:
-    """Derivatives (4, J, M, J + 6) by each joint's angle, rate, acceleration and torque.
+        They take most of the time, and are not needed for effects of the IMU alone.
+        """
+        inputs = self.parts.inputs
+        robot, steps, needed = inputs.robot, inputs.steps, inputs.inverse_dynamics
+        m, joints = inputs.bins.q.shape
+        out = np.zeros((4, joints, m, joints + 6))
+        if needed is None or robot.dynamics is None:
+            return out
+        use = steps.needed
+        wrench, torque = robot.dynamics.derivatives(*steps.motion, DIFFERENCE_STEP)
+        out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
+        out[3, np.arange(joints), :, np.arange(joints)] = np.isin(np.arange(m), use)
+        if robot.legged is not None and steps.steady.any() and robot.limbs.point_feet:
+            more = _feet_wrench_jacobians(steps, needed.torque, -out[..., :joints], robot.legged)
+            out[:, :, use, joints:] += more[:, :, use]
+        return out
 
-    The last axis holds the torques, then the wrench.
-    """
-    steps, dynamics = parts.inputs.steps, robot.dynamics
-    assert dynamics is not None
-    m, joints = steps.q.shape
-    out = np.zeros((4, joints, m, joints + 6))
-    use = np.flatnonzero(dilate(steps.swings.any(axis=1) | steps.steady))
-    s = replace(steps, **{name: values[use] for name, values in vars(steps).items()})
-    wrench, torque = dynamics.derivatives(s.q, s.dq, s.ddq, s.base, DIFFERENCE_STEP)
-    out[:3, :, use, :joints], out[:3, :, use, joints:] = -torque, -wrench
-    for j in range(joints):
-        out[3, j, use, j] = 1.0
-    legged = robot.legged
-    if legged is not None and s.steady.any() and robot.limbs.point_feet:
-        out[:, :, use, joints:] += _feet_wrench_jacobians(s, needed.torque[use], torque, legged)
-    return out
+    def wrt_readings(self, change: Mapping[str, Mapping[int, np.ndarray]]) -> np.ndarray:
+        """Change of the table (M, W) with the readings, by the chain rule.
+
+        `change` maps each stream and index (axis or joint) to bin means (M,) of its change.
+        "omega" is the gyro at the rows' times, "q_step" and "dq_step" are at the times of the
+        torques, and "ddq" is the rate's slope over these.
+        """
+        parts, layout, limbs = self.parts, self.parts.layout, self.parts.layout.limbs
+        out, (_, joints) = np.zeros(parts.table.shape), parts.inputs.bins.q.shape
+        velocity, height = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
+        rate, legs = layout.of("joint_rate"), layout.of("leg_velocity")
+        for stream in ("gyro", "accel"):
+            for axis, x in change.get(stream, {}).items():
+                out[:, layout.of(f"imu_{stream}")[axis]] += x
+        for axis, x in change.get("omega", {}).items():
+            out[:, velocity] += self.legs["omega"][..., axis] * x[:, None, None]
+        for stream in ("q", "dq"):
+            for joint, x in change.get(stream, {}).items():
+                leg = limbs.leg_of[joint]
+                if leg is not None:
+                    j = limbs.chains[leg].index(joint)
+                    out[:, velocity[leg]] += self.legs[stream][:, leg, :, j] * x[:, None]
+                    if stream == "q":
+                        out[:, height[leg, 0]] += self.legs["height"][:, leg, j] * x
+                out[:, rate[joint]] += slope(x) if stream == "q" else -smooth_121(x)
+        if len(legs) and any(change.get(stream) for stream in ("omega", "q", "dq")):
+            if not parts.inputs.motion.by_reference:
+                stood = np.repeat(parts.inputs.bins.standing, 3, axis=1)
+                out[:, legs] = np.nan_to_num(between_feet(np.where(stood, out[:, legs], np.nan)))
+            moved = np.flatnonzero(out[:, velocity].any(axis=(0, 2)))
+            stands = np.isfinite(parts.table[:, velocity[moved, 0]])
+            means = stance_means(parts.t, out[:, velocity[moved]], stands)
+            out[:, layout.by_leg("stance_velocity")[moved]] = np.nan_to_num(means)
+        of_torques = ("q_step", "dq_step", "ddq", "tau")
+        if any(change.get(stream) for stream in of_torques):
+            forces = np.zeros((len(out), joints + 6))
+            for stream, by_joint in zip(of_torques, self.dynamics, strict=True):
+                for joint, x in change.get(stream, {}).items():
+                    forces += by_joint[joint] * x[:, None]
+            columns = layout.of("joint_torque", "base_wrench")
+            out[:, columns] += smooth_121(forces)[:, : len(columns)]
+        return out
 
 
 def _feet_wrench_jacobians(
@@ -164,109 +185,56 @@ def _feet_wrench_jacobians(
     For a given motion of the base, a joint changes the torques of its own leg and so the force of
     its own foot only, so that all legs can be perturbed at once.
 
-    needed (M, J), torque (3, J, M, J): torques by inverse dynamics and their derivatives.
+    needed (M, J): torques by inverse dynamics; torque (4, J, M, J): derivatives of these less the
+    measured ones.
     """
-    bins, joints = needed.shape
-    chains = np.array(robot.limbs.chains)
-    out = np.zeros((4, joints, bins, 6))
-    plain = standing_feet_wrenches(s, s.q, needed - s.tau, robot)
+    chains, taken = np.array(robot.limbs.chains), needed - s.bins.tau
+    out = np.zeros((*torque.shape[:3], 6))
+    plain = standing_feet_wrenches(s, s.bins.q_step, taken, robot)
     for at in chains.T:
-        moved = np.zeros(joints)
-        moved[at] = 1.0
-        for kind in range(4):
-            if kind == 3:
-                step, gained = 1.0, -moved
-            else:
-                step, gained = DIFFERENCE_STEP, np.zeros((bins, joints))
-                for joint, chain in zip(at, chains, strict=True):
-                    gained[:, chain] = DIFFERENCE_STEP * torque[kind, joint][:, chain]
-            q = s.q + DIFFERENCE_STEP * moved if kind == 0 else s.q
-            given = standing_feet_wrenches(s, q, needed - s.tau + gained, robot)
+        moved = np.zeros(needed.shape[1])
+        moved[at] = DIFFERENCE_STEP
+        for kind, step in enumerate((*(DIFFERENCE_STEP,) * 3, 1.0)):
+            gained = np.zeros_like(needed)
+            for joint, chain in zip(at, chains, strict=True):
+                gained[:, chain] = step * torque[kind, joint][:, chain]
+            q = s.bins.q_step + moved if kind == 0 else s.bins.q_step
+            given = standing_feet_wrenches(s, q, taken + gained, robot)
             out[kind, at] = np.moveaxis(given - plain, 1, 0) / step
     return out
 
 
-def wrt_readings(
-    parts: ResidualTable, known: ResidualJacobians, change: Mapping[str, Mapping[int, np.ndarray]]
-) -> np.ndarray:
-    """Change of the table (M, W) with the readings, by the chain rule.
-
-    `change` maps each stream and index (axis or joint) to bin means (M,) of its change. "omega" is
-    the gyro at the rows' times, "q_step" and "dq_step" are at the times of the torques, and "ddq"
-    is the rate's slope over these.
+def under_model(inputs: ResidualInputs, robot: Machine) -> ResidualInputs:
+    """The same readings under the model of another body, with the same bin means, and with inverse
+    dynamics by the difference between the models where that is possible.
     """
-    out, layout = np.zeros(parts.table.shape), parts.layout
-    joints, leg_of = parts.inputs.bins.q.shape[1], layout.limbs.leg_of
-    gyro, accel, legs = (layout.of(n) for n in ("imu_gyro", "imu_accel", "leg_velocity"))
-    velocity, height = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
-    torque, wrench, rate = (layout.of(n) for n in ("joint_torque", "base_wrench", "joint_rate"))
-    for axis, x in change.get("gyro", {}).items():
-        out[:, gyro[axis]] += x
-    for axis, x in change.get("omega", {}).items():
-        out[:, legs] += known.leg_omega[:, :, axis] * x[:, None]
-    for axis, x in change.get("accel", {}).items():
-        out[:, accel[axis]] += x
-    for stream, by_leg in (("q", known.leg_q), ("dq", known.leg_dq)):
-        for joint, x in change.get(stream, {}).items():
-            leg = leg_of[joint]
-            if leg is not None:
-                j = layout.limbs.chains[leg].index(joint)
-                out[:, velocity[leg]] += by_leg[:, leg, :, j] * x[:, None]
-                if stream == "q":
-                    out[:, height[leg, 0]] += known.height_q[:, leg, j] * x
-            out[:, rate[joint]] += slope(x) if stream == "q" else -smooth_121(x)
-    if len(legs) and any(change.get(stream) for stream in ("omega", "q", "dq")):
-        if not parts.inputs.motion.by_reference:
-            stood = np.repeat(parts.inputs.bins.standing, 3, axis=1)
-            out[:, legs] = np.nan_to_num(between_feet(np.where(stood, out[:, legs], np.nan)))
-        moved = np.flatnonzero(out[:, velocity].any(axis=(0, 2)))
-        stands = np.isfinite(parts.table[:, velocity[moved, 0]])
-        means = stance_means(parts.t, out[:, velocity[moved]], stands)
-        out[:, layout.by_leg("stance_velocity")[moved]] = np.nan_to_num(means)
-    of_torques = ("q_step", "dq_step", "ddq", "tau")
-    if any(change.get(stream) for stream in of_torques):
-        forces = np.zeros((len(out), joints + 6))
-        for stream, by_joint in zip(of_torques, known.dynamics_jacobians, strict=True):
-            for joint, x in change.get(stream, {}).items():
-                forces += by_joint[joint] * x[:, None]
-        forces = smooth_121(forces)
-        out[:, torque] += forces[:, :joints]
-        if len(wrench):
-            out[:, wrench] += forces[:, joints:]
-    return out
+    other = replace(inputs, robot=robot)
+    vars(other).update(bins=inputs.bins, steps=inputs.steps)
+    links, before = robot.extras.links, inputs.robot.extras.links
+    needed = inputs.inverse_dynamics
+    if needed is None or not _same_joints(inputs.robot, robot):
+        return other
+    if links and links[:-1] == before:
+        needed = _with_link_change(inputs, needed, links[-1])
+    elif links != before:
+        return other
+    more = load_wrench(inputs.bins, robot) - load_wrench(inputs.bins, inputs.robot)
+    vars(other)["inverse_dynamics"] = replace(needed, wrench=needed.wrench + more)
+    return other
 
 
-def wrt_robot(parts: ResidualTable, robot: Machine, one: Machine, step: float) -> np.ndarray:
-    """Change of the table (M, W) per unit, for a model `one` with `step` more of an effect than
-    `robot`.
-
-    The channels are recomputed from the same bin means. Times of contact changes are kept, since a
-    small step moves them by less than a row.
-    """
-    same = unchanged_channels(robot, one)
-    again = [n for n, channel in channels().items() if not (channel.of_events or n in same)]
-    inputs = parts.inputs.under_model(one, _inverse_dynamics_under(parts.inputs, robot, one))
-    return (filled(parts.layout, inputs, again) - parts.table) / step
-
-
-def _inverse_dynamics_under(
-    inputs: ResidualInputs, robot: Machine, one: Machine
-) -> InverseDynamics | None:
-    """Inverse dynamics of `inputs`, which are under the model `robot`, under the model `one`."""
-    needed, steps, dynamics = inputs.inverse_dynamics, inputs.steps, robot.dynamics
-    if needed is None or dynamics is None:
-        return None
-    if not _same_joints(robot, one):
-        return inverse_dynamics(steps, one)
-    links = one.extras.links
-    one_more = bool(links) and links[:-1] == robot.extras.links
-    by_links = inputs.link_jacobians if one_more else None
-    if by_links is not None:
-        needed = with_link_change(needed, links[-1], by_links, steps, dynamics)
-    elif links != robot.extras.links:
-        return inverse_dynamics(steps, one)
-    more = load_wrench(steps, one) - load_wrench(steps, robot)
-    return replace(needed, wrench=needed.wrench + more)
+def _with_link_change(
+    inputs: ResidualInputs, needed: InverseDynamics, change: LinkChange
+) -> InverseDynamics:
+    """Inverse dynamics of the inputs with one more change of a link, to first order."""
+    dynamics, by_links, use = inputs.robot.dynamics, inputs.link_jacobians, inputs.steps.needed
+    assert dynamics is not None  # as there is inverse dynamics
+    sizes = (change.mass, *change.com, change.inertia)
+    more = dynamics.parted(np.tensordot(sizes, by_links[:, change.joint], 1).T)
+    wrench, torque = needed.wrench.copy(), needed.torque.copy()
+    wrench[use] += more[0]
+    torque[use] += more[1]
+    return InverseDynamics(wrench, torque)
 
 
 def unchanged_channels(robot: Machine, one: Machine) -> tuple[str, ...]:

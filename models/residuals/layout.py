@@ -1,13 +1,17 @@
-"""Layout of the residual table: the columns of each channel."""
+"""Table of residuals of a log under a model: the columns of each channel, and their values."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from surefoot.models.residuals.channel import Column
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.binning import ReferenceMotion
+from surefoot.models.residuals.channel import Column, ResidualInputs
+from surefoot.models.residuals.channels import channels
+from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -95,3 +99,48 @@ def layout_for(limbs: Limbs) -> Layout:
             places[name] = slice(len(columns), len(columns) + len(own))
             columns += own
     return Layout(limbs, tuple(columns), places)
+
+
+@dataclass(frozen=True)
+class ResidualTable:
+    """Residuals of a log, and what their derivatives need again.
+
+    Attributes:
+        layout: of the table.
+        inputs: from which it was computed.
+        table: residuals (M, W).
+        names: of the channels that were computed.
+    """
+
+    layout: Layout
+    inputs: ResidualInputs
+    table: np.ndarray
+    names: tuple[str, ...]
+
+    @property
+    def t(self) -> np.ndarray:
+        """Mean time of each bin (M,) [s]."""
+        return self.inputs.motion.t
+
+
+def residual(
+    log: Log, robot: Machine, motion: ReferenceMotion, names: Collection[str] | None = None
+) -> ResidualTable:
+    """Residuals of a log's readings under the model `robot`.
+
+    `names` selects the channels, by default all.
+    """
+    layout, inputs = layout_for(robot.limbs), ResidualInputs(log, robot, motion)
+    asked = tuple(layout.channels if names is None else names)
+    return ResidualTable(layout, inputs, filled(layout, inputs, asked), asked)
+
+
+def filled(layout: Layout, inputs: ResidualInputs, names: Collection[str]) -> np.ndarray:
+    """The table (M, W) with the residuals of these channels; NaN in the others."""
+    table = np.full((len(inputs.motion.t), layout.width), np.nan)
+    for name, columns in layout.channels.items():
+        if name in names and channels()[name].is_defined_for(inputs.log, inputs.motion):
+            values = channels()[name].residual(inputs)
+            if values is not None:
+                np.copyto(table[:, columns], values, casting="same_kind")  # no complex numbers
+    return table

@@ -20,8 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.models.residuals.binning import Bins, ReferenceMotion, at_torques, bin_mean
-from surefoot.models.residuals.torques import DynamicsInputs, feet_wrenches
+from surefoot.models.residuals.binning import (
+    Bins,
+    ReferenceMotion,
+    at_torques,
+    bin_mean,
+    interpolated,
+)
+from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
@@ -59,7 +65,7 @@ class Stances(NamedTuple):
 
 
 def foot_sinking(
-    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, load: np.ndarray
+    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth (M, L) [m] and velocity (M, L, 3) [m/s], in I, of each standing foot's sole, as bin
     means.
@@ -71,22 +77,16 @@ def foot_sinking(
         robot: as declared, with the ground's softness.
         motion: reference motion of the log.
         bins: means over bins.
-        load: (N, L) [N] on each foot.
     """
+    load = foot_loads(log, robot, motion, bins)
     swept_G = np.einsum("nij,nlj->nli", bins.R_GI, acceleration_at_constant_rates(robot, bins))
-    legs = bins.standing.shape[1]
-    rows = np.empty((len(log.t), legs, 4))
-    for leg in range(legs):
-        for axis in range(3):
-            rows[:, leg, axis] = np.interp(log.t, bins.t, swept_G[:, leg, axis])
-        rows[:, leg, 3] = load[:, leg]
-    rows = np.nan_to_num(rows)
-    dq = joint_velocity(log)
+    rows = [interpolated(log.t, bins.t, swept_G), load[..., None]]
+    rows = np.nan_to_num(np.concatenate(rows, axis=2))
 
     def height_and_stances() -> tuple[np.ndarray, list[Stances]]:
-        feet_I = robot.feet_I(log.q)
-        above = np.einsum("nj,nlj->nl", motion.R_GI[:, 2], feet_I)
-        stances = [foot_stances(log, robot, motion, leg, dq) for leg in range(legs)]
+        above = np.einsum("nj,nlj->nl", motion.R_GI[:, 2], robot.feet_I(log.q))
+        dq, legs = joint_velocity(log), range(load.shape[1])
+        stances = [foot_stances(log, robot, motion, leg, dq) for leg in legs]
         return motion.p_GI[:, 2, None] + above, stances
 
     # The same for every softness.
@@ -96,7 +96,8 @@ def foot_sinking(
         height_and_stances,
         *(motion, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
     )
-    give = foot_mobilities(robot)
+    model = robot.dynamics.model  # with the declared masses
+    give = [model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies]  # 1/kg
     depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
     for leg, s in enumerate(stances):
         for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
@@ -106,9 +107,7 @@ def foot_sinking(
     return mean(depth), np.einsum("nji,nlj->nli", bins.R_GI, mean(v_G))
 
 
-def foot_loads(
-    log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins, steps: DynamicsInputs
-) -> np.ndarray:
+def foot_loads(log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins) -> np.ndarray:
     """Force (N, legs) [N] along the ground's normal on each standing foot, zero on the others.
 
     J^T f = inverse dynamics - measured torque, the former as means over bins. Without torques, or
@@ -118,8 +117,7 @@ def foot_loads(
         log: the measured log.
         robot: as declared.
         motion: reference motion of the log.
-        bins: means over bins of torques and standing feet.
-        steps: inputs of inverse dynamics.
+        bins: means over bins.
     """
 
     def made() -> np.ndarray:
@@ -127,26 +125,21 @@ def foot_loads(
         if not np.isfinite(bins.tau).any() or not robot.limbs.point_feet:
             weight = -GRAVITY_G[2] * (robot.mass + robot.extras.payload)
             return weight * stands / np.maximum(stands.sum(axis=1, keepdims=True), 1)
-        _, taken = robot.dynamics.inverse(steps.q, steps.dq, steps.ddq, steps.base)
+        _, taken = robot.dynamics.inverse(bins.q_step, bins.dq_step, bins.ddq, bins.base)
 
         def normal(q: np.ndarray, up_B: np.ndarray, on: np.ndarray, taken: np.ndarray):
             wrench = feet_wrenches(robot.legs, np.zeros(on.shape), q, up_B, on, taken)
             # Torques of a leg that is straight do not depend on its load.
             return np.nan_to_num(np.einsum("nla,na->nl", wrench[..., :3], up_B))
 
-        from_motion = normal(steps.q, steps.up_B, np.ones_like(bins.standing), taken)
+        up_B, every = bins.normal_I @ robot.R_BI.T, np.ones_like(bins.standing)
+        from_motion = normal(bins.q_step, up_B, every, taken)
         motor = normal(at_torques(log.q, motion), motion.normal_I @ robot.R_BI.T, stands, log.tau)
-        rows = np.column_stack([np.interp(log.t, bins.t, one) for one in from_motion.T])
-        return np.where(stands, np.maximum(rows - motor, 0.0), 0.0)
+        load = interpolated(log.t, bins.t, from_motion) - motor
+        return np.where(stands, np.maximum(load, 0.0), 0.0)
 
     given = motion, robot.extras.payload
     return once_for_loads("foot loads along the normal", log, robot, made, *given)
-
-
-def foot_mobilities(robot: Robot) -> np.ndarray:
-    """Acceleration of each foot per unit of force (L,) [1/kg], from the declared masses."""
-    model = robot.dynamics.model
-    return np.array([model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies])
 
 
 def acceleration_at_constant_rates(robot: Robot, bins: Bins) -> np.ndarray:

@@ -6,17 +6,18 @@ equation is smoothed over three, with weights 1/4, 1/2, 1/4.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, bin_mean
+from surefoot.models.residuals.feet import HALFWAY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.inverse_dynamics import Dynamics
 from surefoot.sim.robot.kinematics import leg_forward
 from surefoot.sim.robot.machine import Machine
@@ -27,31 +28,30 @@ class DynamicsInputs:
     """Inputs of inverse dynamics in each of M bins, for J joints and L feet.
 
     Attributes:
-        q: angles (M, J) [rad].
-        dq: rates (M, J) [rad/s].
-        ddq: accelerations (M, J) [rad/s^2].
-        tau: measured torques (M, J) [N m].
-        base: angular rate, its derivative and specific force of the base (M, 9), in B.
+        bins: means over the bins.
         up_B: the ground's normal in B (M, 3).
-        standing: feet in stance (M, L).
         swings: joints whose foot is in the air for three bins (M, J).
         steady: bins in which, and next to which, no foot lands or lifts (M,).
-        sunk: reduction of the distance from a foot's centre to its contact point (M, L) [m].
         curved: means over the rows of each bin of the torques by inverse dynamics, less those at
             the means (M, J) [N m]; zero on a walk.
     """
 
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
-    tau: np.ndarray
-    base: np.ndarray
+    bins: Bins
     up_B: np.ndarray
-    standing: np.ndarray
     swings: np.ndarray
     steady: np.ndarray
-    sunk: np.ndarray
-    curved: np.ndarray
+    curved: np.ndarray | float = 0.0
+
+    @cached_property
+    def needed(self) -> np.ndarray:
+        """Bins (K,) whose inverse dynamics a residual needs."""
+        return np.flatnonzero(dilate(self.swings.any(axis=1) | self.steady))
+
+    @cached_property
+    def motion(self) -> tuple[np.ndarray, ...]:
+        """Angles, rates, accelerations and motion of the base in the needed bins."""
+        b = self.bins
+        return tuple(x[self.needed] for x in (b.q_step, b.dq_step, b.ddq, b.base))
 
 
 def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
@@ -60,32 +60,21 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
     # The equation is smoothed over three bins, each of which needs the rate before it.
-    whole = _always(whole)
-    stays, lifted = _always(bins.standing), _always(bins.lifted)
+    whole = minimum_filter1d(whole, 3, mode="constant")
     up_B = np.zeros((len(bins.t), 3))
+    # Joints that belong to no leg carry no foot's load.
+    swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros_like(whole)
     if robot.legged is not None:
         up_B = bins.normal_I @ robot.legged.R_BI.T
-        # Joints that belong to no leg carry no foot's load.
-        swings = np.ones_like(bins.q, dtype=bool)
+        stays, lifted = (
+            minimum_filter1d(flag, 3, axis=0, mode="constant")
+            for flag in (bins.standing, bins.lifted)
+        )
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles
             for leg, chain in enumerate(robot.limbs.chains):
                 swings[:, chain] = lifted[:, [leg]]
         steady = (stays | lifted).all(axis=1) & stays.any(axis=1)
-    else:
-        swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros(len(bins.t), dtype=bool)
-    return DynamicsInputs(
-        q=bins.q_step,
-        dq=bins.dq_step,
-        ddq=bins.ddq,
-        tau=bins.tau,
-        base=bins.base,
-        up_B=up_B,
-        standing=bins.standing,
-        swings=swings & whole[:, None],
-        steady=steady & whole,
-        sunk=np.zeros(bins.standing.shape),
-        curved=np.zeros_like(bins.q),
-    )
+    return DynamicsInputs(bins, up_B, swings & whole[:, None], steady & whole)
 
 
 def curvature(log: Log, motion: ReferenceMotion, dynamics: Dynamics) -> np.ndarray:
@@ -134,56 +123,18 @@ def inverse_dynamics(s: DynamicsInputs, robot: Machine) -> InverseDynamics | Non
     """
     if robot.dynamics is None:
         return None
-    use = needed_bins(s)
-    wrench, torque = np.zeros((len(s.q), 6)), np.zeros_like(s.q)
-    wrench[use], torque[use] = robot.dynamics.inverse(s.q[use], s.dq[use], s.ddq[use], s.base[use])
-    return InverseDynamics(wrench + load_wrench(s, robot), torque + s.curved)
+    wrench, torque = load_wrench(s.bins, robot), np.zeros_like(s.bins.q)
+    more, torque[s.needed] = robot.dynamics.inverse(*s.motion)
+    wrench[s.needed] += more
+    return InverseDynamics(wrench, torque + s.curved)
 
 
-def needed_bins(s: DynamicsInputs) -> np.ndarray:
-    """Bins (M,) whose inverse dynamics a residual needs."""
-    return dilate(s.swings.any(axis=1) | s.steady)
-
-
-def link_jacobians(s: DynamicsInputs, dynamics: Dynamics) -> np.ndarray:
-    """Derivatives (5, J, nv, K) of the generalised forces by each link's mass, centre and inertia,
-    in the K needed bins.
-    """
-    use = needed_bins(s)
-    return dynamics.link_derivatives(s.q[use], s.dq[use], s.ddq[use], s.base[use])
-
-
-def with_link_change(
-    needed: InverseDynamics,
-    change: LinkChange,
-    by_links: np.ndarray,
-    s: DynamicsInputs,
-    dynamics: Dynamics,
-) -> InverseDynamics:
-    """Inverse dynamics with one more change of a link, to first order.
-
-    Args:
-        needed: inverse dynamics without the change.
-        change: of one link.
-        by_links: `link_jacobians` of the robot.
-        s: inputs of both.
-        dynamics: of the robot.
-    """
-    sizes = (change.mass, *change.com, change.inertia)
-    gained = np.tensordot(sizes, by_links[:, change.joint], 1).T
-    use, wrench, torque = needed_bins(s), needed.wrench.copy(), needed.torque.copy()
-    more = dynamics.parted(gained)
-    wrench[use] += more[0]
-    torque[use] += more[1]
-    return InverseDynamics(wrench, torque)
-
-
-def load_wrench(s: DynamicsInputs, machine: Machine) -> np.ndarray:
+def load_wrench(bins: Bins, machine: Machine) -> np.ndarray:
     """Wrench (M, 6) for the declared payload and shift of the base's centre of mass."""
-    wrench, robot = np.zeros((len(s.q), 6)), machine.legged
+    wrench, robot = np.zeros((len(bins.q), 6)), machine.legged
     if robot is None or not (robot.extras.payload or robot.extras.com_shift.any()):
         return wrench
-    omega, spin, force = s.base[:, :3], s.base[:, 3:6], s.base[:, 6:]
+    omega, spin, force = np.hsplit(bins.base, 3)
     body = robot.dynamics.model.body(robot.base_name)
     shift, mass, place = robot.extras.com_shift, float(body.mass[0]), body.ipos
     felt = [
@@ -201,23 +152,14 @@ def declared(file: Path) -> Robot:
     return Robot.load(file)
 
 
-def torque_residual(s: DynamicsInputs, needed: InverseDynamics) -> np.ndarray:
-    """Measured torque minus inverse dynamics (M, J) [N m], NaN where a foot is loaded."""
-    return np.where(s.swings, smooth_121(s.tau - needed.torque), np.nan)
-
-
-def wrench_residual(s: DynamicsInputs, needed: InverseDynamics, robot: Robot) -> np.ndarray:
-    """Wrench of the feet on the base minus inverse dynamics (M, 6), in B; NaN where unsteady."""
-    return np.where(s.steady[:, None], smooth_121(unbalanced_wrench(s, needed, robot)), np.nan)
-
-
 def unbalanced_wrench(s: DynamicsInputs, needed: InverseDynamics, robot: Robot) -> np.ndarray:
     """Wrench (M, 6), in B, of the standing feet on the base minus inverse dynamics.
 
     The leg rows of the equation of motion give each standing foot's force: J^T f = inverse dynamics
     - measured torque.
     """
-    return standing_feet_wrenches(s, s.q, needed.torque - s.tau, robot).sum(axis=1) - needed.wrench
+    taken = needed.torque - s.bins.tau
+    return standing_feet_wrenches(s, s.bins.q_step, taken, robot).sum(axis=1) - needed.wrench
 
 
 def standing_feet_wrenches(
@@ -227,8 +169,10 @@ def standing_feet_wrenches(
 
     taken (M, J): J^T f, torques by inverse dynamics minus measured ones.
     """
-    radius = np.maximum(robot.foot_radius - s.sunk, 0.0)
-    return feet_wrenches(robot.legs, radius, q, s.up_B, s.standing, np.ascontiguousarray(taken))
+    stands, depth = s.bins.standing, s.bins.depth
+    sunk = np.zeros(stands.shape) if depth is None else HALFWAY * depth
+    radius = np.maximum(robot.foot_radius - sunk, 0.0)
+    return feet_wrenches(robot.legs, radius, q, s.up_B, stands, np.ascontiguousarray(taken))
 
 
 @kernel
@@ -280,14 +224,4 @@ def feet_wrenches(legs, radius, q, up, standing, taken):
 
 def dilate(flag: np.ndarray) -> np.ndarray:
     """Bins (M,) that have the flag or are next to one that has it."""
-    out = flag.copy()
-    out[1:] |= flag[:-1]
-    out[:-1] |= flag[1:]
-    return out
-
-
-def _always(flag: np.ndarray) -> np.ndarray:
-    """Bins (M, L) that have the flag, as do both their neighbours."""
-    out = np.zeros_like(flag)
-    out[1:-1] = flag[:-2] & flag[1:-1] & flag[2:]
-    return out
+    return maximum_filter1d(flag, 3)

@@ -186,8 +186,8 @@ def harmful_to_filters(
     """The effect without which leg odometry or the leg filter errs least, and which of the two;
     None where neither errs more with the effects than without one of them.
 
-    Judged by the relative error (RPE) on `LOG_PARTS` of each log: the mean increase exceeds `HARM`, and
-    zero with a confidence of 97.5 % by Student's t.
+    Judged by the relative error (RPE) on `LOG_PARTS` of each log: the mean increase exceeds `HARM`,
+    and zero with a confidence of 97.5 % by Student's t.
     """
     parts = [
         (case, *ends)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.channels import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title, single_axes

@@ -8,5 +8,6 @@ from surefoot.sim.effects.catalogue import (
     compensate_all,
     declared_effects,
     effect,
+    in_order,
     known_effects,
 )

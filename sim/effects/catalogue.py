@@ -89,16 +89,26 @@ def declared_effects(log: Log) -> list[Effect]:
     return [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
 
 
+def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Effects in the order in which they are compensated: errors of sensors before those of the
+    body, whose sizes are in true units, and last those that take loads from the log.
+    """
+
+    def place(one: Effect) -> tuple[bool, bool]:
+        return one.uses_loads, type(one).edit_spec is not Effect.edit_spec
+
+    return tuple(sorted(effects, key=place))
+
+
 def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
     """The log and the robot with all `effects` compensated.
 
-    Effects that no model can compensate (`Effect.is_compensated`) stay in the log; those that take
-    loads from the log come last (`Effect.uses_loads`). The machine may have a fixed base if no
-    effect changes its body. Raises SurefootError for an effect on a body of which only the feet
-    are known.
+    Effects that no model can compensate (`Effect.is_compensated`) stay in the log. The machine may
+    have a fixed base if no effect changes its body. Raises SurefootError for an effect on a body of
+    which only the feet are known.
     """
     known: Any = robot
-    for one in sorted(effects, key=lambda e: e.uses_loads):
+    for one in in_order(effects):
         if one.is_compensated():
             if known.limbs.feet_alone and not one.on_given_feet:
                 raise SurefootError(

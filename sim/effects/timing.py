@@ -85,7 +85,7 @@ class JointDelay(_Delay):
     # the longest step comes closest.
     step = 4e-3
     # Nothing but the residual tells a lag beyond the linear range.
-    starts = (4e-3, 0.02, 0.04, -0.02, -0.04)
+    starts = (4e-3, 0.03, -0.03)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _moved(log, STREAM_COLUMNS["joints"], log.t + self.value), robot

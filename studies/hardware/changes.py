@@ -21,7 +21,7 @@ from surefoot import Log, Trace, TraceOptions, import_log
 from surefoot.extend import STICTION_RATE, Effect, LinkChange, Modelled, known_effects
 from surefoot.scenarios.reporting import finished_case
 
-Key = tuple[str, str]
+ChangeKey = tuple[str, str]
 """Name and target of an effect."""
 KINDS = ("link_mass", "link_com", "coulomb_friction", "encoder_offset")
 """Kinds of the changes that are drawn."""
@@ -32,10 +32,10 @@ is put into.
 FARTHEST_COM = 0.3
 """Largest plausible offset of a centre of mass [m]: the links are 0.3 m long."""
 FAULTS = ("attitude off", "attitude drifts", "gyro scaled", "encoder held")
-ATTITUDE = np.radians([2.0, 6.0])
+ATTITUDE_OFF = np.radians([2.0, 6.0])
 """Range of an attitude's error, and of its drift by the end of a swing [rad]."""
 GYRO_SCALE = 0.05
-HELD = 1.0 / 3.0
+SHARE_HELD = 1.0 / 3.0
 """Share of a swing during which an encoder is held."""
 _SMOOTH = 0.010
 """Width of the kernel that smooths positions before differentiation [s]."""
@@ -67,7 +67,7 @@ class Runs:
 
 
 @dataclass(frozen=True)
-class Case:
+class ChangeCase:
     """What is put into a run: nothing, a change with a key, or a sensor's fault.
 
     Attributes:
@@ -80,7 +80,7 @@ class Case:
     """
 
     run: str
-    change: Key | None = None
+    change: ChangeKey | None = None
     fault: str = ""
     size: float = 0.0
     seed: int = 0
@@ -92,7 +92,7 @@ class Case:
         return abs(self.size) / self.least
 
 
-Tried = tuple[Case, dict[str, Any]]
+Tried = tuple[ChangeCase, dict[str, Any]]
 """A case, and its row: verdict, reasons, effects, rivals and channels as of trace.json."""
 
 
@@ -108,7 +108,7 @@ def tried_cases(runs: Runs, each: int = 5, faults: int = 10) -> list[Tried]:
     each: changes of each kind on each link. faults: faults of each kind.
     """
     before = _traces_without(runs)
-    whole = [_tried(f"unchanged_{run}", Case(run), runs, before) for run in runs.files]
+    whole = [_tried(f"unchanged_{run}", ChangeCase(run), runs, before) for run in runs.files]
     rng = np.random.default_rng(0)
     changes = drawn_changes(whole, runs.machine.joint_names, each, rng)
     drawn = {
@@ -129,7 +129,7 @@ def _traces_without(runs: Runs) -> Callable[[str], Trace]:
     return without
 
 
-def _tried(name: str, case: Case, runs: Runs, before: Callable[[str], Trace]) -> Tried:
+def _tried(name: str, case: ChangeCase, runs: Runs, before: Callable[[str], Trace]) -> Tried:
     def said() -> dict[str, Any]:
         known = before(case.run)
         options = TraceOptions(declared=known.effects, since=known.model_error)
@@ -143,7 +143,7 @@ def _tried(name: str, case: Case, runs: Runs, before: Callable[[str], Trace]) ->
     return case, finished_case(runs.kept, name, given, __name__, said)
 
 
-def _logs_of(case: Case, runs: Runs) -> list[Log]:
+def _logs_of(case: ChangeCase, runs: Runs) -> list[Log]:
     """The swings of a case's run; a fault is put into their files before they are imported."""
     if case.change is not None:
         logs = runs.logs(case.run)
@@ -161,7 +161,7 @@ def _logs_of(case: Case, runs: Runs) -> list[Log]:
 
 def drawn_changes(
     unchanged: Sequence[Tried], links: Sequence[str], each: int, rng: np.random.Generator
-) -> list[Case]:
+) -> list[ChangeCase]:
     """Draw changes of every kind on every link.
 
     Sizes are log-uniform within DRAWN_RATIOS of the least that is named. Offsets of a centre of
@@ -188,23 +188,23 @@ def drawn_changes(
                 size = least[run][key] * float(np.exp(rng.uniform(low, high)))
                 sign = rng.choice([-1.0, 1.0]) if kind in ("link_com", "encoder_offset") else 1.0
                 if kind != "link_com" or size <= FARTHEST_COM:
-                    drawn.append(Case(run, key, size=sign * size, least=least[run][key]))
+                    drawn.append(ChangeCase(run, key, size=sign * size, least=least[run][key]))
     return drawn
 
 
-def drawn_faults(runs: Mapping[str, Any], each: int, rng: np.random.Generator) -> list[Case]:
+def drawn_faults(runs: Mapping[str, Any], each: int, rng: np.random.Generator) -> list[ChangeCase]:
     """Draw sensor faults: `each` of every kind, in runs drawn by `rng`."""
     names, drawn = list(runs), []
     for fault in FAULTS:
         for _ in range(each):
             run, sign = names[int(rng.integers(len(names)))], rng.choice([-1.0, 1.0])
-            size = GYRO_SCALE if fault == "gyro scaled" else rng.uniform(*ATTITUDE)
+            size = GYRO_SCALE if fault == "gyro scaled" else rng.uniform(*ATTITUDE_OFF)
             seed = int(rng.integers(2**31))
-            drawn.append(Case(run, None, fault, float(sign * size), seed))
+            drawn.append(ChangeCase(run, None, fault, float(sign * size), seed))
     return drawn
 
 
-def with_change(log: Log, machine: Modelled, key: Key, size: float) -> Log:
+def with_change(log: Log, machine: Modelled, key: ChangeKey, size: float) -> Log:
     """Inject a change into a log of the machine, keeping its noise and jolts.
 
     A zero is added to the angle. For any other change, the torque that it requires along the motion
@@ -241,7 +241,7 @@ def with_change(log: Log, machine: Modelled, key: Key, size: float) -> Log:
     return log.with_columns({f"tau_{name}": log.tau[:, k] + added[:, k] for k, name in read})
 
 
-def with_fault(rows: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.DataFrame:
+def with_fault(rows: pd.DataFrame, case: ChangeCase, rng: np.random.Generator) -> pd.DataFrame:
     """The rows of a swing's CSV with a fault of one of its sensors.
 
     The hook's angle is that of the body's attitude less the tail's, and its rate that of the gyro
@@ -259,13 +259,13 @@ def with_fault(rows: pd.DataFrame, case: Case, rng: np.random.Generator) -> pd.D
         rows["dq_hook"] += size * (rows["dq_hook"] + rows["dq_tail"])
     else:
         joint = rng.choice(["tail", "phi"])
-        first = int(rng.uniform(0.2, 0.8 - HELD) * len(rows))
-        held = slice(first, first + int(HELD * len(rows)))
+        first = int(rng.uniform(0.2, 0.8 - SHARE_HELD) * len(rows))
+        held = slice(first, first + int(SHARE_HELD * len(rows)))
         rows.loc[rows.index[held], f"q_{joint}"] = rows[f"q_{joint}"].iloc[first]
     return rows
 
 
-def judged(case: Case, row: Mapping[str, Any]) -> str:
+def judged(case: ChangeCase, row: Mapping[str, Any]) -> str:
     """Outcome of a case: right, not alone (another part is also possible), nothing, not
     identifiable, or wrong.
 
@@ -301,7 +301,7 @@ def counts_table(tried: Sequence[Tried]) -> pd.DataFrame:
     """Number of cases with each outcome: by size of the change, and by kind of fault."""
     ends = ("right", "not alone", "nothing", "not identifiable", "wrong")
 
-    def part(words: str, own: Callable[[Case], object]) -> dict[str, Any]:
+    def part(words: str, own: Callable[[ChangeCase], object]) -> dict[str, Any]:
         found = [judged(case, row) for case, row in tried if own(case)]
         return {"put in": words, "cases": len(found)} | {end: found.count(end) for end in ends}
 
@@ -333,7 +333,7 @@ def unchanged_table(tried: Sequence[Tried]) -> pd.DataFrame:
 
 def least_table(tried: Sequence[Tried]) -> pd.DataFrame:
     """One row for each change that is drawn: the least that is named in 95 of 100 runs, by run."""
-    rows: dict[Key, dict[str, str]] = {}
+    rows: dict[ChangeKey, dict[str, str]] = {}
     for case, row in tried:
         for one in row.get("least", ()):
             key = one["name"], one["target"]

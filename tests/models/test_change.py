@@ -8,6 +8,8 @@ import pytest
 from pendulum import swung
 
 from surefoot.models.attribution.change import CONTRADICTION, NAMED, find_change
+from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose
+from surefoot.models.attribution.effect_sizes import interior_bounds, sized
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.model_error import model_error, run_evidence, run_sums
 from surefoot.sim.effects.base import with_columns
@@ -74,7 +76,7 @@ def test_the_least_change_is_named_in_most_runs_and_half_of_it_in_few(known):
     assert sum(named[0.4]) <= 3
 
 
-@pytest.mark.parametrize("zero", [0.19, -0.7])
+@pytest.mark.parametrize("zero", [0.19, -0.7, 3.0])
 def test_a_lost_zero_is_named_and_no_mass(known, zero):
     """One beyond the bounds of the effect is said in words."""
     change = find_change([case(40, zero, armature=0.012)], known)
@@ -83,7 +85,9 @@ def test_a_lost_zero_is_named_and_no_mass(known, zero):
         assert change.found[0].effect.value == pytest.approx(zero, abs=0.03)
     else:
         assert (change.verdict, of(change)) == ("not_identifiable", [])
-        assert change.reasons[0].startswith("q_shoulder is off by -0.7")
+        assert float(change.reasons[0].removeprefix("q_shoulder is off by ")) == pytest.approx(
+            zero, abs=0.1
+        )
 
 
 def test_an_encoder_that_hangs_is_named_and_no_mass(known):
@@ -108,6 +112,24 @@ def test_readings_that_differ_are_refused_in_one_line(known):
     without = replace(log, frame=log.frame.drop(columns="tau_shoulder"))
     with pytest.raises(LogError, match="its readings differ from those of the runs"):
         find_change([log_under_model(without, PENDULUM)], known)
+
+
+@pytest.mark.parametrize(("seconds", "verdict"), [(1.6, "unchanged"), (0.8, "not_identifiable")])
+def test_a_run_of_some_windows_is_compared(known, seconds, verdict):
+    log = case(10, armature=0.012).log
+    short = log.rows(slice(0, int(seconds * log.rate)))
+    found = diagnose([short], PENDULUM, DiagnosisOptions(declared=(), since=known))
+    assert found.verdict == verdict
+    assert bool(found.least) == (verdict == "unchanged")
+
+
+def test_no_link_loses_more_mass_than_it_has():
+    low, high = interior_bounds("link_mass", "shoulder", PENDULUM)
+    assert low == pytest.approx(-PENDULUM.limbs.mass)
+    assert high > 10.0
+    lost = sized(("link_mass", "shoulder"), -5.0, 0.1, PENDULUM)
+    assert lost.effect.value == low
+    assert lost.interval == pytest.approx((-5.196, -4.804))
 
 
 def test_thresholds_are_odds():

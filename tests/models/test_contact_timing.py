@@ -9,6 +9,7 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
 from surefoot.models.residuals.binning import reference_motion
+from surefoot.models.residuals.channels import CHANNELS
 from surefoot.models.residuals.contact_timing import (
     STANDING_SPEED,
     USUAL_DELAY,
@@ -16,7 +17,6 @@ from surefoot.models.residuals.contact_timing import (
     motion_changes,
 )
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.registry import CHANNELS
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns

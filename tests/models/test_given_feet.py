@@ -10,9 +10,9 @@ from given_feet import with_feet_for_joints
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import all_keys, channels_of
 from surefoot.models.residuals.binning import binned
+from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.feet import foot_heights, leg_velocities, travel_regressors
-from surefoot.models.residuals.registry import channels
-from surefoot.models.residuals.residual import motion_under_model
+from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.ground.terrain import Ground

@@ -11,7 +11,7 @@ from surefoot.models.attribution.levels import channel_levels
 from surefoot.models.attribution.metric import metric_of
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.weights import robust_weights
-from surefoot.models.residuals.registry import channels as known_channels
+from surefoot.models.residuals.channels import channels as known_channels
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot

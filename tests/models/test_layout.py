@@ -8,8 +8,8 @@ from synthetic import synthetic_walk
 
 from surefoot.models.residuals.binning import reference_motion
 from surefoot.models.residuals.channel import Channel, ResidualInputs
+from surefoot.models.residuals.channels import CHANNELS, channels
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.registry import CHANNELS, channels
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 from pendulum import swung
 
-from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.attribution.diagnose import logs_under_model
+from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.model_error import (
     WINDOW,
     ModelError,
     RunSums,
     against_unchanged,
+    at_middles,
+    averaged,
     model_error,
     model_error_as_dict,
     model_error_from_dict,
@@ -20,8 +23,10 @@ from surefoot.models.attribution.model_error import (
     run_evidence,
     run_sums,
     window_weights,
+    windows,
 )
 from surefoot.models.residuals.layout import layout_for
+from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.robot.machine import load_machine
 
@@ -145,3 +150,38 @@ def test_a_runs_sums_have_the_rows_of_its_torques_alone():
     assert {channel for channel, _ in run.groups} == {"joint_torque"}
     assert run.rates["shoulder"] < 0.1
     assert run.sums.shape == (len(run.groups), *((1 + len(run.keys)),) * 2)
+
+
+def test_a_joint_without_a_drive_has_no_torque_that_errs_and_may_have_friction():
+    log = swung(seconds=3.0)
+    passive = with_columns(log, {"tau_shoulder": 0.0 * log.t})
+    friction = effect("coulomb_friction", "shoulder", 0.2)
+    for declared in ((), (friction,)):
+        (case,) = logs_under_model([passive], PENDULUM, declared)
+        assert case.undriven == ("shoulder",)
+        assert ("torque_bias", "shoulder") not in all_keys(case)
+        assert ("angle_error", "shoulder drift") in run_evidence(case).known.keys
+    (driven,) = logs_under_model([log], PENDULUM, ())
+    assert ("torque_bias", "shoulder") in all_keys(driven)
+
+
+def test_means_over_windows_stand_at_their_middles():
+    cases = [log_under_model(swung(seed=k, seconds=3.0), PENDULUM) for k in range(2)]
+    known = linearise(cases, (), KEYS)
+    placed, mean = at_middles(known), averaged(known, windows(known))
+    there = np.isfinite(placed.table).any(axis=1)
+    np.testing.assert_array_equal(placed.table[there], mean.table)
+    np.testing.assert_array_equal(placed.log[there], mean.log)
+    assert np.abs(placed.t[there] - mean.t).max() < 0.021
+    for one, other in zip(placed.X, mean.X, strict=True):
+        np.testing.assert_array_equal(one.values[there], other.values)
+        assert not one.values[~there].any()
+
+
+def test_runs_without_torques_tell_no_error():
+    runs = []
+    for k in range(3):
+        log = swung(seed=k, seconds=3.0)
+        frame = log.frame.drop(columns="tau_shoulder")
+        runs.append(run_sums(run_evidence(log_under_model(replace(log, frame=frame), PENDULUM))))
+    assert model_error(runs, LIMBS) is None

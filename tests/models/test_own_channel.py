@@ -12,7 +12,7 @@ from surefoot.models.attribution.data import data_notes
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.model_error import ModelError
 from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.residuals.registry import BUNDLED_CHANNELS, CHANNELS, channels
+from surefoot.models.residuals.channels import BUNDLED_CHANNELS, CHANNELS, channels
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import plugins
 from surefoot.sim.robot import Robot

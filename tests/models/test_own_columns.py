@@ -8,7 +8,7 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.data import readings
 from surefoot.models.attribution.evidence import all_keys, log_under_model
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.channels import channels
 from surefoot.sim.effects import add
 from surefoot.sim.effects.base import Effect
 from surefoot.sim.log import LogError

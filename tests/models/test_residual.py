@@ -9,9 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from surefoot.models.residuals.binning import STANCE_MARGIN, reference_motion
-from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.residual import ResidualTable, residual
-from surefoot.models.residuals.torques import torque_residual
+from surefoot.models.residuals.channels import JointTorque
+from surefoot.models.residuals.layout import ResidualTable, layout_for, residual
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import LogError
@@ -71,8 +70,12 @@ def residual_of(log, robot=ROBOT, explained=()):
 def test_torques_are_compared_where_the_leg_swings():
     swings = np.ones((9, 2), dtype=bool)
     swings[4:, 1] = False
-    steps = SimpleNamespace(swings=swings, tau=np.full((9, 2), 5.0))
-    left = torque_residual(steps, SimpleNamespace(torque=np.full((9, 2), 3.0)))  # pyright: ignore
+    steps = SimpleNamespace(swings=swings, bins=SimpleNamespace(tau=np.full((9, 2), 5.0)))
+    inputs = SimpleNamespace(
+        steps=steps, inverse_dynamics=SimpleNamespace(torque=np.full((9, 2), 3.0))
+    )
+    left = JointTorque().residual(inputs)  # pyright: ignore[reportArgumentType]
+    assert left is not None
     assert_allclose(left[swings], 2.0)
     assert np.isnan(left[~swings]).all()
 

@@ -110,6 +110,16 @@ def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
         assert apart <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
 
 
+def test_ground_that_slopes_does_so_still_where_the_reference_is_moved(case):
+    normal = np.tile([-0.1, 0.0, 1.0], (len(case.log.t), 1)) / np.hypot(1.0, 0.1)
+    sloping = replace(case, motion=replace(case.motion, normal_G=normal))
+    key = ("reference_delay", "all")
+    slope = slope_of(sloping, key, CATALOGUE[key[0]].step_of(key[1]))
+    whole = written_out(_Linear(sloping, ()).regressor(key), slope)
+    columns = layout_for(QUADRUPED).of("leg_velocity")
+    np.testing.assert_allclose(whole[:, columns], slope[:, columns], atol=1e-9)
+
+
 DIFFERENCED = [
     (kind.name, kind.single_targets(QUADRUPED)[-1])
     for kind in CATALOGUE.values()

@@ -1,6 +1,8 @@
 """Feet on ground that gives: a model that knows of it is told where they are."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,9 +12,9 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned, reference_motion
-from surefoot.models.residuals.jacobians import Regressor, explained_share, residual_jacobians
-from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.residual import residual
+from surefoot.models.residuals.feet import HALFWAY
+from surefoot.models.residuals.jacobians import Regressor, ResidualJacobians, explained_share
+from surefoot.models.residuals.layout import layout_for, residual
 from surefoot.models.residuals.soft_ground import (
     Stances,
     _add_stances,
@@ -24,7 +26,6 @@ from surefoot.models.residuals.soft_ground import (
 from surefoot.models.residuals.torques import (
     DynamicsInputs,
     InverseDynamics,
-    dynamics_inputs,
     unbalanced_wrench,
 )
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -148,12 +149,11 @@ def test_a_joint_that_turns_faster_moves_the_body_by_the_lever_of_its_foot():
     motion = reference_motion(log, robot.limbs)
     motion = replace(motion, standing=np.ones_like(motion.standing))
     parts = residual(log, robot, motion, ["leg_velocity"])
-    found, bins = residual_jacobians(parts, robot), parts.inputs.bins
-    assert_allclose(found.leg_dq, -robot.feet_jacobian_I(bins.q), atol=1e-6)
+    found, bins = ResidualJacobians(parts).legs, parts.inputs.bins
+    assert_allclose(found["dq"], -robot.feet_jacobian_I(bins.q), atol=1e-6)
     arm = robot.feet_I(bins.q)
     for axis, along in enumerate(np.eye(3)):
-        across = -np.cross(along, arm).reshape(len(arm), -1)
-        assert_allclose(found.leg_omega[:, :, axis], across, atol=1e-6)
+        assert_allclose(found["omega"][..., axis], -np.cross(along, arm), atol=1e-6)
 
 
 def test_a_share_explained_does_not_depend_on_the_columns_units():
@@ -182,10 +182,14 @@ def test_feet_give_the_base_what_their_legs_do_not_take():
     for leg, joints in enumerate(robot.legs.joints):
         taken[:, joints] = np.einsum("nij,ni->nj", J[:, leg], force[:, leg])
     every, up = np.ones((5, 4), dtype=bool), np.tile([0.0, 0.0, 1.0], (5, 1))
-    steps = DynamicsInputs(
-        q, q, q, needed.torque - taken, np.zeros((5, 9)), up, every, every, every[:, 0],
-        np.tile(robot.foot_radius, (5, 1)),
-    )  # fmt: skip
+    bins: Any = SimpleNamespace(
+        q_step=q,
+        tau=needed.torque - taken,
+        standing=every,
+        depth=np.tile(robot.foot_radius, (5, 1)),
+    )
+    bins.depth /= HALFWAY
+    steps = DynamicsInputs(bins, up, every, every[:, 0])
     found = unbalanced_wrench(steps, needed, robot) + wrench
     assert_allclose(found[:, :3], force.sum(axis=1), atol=1e-9)
 
@@ -216,9 +220,8 @@ def test_a_foots_load_is_read_from_its_legs_torques(on_soft_ground):
     robot, log = on_soft_ground
     frame = log_under_model(log, robot).motion
     bins = binned(log, robot, frame)
-    steps = dynamics_inputs(bins, robot)
-    of_torques = foot_loads(log, robot, frame, bins, steps)
-    shared = foot_loads(log, robot, frame, replace(bins, tau=np.full_like(bins.tau, np.nan)), steps)
+    of_torques = foot_loads(log, robot, frame, bins)
+    shared = foot_loads(log, robot, frame, replace(bins, tau=np.full_like(bins.tau, np.nan)))
     inside, true = frame.standing, log.force
     weight = 9.81 * robot.mass
     assert np.std((of_torques - true)[inside]) < 0.03 * weight
@@ -245,7 +248,7 @@ def test_legs_that_weigh_nothing_carry_what_their_torques_say(monkeypatch):
     bins = binned(log, robot, motion)
     weightless = np.zeros((len(bins.t), 6)), np.zeros_like(bins.tau)
     monkeypatch.setattr(Dynamics, "inverse", lambda *_: weightless)
-    found = foot_loads(log, robot, motion, bins, dynamics_inputs(bins, robot))
+    found = foot_loads(log, robot, motion, bins)
     assert_allclose(found, load, atol=1e-9)
 
 

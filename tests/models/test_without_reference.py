@@ -16,7 +16,7 @@ from surefoot.models.attribution.evidence import (
 )
 from surefoot.models.residuals.feet import between_feet
 from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.without_reference import with_dead_reckoning
+from surefoot.models.residuals.motion import with_dead_reckoning
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log

@@ -10,9 +10,8 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.regions import calibrator
 from surefoot.models.calibration.walk_length import errors_needed
 from surefoot.models.observer.network import Network
-from surefoot.models.residuals.layout import layout_for
-from surefoot.models.residuals.registry import CHANNELS, channels
-from surefoot.models.residuals.residual import residual
+from surefoot.models.residuals.channels import CHANNELS, channels
+from surefoot.models.residuals.layout import layout_for, residual
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.sim.common import plugins as plugins_module
 from surefoot.sim.common.errors import SurefootError

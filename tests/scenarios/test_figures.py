@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.calibration.mixing import mixing
-from surefoot.models.residuals.registry import channels
+from surefoot.models.residuals.channels import channels
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths

@@ -10,7 +10,7 @@ from own_package import PACKAGES
 
 from studies import observers
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
-from surefoot.models.residuals.registry import BUNDLED_CHANNELS
+from surefoot.models.residuals.channels import BUNDLED_CHANNELS
 from surefoot.scenarios import tune
 from surefoot.scenarios.cache import Product
 from surefoot.scenarios.datasets.index import recipe
@@ -93,7 +93,7 @@ def edited(path):
         (ESTIMATORS.bundled, "surefoot.scenarios.estimate.estimators"),
         (ARCHITECTURES.bundled, "surefoot.models.registry"),
         (CALIBRATORS.bundled, "surefoot.models.registry"),
-        ({kind.name: kind for kind in BUNDLED_CHANNELS}, "surefoot.models.residuals.registry"),
+        ({kind.name: kind for kind in BUNDLED_CHANNELS}, "surefoot.models.residuals.channels"),
         (CATALOGUE, "surefoot.sim.effects.catalogue"),
     ],
 )

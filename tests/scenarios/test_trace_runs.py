@@ -170,6 +170,15 @@ def test_targets_read_as_one_would_say_them(name, target, words):
     assert size_in_words(Found(one, (0.0, 0.01)), one.unit).startswith(words)
 
 
+def test_runs_without_torques_are_traced():
+    """One candidate alone is left: a delay of the rates."""
+    logs = [
+        replace(one, frame=one.frame.drop(columns="tau_shoulder")) for one in map(run, range(3))
+    ]
+    found = trace_logs(logs, PENDULUM)
+    assert (found.verdict, found.model_error) == ("no_residual", None)
+
+
 def test_a_log_is_given_once(tmp_path):
     with pytest.raises(SurefootError, match="run_0: the same log is given twice"):
         trace([run(0), run(1), run(0)], PENDULUM, tmp_path)

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from studies.hardware import changes
-from studies.hardware.changes import Case, judged, with_change, with_fault
+from studies.hardware.changes import ChangeCase, judged, with_change, with_fault
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot.machine import load_machine
 
@@ -68,14 +68,14 @@ def test_a_change_put_into_a_log_is_the_one_that_inverse_dynamics_asks_for(machi
 @pytest.mark.parametrize("fault", changes.FAULTS)
 def test_a_fault_is_in_the_readings_of_its_sensor_alone(fault):
     rows = swing(1).frame
-    case = Case("run", None, fault, 0.05)
+    case = ChangeCase("run", None, fault, 0.05)
     off = with_fault(rows, case, np.random.default_rng(0)) - rows
     changed = {str(name) for name in off if np.abs(off[name]).max() > 0.0}
     if fault == "encoder held":
         (name,) = changed
         assert name in ("q_tail", "q_phi")
         kept = np.diff(with_fault(rows, case, np.random.default_rng(0))[name]) == 0.0
-        assert kept.mean() == pytest.approx(changes.HELD, abs=0.01)
+        assert kept.mean() == pytest.approx(changes.SHARE_HELD, abs=0.01)
     elif fault == "gyro scaled":
         assert changed == {"q_hook", "dq_hook"}
         attitude = rows["q_hook"] + rows["q_tail"]
@@ -89,9 +89,9 @@ def test_a_fault_is_in_the_readings_of_its_sensor_alone(fault):
         assert off["q_hook"].iloc[0] == pytest.approx(0.05 if fault == "attitude off" else 0.0)
 
 
-HEAVIER = Case("run", ("link_mass", "phi"), size=0.2, least=0.1)
-ZERO = Case("run", ("encoder_offset", "tail"), size=0.2, least=0.1)
-FAULTY = Case("run", None, "attitude off", 0.05)
+HEAVIER = ChangeCase("run", ("link_mass", "phi"), size=0.2, least=0.1)
+ZERO = ChangeCase("run", ("encoder_offset", "tail"), size=0.2, least=0.1)
+FAULTY = ChangeCase("run", None, "attitude off", 0.05)
 
 
 def said(verdict, *named, rivals=(), reasons=()):
@@ -139,7 +139,7 @@ def test_drawn_changes_are_of_every_kind_and_no_centre_of_mass_is_beyond_its_lin
         if (kind == "link_com") == ("_" in target)
     ]
     drawn = changes.drawn_changes(
-        [(Case("run"), {"least": least})], JOINTS, 5, np.random.default_rng(0)
+        [(ChangeCase("run"), {"least": least})], JOINTS, 5, np.random.default_rng(0)
     )
     assert {case.change[0] for case in drawn if case.change} == set(changes.KINDS)
     assert all(0.5 <= case.ratio <= 5.0 for case in drawn)
@@ -151,7 +151,7 @@ def test_drawn_changes_are_of_every_kind_and_no_centre_of_mass_is_beyond_its_lin
 def test_cases_are_tried_once_and_kept(machine, tmp_path, monkeypatch):
     """Runs of an exact machine: what is put in is named, and rows come back without a trace."""
     files = {}
-    for k in range(3):
+    for k in range(4):
         file = tmp_path / f"r{k}.csv"
         noise = np.random.default_rng(k).normal(0.0, 0.02, (667, 6))
         frame = swing(k).frame
@@ -162,14 +162,14 @@ def test_cases_are_tried_once_and_kept(machine, tmp_path, monkeypatch):
     monkeypatch.setattr(changes, "KINDS", ("link_mass",))
     monkeypatch.setattr(changes, "FAULTS", ("attitude off",))
     tried = changes.tried_cases(runs, each=1, faults=1)
-    assert [judged(case, row) for case, row in tried[:3]] == ["nothing"] * 3
+    assert [judged(case, row) for case, row in tried[:4]] == ["nothing"] * 4
     counted = changes.counts_table(tried).set_index("put in")
-    assert counted.cases.sum() == len(tried) == 7
+    assert counted.cases.sum() == len(tried) == 8
     assert counted.wrong.sum() == 0
     above = counted.iloc[0]
     assert above.right == above.cases >= 1
     monkeypatch.setattr(changes, "traced", None)  # nothing is traced again
     again = changes.tried_cases(runs, each=1, faults=1)
     assert changes.cases_table(again).equals(changes.cases_table(tried))
-    assert list(changes.unchanged_table(tried)["run"]) == ["r0", "r1", "r2"]
-    assert {"r0", "r1", "r2"} < set(changes.least_table(tried))
+    assert list(changes.unchanged_table(tried)["run"]) == ["r0", "r1", "r2", "r3"]
+    assert {"r0", "r1", "r2", "r3"} < set(changes.least_table(tried))

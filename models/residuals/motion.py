@@ -1,9 +1,9 @@
-"""Motion of a walk whose log has no reference, from its IMU and legs alone.
+"""Motion that a log's readings are compared with, under a model.
 
-It is derived from the readings, which can therefore not be compared with it. It only gives the
-vertical, the stances, and the course for the simulated walks of a noise floor. The residuals are
-then contrasts between feet in simultaneous stance (`feet.between_feet`), and those of the joints
-alone.
+Without a reference, a walk's motion is from its IMU and legs alone. It is derived from the
+readings, which can therefore not be compared with it. It only gives the vertical, the stances, and
+the course for the simulated walks of a noise floor. The residuals are then contrasts between feet
+in simultaneous stance (`feet.between_feet`), and those of the joints alone.
 """
 
 from dataclasses import replace
@@ -11,18 +11,61 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
-from surefoot.models.residuals.binning import ReferenceMotion, at_rows, reference_motion
+from surefoot.models.residuals.binning import (
+    ReferenceMotion,
+    at_rows,
+    binned,
+    interpolated,
+    reference_motion,
+)
 from surefoot.models.residuals.contact_timing import within_windows
+from surefoot.models.residuals.feet import ground_normals, leg_velocities, level_ground
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log
-from surefoot.sim.robot.feet import Feet
+from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.machine import Machine
 
 LEVELLING_WINDOW = 1.0
 """Averaging time of the specific force for the vertical [s]: accelerations of a walk average to a
 few hundredths of gravity, and the vertical only affects the contact point of a rolling foot.
 """
+
+
+def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion:
+    """Reference motion of a log, with stances and swings as they are under this model.
+
+    Without a reference, the motion by IMU and legs.
+    """
+    if fixed or robot.fixed:
+        return reference_motion(log, robot.limbs, fixed)
+    if not log.has("reference"):
+        return motion_without_reference(log, robot)
+    motion = reference_motion(log, robot.limbs)
+    return within_windows(motion, log, robot) if motion.standing.any() else motion
+
+
+def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
+    """Detect whether the ground is level, so that heights of feet can be compared, and its normal
+    where it slopes.
+
+    A staircase rises as a slope does, but its treads are level: the slope's normal is taken only if
+    the feet then move less over the ground.
+    """
+    feet = shown_feet(log, robot.feet)
+    if feet is None or not (motion.by_reference and motion.standing.any()):
+        return motion
+    bins = binned(log, robot, motion)
+    if level_ground(bins, feet):
+        return replace(motion, level=True)
+    slope = ground_normals(bins, feet)
+    sloping = replace(motion, normal_G=interpolated(log.t, bins.t, slope))
+    moves = [
+        np.nanmedian(np.abs(leg_velocities(binned(log, robot, one), feet)))
+        for one in (motion, sloping)
+    ]
+    return sloping if moves[1] < moves[0] else motion
 
 
 def motion_without_reference(log: Log, robot: Machine) -> ReferenceMotion:
@@ -60,16 +103,13 @@ def with_dead_reckoning(log: Log, feet: Feet | None) -> Log | None:
     count = log.contact.sum(axis=1)
     v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
     stands = np.flatnonzero(count)
-    v_I = np.stack([np.interp(log.t, log.t[stands], v_I[stands, a]) for a in range(3)], axis=1)
+    v_I = interpolated(log.t, log.t[stands], v_I[stands])
     yaw = cumulative_trapezoid(np.sum(log.gyro * up, axis=1), log.t, initial=0.0)
     # Rows: level heading, left and up, expressed in I.
     ahead = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     R_levelled = np.stack([ahead, np.cross(up, ahead), up], axis=1)
-    turned = np.zeros_like(R_levelled)
-    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(yaw)
-    turned[:, 1, 0], turned[:, 0, 1], turned[:, 2, 2] = np.sin(yaw), -np.sin(yaw), 1.0
-    R_GI = turned @ R_levelled
+    R_GI = Rotation.from_euler("z", yaw[:, None]).as_matrix() @ R_levelled
     v_GI = np.einsum("nij,nj->ni", R_GI, v_I)
     p_GI = cumulative_trapezoid(v_GI, log.t, axis=0, initial=0.0)
     q_GI = quaternion_from_matrix(R_GI)
