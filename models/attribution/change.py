@@ -72,7 +72,7 @@ FAR = 0.2
 """Size of a zero from which the residual is not linear in it [rad]."""
 FAR_STARTS = (-2.8, -2.0, -1.2, -0.4, 0.4, 1.2, 2.0, 2.8)
 """Zeros from which a far one is refined [rad]."""
-_ROUNDS = 4
+_ROUNDS = 3
 """Most rounds in which the noise is adapted to what the best explanation leaves."""
 _AS_UNCHANGED = 1.05
 """Ratio of what it leaves to the noise at which it is as in the unchanged runs."""
@@ -143,8 +143,8 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
     Raises LogError where the runs have other readings than those that the model's error is of.
     """
     evidence, rates = evidence_of(cases)
-    there = np.isfinite(evidence.table).any(axis=0)
-    shown = {kind for kind, seen in zip(evidence.layout.kinds, there, strict=True) if seen}
+    there = np.flatnonzero(np.isfinite(evidence.table).any(axis=0))
+    shown = {evidence.layout.kinds[c] for c in there}
     lacking = {*known.noise} - shown
     if lacking or {*known.keys} - {*evidence.keys}:
         names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"
@@ -247,16 +247,21 @@ def _best(
 ) -> tuple[Change, _NewRuns]:
     """The change that the runs tell, without residuals, and the runs."""
     every = np.ones(len(evidence.t), dtype=bool)
-    for _ in range(_ROUNDS):
+
+    def tried(known: ModelError) -> tuple[_NewRuns, list[Hypothesis]]:
         metric = metric_of(cases, evidence, known, every, {ZERO}, not cases[0].fixed)
         new = _NewRuns(cases, known, metric)
-        first = _ranked(new)
+        return new, _ranked(new)
+
+    new, first = tried(known)
+    for _ in range(_ROUNDS):
         # What the best explanation leaves is noise that the unchanged runs did not have.
-        entries = np.count_nonzero(metric.root)
-        left = np.sqrt((metric.S[0, 0] - first[0].gain) / entries)
+        entries = np.count_nonzero(new.metric.root)
+        left = np.sqrt((new.metric.S[0, 0] - first[0].gain) / entries)
         if left < _AS_UNCHANGED:
             break
         known = replace(known, noise={group: left * x for group, x in known.noise.items()})
+        new, first = tried(known)
     least = {one.keys[0]: _least(one, new) for one in first if len(one.keys) == 1}
     if contradicted := _contradicted(rates, known):
         return Change("not_identifiable", contradicted, (), (), least), new

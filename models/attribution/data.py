@@ -69,7 +69,7 @@ def dead_contacts(log: Log) -> str:
     carried = same.all() and np.ptp(log.ref_p[:, :2], axis=0).max() > REACH
     if not same.any() or not (np.count_nonzero(~same) >= 2 or carried):
         return ""
-    names = ", ".join(f"contact_{leg}" for leg, dead in zip(log.legs, same, strict=True) if dead)
+    names = ", ".join(f"contact_{log.legs[i]}" for i in np.flatnonzero(same))
     return f"contacts: not used, no change in {names} although the robot walks"
 
 

@@ -1,6 +1,6 @@
 """An evidence sorted by column, and sums of products over its rows."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -61,7 +61,7 @@ class Design:
         return out
 
     def grams(
-        self, y: np.ndarray, root: np.ndarray, columns: Sequence[int], part: np.ndarray
+        self, y: np.ndarray, root: np.ndarray, columns: Iterable[int], part: np.ndarray
     ) -> np.ndarray:
         """Products (K, P, P), P = 1 + C + B, of y, candidates and nuisance parameters over the
         bins of each of K parts.

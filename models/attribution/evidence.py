@@ -260,13 +260,15 @@ def with_changes(
         chosen: effects that are compensated.
         changes: candidate -> what one unit of it adds to columns of a log, each (N,).
     """
-    starts, per_log = np.searchsorted(known.log, np.arange(len(cases) + 1)), []
+    starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
+    per_log, names = [], ()
     for case in cases:
         linear = _Linear(case, chosen)
         added = changes(linear.log)
+        names = tuple(added)
         per_log.append([linear.by_columns(columns) for columns in added.values()])
     X = [joined_regressor(parts, starts) for parts in zip(*per_log, strict=True)]
-    return replace(known, keys=(*known.keys, *added), X=(*known.X, *X))
+    return replace(known, keys=(*known.keys, *names), X=(*known.X, *X))
 
 
 def table_of(

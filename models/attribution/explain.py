@@ -640,7 +640,7 @@ def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Be
         A = S[np.ix_(at, at)] + np.diag(problem.prior[at - 1] ** -2.0)
         S = S - S[:, at] @ np.linalg.solve(A, S[at])
     precision, d, b = problem.prior**-2.0, np.diag(S)[1:], S[1:, 0]
-    whole = sum(np.diag(G) for G in state.metric.grams)[1 : len(S)]
+    whole = np.einsum("kii->i", state.metric.grams)[1 : len(S)]
     seen = d > 1e-9 * np.maximum(whole, 1.0)
     seen[at - 1] = False
     d = np.where(seen, d, 1.0)
@@ -792,8 +792,9 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     least += state.bias(every, beside.deviations)
     out = []
     for i in np.argsort(-beside.evidence):
-        low, high = interior_bounds(*problem.keys[i], problem.machine)
-        if problem.keys[i][0] not in problem.per_run and np.isfinite(beside.deviations[i]):
+        name, target = problem.keys[i]
+        low, high = interior_bounds(name, target, problem.machine)
+        if name not in problem.per_run and np.isfinite(beside.deviations[i]):
             out.append(
                 Candidate(
                     key=problem.keys[i],

@@ -232,6 +232,6 @@ def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
         np.bincount(block[rows], np.where(there, one, 0.0).sum(axis=1)[rows])
         for one in (square, np.ones_like(square))
     )
-    drawn = block_bootstrap_counts(np.count_nonzero(count), np.random.default_rng(0))
+    drawn = block_bootstrap_counts(int(np.count_nonzero(count)), np.random.default_rng(0))
     mean = (drawn @ total[count > 0]) / np.maximum(drawn @ count[count > 0], 1.0)
     return float(np.sqrt(np.percentile(mean, 2.5)))

@@ -293,10 +293,12 @@ def metric_of(
         root=root,
         expected=expected,
         places=np.array([*terms, *own, *(len(known.keys) + i for i in free)], int),
-        precision=block_diag(
-            scaled_inverse(covariance),
-            np.diag([1.0 / within[i] for i in own]),
-            np.diag(nuisance_precision(known)[free]),
+        precision=np.asarray(
+            block_diag(
+                scaled_inverse(covariance),
+                np.diag([1.0 / within[i] for i in own]),
+                np.diag(nuisance_precision(known)[free]),
+            )
         ),
         terms=np.arange(len(terms) + len(own) + len(free)) < len(terms),
     )

@@ -302,10 +302,11 @@ def window_means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarr
 
 def _means(weights: np.ndarray, table: np.ndarray) -> list[np.ndarray]:
     """For each column of a table (M, W), weights (N, M) of the mean over its values."""
-    out, whole = [], np.isfinite(table).all(axis=0)
-    for column, every in zip(table.T, whole, strict=True):
-        own = weights if every else weights * np.isfinite(column)
-        out.append(own if every else own / np.maximum(own.sum(axis=1, keepdims=True), 1e-12))
+    out = []
+    for column in table.T:
+        there = np.isfinite(column)
+        own = weights if there.all() else weights * there
+        out.append(own if there.all() else own / np.maximum(own.sum(axis=1, keepdims=True), 1e-12))
     return out
 
 
@@ -347,7 +348,8 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
     alike = len({(one.keys, one.groups) for one in runs}) == 1
     if len(runs) < FEWEST_RUNS or not alike or not runs[0].groups:
         return None
-    keys, sums, count = runs[0].keys, sum(r.sums for r in runs), sum(r.count for r in runs)
+    keys = runs[0].keys
+    sums, count = (np.sum([getattr(r, x) for r in runs], axis=0) for x in ("sums", "count"))
     scale = np.sqrt(sums[:, 0, 0] / count)
     # Mean square of the residual, relative to its own, that one unit of each size makes.
     strength = np.diag(np.tensordot(scale**-2.0, sums, 1))[1 : 1 + len(keys)] / count.sum()
@@ -364,7 +366,7 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         D = 1.0 / (1.0 / D + most**-2.0)
     parts = [_Part.of(run, terms, limbs) for run in runs]
     a, b, noise = _START[0], _START[1], _START[2] * scale
-    before = np.inf
+    before, posterior = np.inf, None
     for round_ in range(_ROUNDS):
         posterior = _posterior(parts, (a, b, noise), D)
         new_a = min(posterior.a, 1.0) if simulated else posterior.a
@@ -378,6 +380,7 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
             noise = np.maximum(noise, runs[0].least)
         if settled:
             break
+    assert posterior is not None
     covariance = 0.5 * (posterior.covariance + posterior.covariance.T)
     found = ModelError(
         runs=len(runs),
@@ -497,7 +500,8 @@ def _about_mean(run: RunSums, known: ModelError) -> np.ndarray:
 
 def _unchanged_precision(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarray:
     """Prior precision of the terms about their mean and of what belongs to the run."""
-    return block_diag(np.linalg.inv(known.covariance), np.diag(own_precision(run, limbs)))
+    own = np.diag(own_precision(run, limbs))
+    return np.asarray(block_diag(np.linalg.inv(known.covariance), own))
 
 
 def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> ModelError:

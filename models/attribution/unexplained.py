@@ -91,7 +91,7 @@ def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[
     gains = {joint: _gain(metric, joint, found) for joint in joints}
     blocks = sum(np.ptp(case.log.t) for case in cases) / BLOCK_SECONDS
     price = len(DEGREES + LOADED_DEGREES) * np.log(max(2.0, blocks))
-    energy = sum(np.diag(G) for G in metric.grams)
+    energy = np.einsum("kii->i", metric.grams)
     out = []
     for joint in dict.fromkeys(at):
         others = [gains[one] for one in joints if kind[one] == kind[joint] and one not in at]
@@ -132,7 +132,7 @@ def angle_curves(log: Log, joint: str) -> dict[Key, Mapping[str, np.ndarray]]:
     Legendre polynomials of the angle, alone and, where the log has it, times the torque.
     """
     q = log.columns[f"q_{joint}"]
-    weights = [(np.ones_like(q), DEGREES)]
+    weights: list[tuple[np.ndarray, tuple[int, ...]]] = [(np.ones_like(q), DEGREES)]
     if f"tau_{joint}" in log.frame:
         rows = max(1, round(_TORQUE_WINDOW * log.rate))
         weights.append((uniform_filter1d(log.columns[f"tau_{joint}"], rows), LOADED_DEGREES))

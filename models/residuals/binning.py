@@ -243,7 +243,9 @@ def binned(log: Log, robot: Machine, motion: ReferenceMotion) -> Bins:
         dq_step=of("dq_step", rates, lambda: at_torques(moving, motion), motion),
         ddq=log.once("ddq", rates, lambda: mean_rate_of_change(moving, log.t, motion), motion),
         feet=log.once(
-            "binned feet", () if feet is None else feet.groups, lambda: (*map(mean, shown),)
+            "binned feet",
+            () if feet is None else feet.groups,
+            lambda: (mean(shown[0]), mean(shown[1])),
         ),
     )
 

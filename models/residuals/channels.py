@@ -113,8 +113,9 @@ class LegVelocity(Channel):
     def nuisance_regressors(self, inputs: ResidualInputs) -> Sequence[np.ndarray]:
         """Shares of their way that feet of unknown size roll, where the log gives the feet."""
         feet = shown_feet(inputs.log, inputs.robot.feet)
-        known = feet is None or not feet.roll_unknown
-        return () if known else travel_regressors(inputs.bins, feet)
+        if feet is None or not feet.roll_unknown:
+            return ()
+        return travel_regressors(inputs.bins, feet)
 
 
 class StanceVelocity(LegVelocity):

@@ -48,10 +48,10 @@ class DynamicsInputs:
         return np.flatnonzero(dilate(self.swings.any(axis=1) | self.steady))
 
     @cached_property
-    def motion(self) -> tuple[np.ndarray, ...]:
+    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Angles, rates, accelerations and motion of the base in the needed bins."""
-        b = self.bins
-        return tuple(x[self.needed] for x in (b.q_step, b.dq_step, b.ddq, b.base))
+        b, use = self.bins, self.needed
+        return b.q_step[use], b.dq_step[use], b.ddq[use], b.base[use]
 
 
 def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
@@ -60,14 +60,14 @@ def dynamics_inputs(bins: Bins, robot: Machine) -> DynamicsInputs:
     gaps = np.abs(np.diff(bins.t) - BIN) < 0.25 * BIN
     whole[1:-1] = gaps[1:] & gaps[:-1]
     # The equation is smoothed over three bins, each of which needs the rate before it.
-    whole = minimum_filter1d(whole, 3, mode="constant")
+    whole = np.asarray(minimum_filter1d(whole, 3, mode="constant"), bool)
     up_B = np.zeros((len(bins.t), 3))
     # Joints that belong to no leg carry no foot's load.
     swings, steady = np.ones_like(bins.q, dtype=bool), np.zeros_like(whole)
     if robot.legged is not None:
         up_B = bins.normal_I @ robot.legged.R_BI.T
         stays, lifted = (
-            minimum_filter1d(flag, 3, axis=0, mode="constant")
+            np.asarray(minimum_filter1d(flag, 3, axis=0, mode="constant"), bool)
             for flag in (bins.standing, bins.lifted)
         )
         if bins.q.shape[1] == len(robot.limbs.joints):  # else the log has no angles

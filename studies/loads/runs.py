@@ -1,7 +1,7 @@
 """Runs of the study's machines: arms that are driven about, and walks."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import mujoco
 import numpy as np
@@ -68,9 +68,9 @@ def _driven(
 ) -> Log:
     """An arm on a random smooth path, by torques of a controller that knows it, with `tau_ff`."""
     names, steps = machine.joint_names, round(SECONDS * RATE) * SUBSTEPS
-    spec = mujoco.MjSpec.from_file(str(machine.file))
+    spec, known = mujoco.MjSpec.from_file(str(machine.file)), cast(Robot, machine)
     for one in effects:
-        one.edit_spec(spec, machine)
+        one.edit_spec(spec, known)
     dt = spec.option.timestep = 1.0 / RATE / SUBSTEPS
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     # Of a higher order: its rates are as late as its angles.
@@ -100,7 +100,7 @@ def _driven(
     read = (t[rows], none, none, q[rows], dq[rows], given[rows], asked[rows], none[:, :0])
     streams = Streams(*read)
     for one in effects:
-        streams = one.alter_streams(streams, machine)
+        streams = one.alter_streams(streams, known)
     return _read(machine, streams, rng)
 
 

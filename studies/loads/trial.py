@@ -5,7 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -170,7 +170,7 @@ def true_levels(log: Log, machine: Modelled, effects: Sequence[Effect]) -> dict[
     others = [one for one in effects if type(one).is_compensated()]
     for one in effects:
         if one not in others:
-            one.edit_spec(spec, machine)
+            one.edit_spec(spec, cast(Robot, machine))
     spec.compile()
     with TemporaryDirectory() as folder:
         file = Path(folder) / "machine.xml"

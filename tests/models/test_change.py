@@ -9,7 +9,7 @@ from pendulum import swung
 
 from surefoot.models.attribution.change import CONTRADICTION, NAMED, find_change
 from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose
-from surefoot.models.attribution.effect_sizes import interior_bounds, sized
+from surefoot.models.attribution.effect_sizes import interior_bounds, with_deviation
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.model_error import model_error, run_evidence, run_sums
 from surefoot.sim.effects.base import with_columns
@@ -127,7 +127,7 @@ def test_no_link_loses_more_mass_than_it_has():
     low, high = interior_bounds("link_mass", "shoulder", PENDULUM)
     assert low == pytest.approx(-PENDULUM.limbs.mass)
     assert high > 10.0
-    lost = sized(("link_mass", "shoulder"), -5.0, 0.1, PENDULUM)
+    lost = with_deviation(("link_mass", "shoulder"), -5.0, 0.1, PENDULUM)
     assert lost.effect.value == low
     assert lost.interval == pytest.approx((-5.196, -4.804))
 

@@ -10,18 +10,18 @@ from pendulum import swung
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.model_error import (
-    WINDOW,
+    MEAN_WINDOW,
     ModelError,
     RunSums,
     against_unchanged,
     at_middles,
-    averaged,
     model_error,
     model_error_as_dict,
     model_error_from_dict,
     own_precision,
     run_evidence,
     run_sums,
+    window_averaged,
     window_weights,
     windows,
 )
@@ -122,12 +122,14 @@ def test_windows_are_zero_at_their_ends_and_none_is_over_a_gap():
     whole = window_weights(t)
     assert whole.sum(axis=1) == pytest.approx(np.ones(len(whole)))
     middles = whole @ t
-    assert np.diff(middles) == pytest.approx(np.full(len(middles) - 1, 0.5 * WINDOW), abs=2e-3)
+    assert np.diff(middles) == pytest.approx(np.full(len(middles) - 1, 0.5 * MEAN_WINDOW), abs=2e-3)
     assert not whole[:, 0].any()
     assert not whole[:, -1].any()
     gap = t[(t < 1.5) | (t > 2.0)]
     over = window_weights(gap)
-    assert all(np.ptp(gap[w > 0.0]) < WINDOW and np.diff(gap[w > 0.0]).max() < 0.03 for w in over)
+    assert all(
+        np.ptp(gap[w > 0.0]) < MEAN_WINDOW and np.diff(gap[w > 0.0]).max() < 0.03 for w in over
+    )
 
 
 def test_means_over_windows_hardly_depend_on_noise_of_the_angles():
@@ -168,7 +170,7 @@ def test_a_joint_without_a_drive_has_no_torque_that_errs_and_may_have_friction()
 def test_means_over_windows_stand_at_their_middles():
     cases = [log_under_model(swung(seed=k, seconds=3.0), PENDULUM) for k in range(2)]
     known = linearise(cases, (), KEYS)
-    placed, mean = at_middles(known), averaged(known, windows(known))
+    placed, mean = at_middles(known), window_averaged(known, windows(known))
     there = np.isfinite(placed.table).any(axis=1)
     np.testing.assert_array_equal(placed.table[there], mean.table)
     np.testing.assert_array_equal(placed.log[there], mean.log)
