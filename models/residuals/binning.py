@@ -265,7 +265,7 @@ def at_rows(omega: np.ndarray) -> np.ndarray:
     return 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
 
 
-def interpolated(then: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def interpolate_rows(then: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Values (K, ...) at the times `then` (K,), linear between those of x (N, ...) at t (N,)."""
     columns = [np.interp(then, t, column) for column in x.reshape(len(x), -1).T]
     return np.stack(columns, axis=1).reshape(len(then), *x.shape[1:])

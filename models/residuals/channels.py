@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN, Bins, bin_mean, interpolated
+from surefoot.models.residuals.binning import BIN, Bins, bin_mean, interpolate_rows
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
 from surefoot.models.residuals.feet import (
@@ -328,7 +328,7 @@ class CommandedTorque(Channel):
             if asked is None or not log.has("tau"):
                 return None
             if late:
-                asked = interpolated(log.t - late, log.t, asked)
+                asked = interpolate_rows(log.t - late, log.t, asked)
             return bin_mean(inputs.motion)(log.tau - asked)
 
         uses = ("tau", "tau_ff", *law)

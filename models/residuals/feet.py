@@ -7,7 +7,7 @@ accumulates is their mean, and the displacement of the foot over the ground whil
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, at_rows, interpolated
+from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, at_rows, interpolate_rows
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet
 from surefoot.sim.sensors.stances import stances
@@ -163,7 +163,9 @@ def stance_displacement(
         use = (until - begin > SHORTEST_CONTACT) & (lost[end] == lost[first])
         use &= (first > 0) & (end < len(log.t))
         bins = np.searchsorted(motion.first, (first + end) // 2, side="right") - 1
-        far = interpolated(until, edges, path[:, leg]) - interpolated(begin, edges, path[:, leg])
+        far = interpolate_rows(until, edges, path[:, leg]) - interpolate_rows(
+            begin, edges, path[:, leg]
+        )
         out[bins[use], leg] = far[use]
     return out.reshape(len(out), -1)
 

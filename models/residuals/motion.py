@@ -17,7 +17,7 @@ from surefoot.models.residuals.binning import (
     ReferenceMotion,
     at_rows,
     binned,
-    interpolated,
+    interpolate_rows,
     reference_motion,
 )
 from surefoot.models.residuals.contact_timing import within_windows
@@ -60,7 +60,7 @@ def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceM
     if level_ground(bins, feet):
         return replace(motion, level=True)
     slope = ground_normals(bins, feet)
-    sloping = replace(motion, normal_G=interpolated(log.t, bins.t, slope))
+    sloping = replace(motion, normal_G=interpolate_rows(log.t, bins.t, slope))
     moves = [
         np.nanmedian(np.abs(leg_velocities(binned(log, robot, one), feet)))
         for one in (motion, sloping)
@@ -103,7 +103,7 @@ def with_dead_reckoning(log: Log, feet: Feet | None) -> Log | None:
     count = log.contact.sum(axis=1)
     v_I = np.nansum(by_foot, axis=1) / np.maximum(count, 1)[:, None]
     stands = np.flatnonzero(count)
-    v_I = interpolated(log.t, log.t[stands], v_I[stands])
+    v_I = interpolate_rows(log.t, log.t[stands], v_I[stands])
     yaw = cumulative_trapezoid(np.sum(log.gyro * up, axis=1), log.t, initial=0.0)
     # Rows: level heading, left and up, expressed in I.
     ahead = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up

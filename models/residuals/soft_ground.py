@@ -25,7 +25,7 @@ from surefoot.models.residuals.binning import (
     ReferenceMotion,
     at_torques,
     bin_mean,
-    interpolated,
+    interpolate_rows,
 )
 from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.copies import copy_row
@@ -80,7 +80,7 @@ def foot_sinking(
     """
     load = foot_loads(log, robot, motion, bins)
     swept_G = np.einsum("nij,nlj->nli", bins.R_GI, acceleration_at_constant_rates(robot, bins))
-    rows = [interpolated(log.t, bins.t, swept_G), load[..., None]]
+    rows = [interpolate_rows(log.t, bins.t, swept_G), load[..., None]]
     rows = np.nan_to_num(np.concatenate(rows, axis=2))
 
     def height_and_stances() -> tuple[np.ndarray, list[Stances]]:
@@ -135,7 +135,7 @@ def foot_loads(log: Log, robot: Robot, motion: ReferenceMotion, bins: Bins) -> n
         up_B, every = bins.normal_I @ robot.R_BI.T, np.ones_like(bins.standing)
         from_motion = normal(bins.q_step, up_B, every, taken)
         motor = normal(at_torques(log.q, motion), motion.normal_I @ robot.R_BI.T, stands, log.tau)
-        load = interpolated(log.t, bins.t, from_motion) - motor
+        load = interpolate_rows(log.t, bins.t, from_motion) - motor
         return np.where(stands, np.maximum(load, 0.0), 0.0)
 
     given = motion, robot.extras.payload

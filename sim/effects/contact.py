@@ -14,7 +14,7 @@ from surefoot.sim.effects.base import Effect, declared_on
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
-from surefoot.sim.physics.gears import load_share, set_load_share
+from surefoot.sim.physics.gears import set_share_of_load, share_of_load
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
 
@@ -90,8 +90,8 @@ class LoadFriction(_DriveEffect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in _joints(spec, robot, self):
-            share = self.left_of(load_share(spec, joint.name), joint.name)
-            set_load_share(spec, joint.name, share)
+            share = self.left_of(share_of_load(spec, joint.name), joint.name)
+            set_share_of_load(spec, joint.name, share)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return _less_torque(log, robot, self, lambda rate, tau: np.abs(tau) * _sense(rate)), robot

@@ -23,13 +23,13 @@ class Gears(NamedTuple):
     dry: np.ndarray
 
 
-def load_share(spec: mujoco.MjSpec, joint: str) -> float:
+def share_of_load(spec: mujoco.MjSpec, joint: str) -> float:
     """Share of its motor's torque that a joint's gear loses."""
     known = spec.numeric(_name(joint))
     return float(known.data[0]) if known else 0.0
 
 
-def set_load_share(spec: mujoco.MjSpec, joint: str, share: float) -> None:
+def set_share_of_load(spec: mujoco.MjSpec, joint: str, share: float) -> None:
     """Let a joint's gear lose a share of its motor's torque."""
     known = spec.numeric(_name(joint))
     if known:

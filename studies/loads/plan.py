@@ -67,7 +67,7 @@ def machine_of(name: str) -> Modelled:
 
 
 @dataclass(frozen=True)
-class Case:
+class LoadCase:
     """One run: its machine, and what is there that its model does not know.
 
     `individual` numbers the machines of a model that have errors of their own; None is as declared.
@@ -80,7 +80,7 @@ class Case:
     effects: tuple[Effect, ...] = ()
 
 
-def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
+def draw_load_cases(plan: Mapping[str, Any]) -> list[LoadCase]:
     """Draw every case of a plan from its seed."""
     rng, numbers = np.random.default_rng(plan["seed"]), count()
     loads, fixed, found = plan["loads"], plan["fixed"], []
@@ -88,15 +88,15 @@ def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
         for place, name in enumerate(loads["machines"]):
             for _ in range(loads["loads"]):
                 load = _draw_load(machine_of(name), loads, rng)
-                found.append(Case(next(numbers), "load", name, individual, (load,)))
+                found.append(LoadCase(next(numbers), "load", name, individual, (load,)))
             turn = (individual + place) % len(loads["unchanged"])
             for _ in range(loads["unchanged"][turn]):
-                found.append(Case(next(numbers), "unchanged", name, individual))
+                found.append(LoadCase(next(numbers), "unchanged", name, individual))
     for turn in range(fixed["each"]):
         for place, kind in enumerate(KINDS):
             name = fixed["machines"][(turn + place) % len(fixed["machines"])]
             own = _draw_fixed(kind, turn, machine_of(name), fixed, rng)
-            found.append(Case(next(numbers), kind, name, None, own))
+            found.append(LoadCase(next(numbers), kind, name, None, own))
     return found
 
 
@@ -112,6 +112,15 @@ def _draw_load(machine: Modelled, plan: Mapping[str, Any], rng: np.random.Genera
 def _draw_fixed(
     kind: str, turn: int, machine: Modelled, plan: Mapping[str, Any], rng: np.random.Generator
 ) -> tuple[Effect, ...]:
+    """Effects of a fixed base.
+
+    Args:
+        kind: of the case.
+        turn: number of the case of its kind.
+        machine: that has them.
+        plan: of the study.
+        rng: of the draw.
+    """
     joint = str(rng.choice(machine.limbs.joints))
     if kind == "doubled":
         return (DenserLink(joint, 1.0),)

@@ -1,4 +1,4 @@
-"""Report of the study: its rules, and tables by machine and case."""
+"""Report of the study: its rules_of_loads, and tables by machine and case."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from studies.blind.report import share
-from studies.loads.plan import KINDS, PLAN, draw_cases
+from studies.loads.plan import KINDS, PLAN, draw_load_cases
 from surefoot.extend import read_toml
 from surefoot.scenarios.reporting import Section, origin_of, write_page, write_results
 
@@ -28,16 +28,16 @@ RULES_PROSE = (
 )
 
 
-def write_report_of(out: Path, records: Sequence[Record], page: Path | None = None) -> str:
+def write_page_of(out: Path, records: Sequence[Record], page: Path | None = None) -> str:
     """Write report.html, table.md, cases.csv and, if given, the page of results.
 
     Returns the tables as text.
     """
-    drawn = draw_cases(read_toml(PLAN, "study"))
+    drawn = draw_load_cases(read_toml(PLAN, "study"))
     every = [_row(r) for r in records]
     sections = [
         Section("The plan", _plan_prose(Counter(case.kind for case in drawn), len(records))),
-        Section("Rules and results", RULES_PROSE, rules(records)),
+        Section("Rules and results", RULES_PROSE, rules_of_loads(records)),
         Section("By machine", table=by_machine(records)),
         Section("Every miss", table=[r for r in every if r["right"] not in (1.0, None)]),
     ]
@@ -63,7 +63,7 @@ def _plan_prose(count: Mapping[str, int], finished: int) -> str:
     )
 
 
-def rules(records: Sequence[Record]) -> Rows:
+def rules_of_loads(records: Sequence[Record]) -> Rows:
     """What was asked, and what was measured."""
     loads = [r for r in records if r["kind"] == "load"]
     above, below = ([r for r in loads if is_above(r) is side] for side in (True, False))
@@ -71,7 +71,11 @@ def rules(records: Sequence[Record]) -> Rows:
     fixed = [r for r in records if r["kind"] in KINDS]
     delays = [r for r in fixed if r["kind"] == "delay"]
     lines = [
-        ("loads above the least change: right link", "90 %", share([points(r) for r in above])),
+        (
+            "loads above the least change: right link",
+            "90 %",
+            share([points_of_loads(r) for r in above]),
+        ),
         (
             "loads above the least change: `not_identifiable`",
             "at most 10 %",
@@ -115,7 +119,7 @@ def named_links(effects: Sequence[Mapping[str, Any]]) -> set[str]:
     }
 
 
-def points(record: Record) -> float:
+def points_of_loads(record: Record) -> float:
     """1 if only the load's link is named, 1/2 if it is one of two that the runs do not tell."""
     true, found = {record["effects"][0]["target"]}, named_links(record["effects_found"])
     if record["verdict"] == "confounded":
@@ -139,7 +143,7 @@ def has_delay(record: Record) -> bool:
 def right(record: Record) -> float | None:
     """Points of a case; None for a load below the least change that is not named wrong."""
     if record["kind"] == "load":
-        return points(record) if is_above(record) else 0.0 if is_wrong(record) else None
+        return points_of_loads(record) if is_above(record) else 0.0 if is_wrong(record) else None
     if record["kind"] == "unchanged":
         return float(not record["effects_found"])
     return float(not record["refuted"] and (record["kind"] != "delay" or has_delay(record)))

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from studies.command import OutputFolder
-from studies.loads.plan import PLAN, Case, draw_cases, machine_of
-from studies.loads.report import write_report_of
-from studies.loads.trial import run_case
+from studies.loads.plan import PLAN, LoadCase, draw_load_cases, machine_of
+from studies.loads.report import write_page_of
+from studies.loads.trial import run_load_case
 from surefoot.extend import read_toml
 from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.scenarios.reporting import file_digest, finished_case, processes, read_case, stage
@@ -28,10 +28,10 @@ def run_loads_study(
     Cases of one individual are run by one worker, since they share its calibration.
     """
     plan = read_toml(PLAN, "study")
-    groups: dict[tuple, list[Case]] = {}
+    groups: dict[tuple, list[LoadCase]] = {}
     records: dict[int, dict[str, Any]] = {}
     left = float("inf") if at_most is None else at_most
-    for case in draw_cases(plan):
+    for case in draw_load_cases(plan):
         row = read_case(folder, _name(case), _inputs(case, plan), _MODULE)
         if row is not None:
             records[case.number] = row
@@ -46,21 +46,21 @@ def run_loads_study(
     return [records[number] for number in sorted(records)]
 
 
-def _run_group(group: Sequence[Case], folder: Path) -> dict[int, dict[str, Any]]:
+def _run_group(group: Sequence[LoadCase], folder: Path) -> dict[int, dict[str, Any]]:
     plan = read_toml(PLAN, "study")
     return {
         case.number: finished_case(
-            folder, _name(case), _inputs(case, plan), _MODULE, lambda case=case: run_case(case)
+            folder, _name(case), _inputs(case, plan), _MODULE, lambda case=case: run_load_case(case)
         )
         for case in group
     }
 
 
-def _name(case: Case) -> str:
+def _name(case: LoadCase) -> str:
     return f"{case.number:03d}"
 
 
-def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
+def _inputs(case: LoadCase, plan: dict[str, Any]) -> dict[str, Any]:
     effects = [one.as_dict() for one in case.effects]
     drawn = {"kind": case.kind, "machine": case.machine, "individual": case.individual}
     known = {"candidates": candidates_digest(), "model": file_digest(machine_of(case.machine).file)}
@@ -83,4 +83,4 @@ class LoadsStudy:
 
     def run(self) -> None:
         records = run_loads_study(self.data or self.out / "cases", self.workers, self.at_most)
-        print(write_report_of(self.out, records, self.page))
+        print(write_page_of(self.out, records, self.page))

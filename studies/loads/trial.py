@@ -10,7 +10,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
-from studies.loads.plan import PLAN, Case, TiedLoad, errors_of, errors_of_run, link, machine_of
+from studies.loads.plan import PLAN, LoadCase, TiedLoad, errors_of, errors_of_run, link, machine_of
 from studies.loads.runs import draw_pushes, run_of
 from surefoot import Log, Robot, Trace, TraceOptions, load_machine, trace
 from surefoot.extend import Effect, Modelled, compensate_all, read_toml
@@ -29,7 +29,7 @@ and to that with the true ones, from which a verdict of CLAIMS is.
 """
 
 
-def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
+def run_load_case(case: LoadCase, plan: Path = PLAN) -> dict[str, Any]:
     """Simulate and trace one case; returns its truth and what was found as plain JSON types."""
     begin = process_time()
     fixed = case.individual is None
@@ -45,12 +45,12 @@ def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
     }
 
 
-def _since(case: Case, plan: Path) -> dict[str, Any]:
+def _since(case: LoadCase, plan: Path) -> dict[str, Any]:
     """What changed in a run since others that the machine was calibrated on."""
     machine, drawn = machine_of(case.machine), read_toml(plan, "study")
     verdict, declared, since = calibrated(case.machine, case.individual or 0, plan)
     log = _run(case, drawn, np.random.default_rng([drawn["seed"], case.number]))
-    found = traced([log], machine, TraceOptions(declared=declared, since=since))
+    found = traced_run([log], machine, TraceOptions(declared=declared, since=since))
     out = _said(found) | {"calibration": verdict, "declared": len(declared)}
     if case.kind != "load" or since is None:
         return out
@@ -64,7 +64,11 @@ def calibrated(
     """Verdict and effects of some runs of a machine, and how its model errs in them."""
     drawn = read_toml(plan, "study")
     runs = [
-        _run(Case(-1, "unchanged", name, individual), drawn, _rng(drawn, name, individual, 1 + run))
+        _run(
+            LoadCase(-1, "unchanged", name, individual),
+            drawn,
+            _rng(drawn, name, individual, 1 + run),
+        )
         for run in range(drawn["loads"]["runs"])
     ]
     with TemporaryDirectory() as folder:
@@ -74,7 +78,7 @@ def calibrated(
         return verdict, declared, unchanged_beside(file, declared)
 
 
-def _run(case: Case, plan: Mapping[str, Any], rng: np.random.Generator) -> Log:
+def _run(case: LoadCase, plan: Mapping[str, Any], rng: np.random.Generator) -> Log:
     """A run of an individual with the case's effects."""
     machine = machine_of(case.machine)
     errors = errors_of(machine, _rng(plan, case.machine, case.individual or 0, 0))
@@ -86,7 +90,7 @@ def _rng(plan: Mapping[str, Any], name: str, individual: int, run: int) -> np.ra
     return np.random.default_rng([plan["seed"], *name.encode(), individual, run])
 
 
-def traced(logs: Sequence[Log], machine: Modelled, options: TraceOptions) -> Trace:
+def traced_run(logs: Sequence[Log], machine: Modelled, options: TraceOptions) -> Trace:
     """`trace` into a folder that is not kept."""
     with TemporaryDirectory() as folder:
         return trace(logs, machine, folder, options)
@@ -105,6 +109,13 @@ def over_least(
 
     The load's squared size under the covariance of unchanged runs is that of so much mass at the
     link's centre; this mass is divided by the least one.
+
+    Args:
+        load: that was tied on.
+        found: what `trace` says.
+        log: the run.
+        declared: effects of the model.
+        since: its error in the unchanged runs.
     """
     assert isinstance(load, TiedLoad)
     machine = machine_of(log.meta.robot)
@@ -139,11 +150,11 @@ def load_sizes(load: TiedLoad, machine: Modelled) -> dict[tuple[str, str], float
     }
 
 
-def _of_fixed(case: Case, plan: Mapping[str, Any]) -> dict[str, Any]:
+def _of_fixed(case: LoadCase, plan: Mapping[str, Any]) -> dict[str, Any]:
     """What a machine that is otherwise as declared lacks, and whether another run refutes it."""
     machine, rng = machine_of(case.machine), np.random.default_rng([plan["seed"], case.number])
     pushes = draw_pushes(case.machine, plan["fixed"], rng) if case.kind == "push" else ()
-    found = traced([run_of(case.machine, case.effects, rng, pushes)], machine, TraceOptions())
+    found = traced_run([run_of(case.machine, case.effects, rng, pushes)], machine, TraceOptions())
     held = run_of(case.machine, case.effects, rng)
     levels = {
         "without": levels_of(held, machine, ()),

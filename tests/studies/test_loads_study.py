@@ -1,4 +1,4 @@
-"""The study of loads: what it draws, one case of each half, and how its rules count."""
+"""The study of loads: what it draws, one case of each half, and how its rules_of_loads count."""
 
 from collections import Counter
 from dataclasses import replace
@@ -11,17 +11,17 @@ from studies.loads import runs
 from studies.loads.plan import (
     DELAYS,
     PLAN,
-    Case,
     DenserLink,
+    LoadCase,
     TiedLoad,
-    draw_cases,
+    draw_load_cases,
     errors_of,
     link,
     machine_of,
 )
-from studies.loads.report import has_delay, is_above, points, right, write_report_of
+from studies.loads.report import has_delay, is_above, points_of_loads, right, write_page_of
 from studies.loads.runs import draw_pushes, run_of
-from studies.loads.trial import load_sizes, refuted, run_case
+from studies.loads.trial import load_sizes, refuted, run_load_case
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import effect
 
@@ -42,7 +42,7 @@ def record(verdict="attributed", found=(), rivals=(), kind="load", **more):
 
 
 def test_draws_cover_what_the_study_asks():
-    cases = draw_cases(PLANNED)
+    cases = draw_load_cases(PLANNED)
     kinds = Counter(case.kind for case in cases)
     assert kinds["load"] == 60
     assert kinds["unchanged"] == 30
@@ -53,7 +53,7 @@ def test_draws_cover_what_the_study_asks():
     fixed = [case for case in cases if case.individual is None]
     assert len({case.machine for case in fixed}) == 3
     assert {e.name for c in fixed for e in c.effects if c.kind == "delay"} == set(DELAYS)
-    assert cases == draw_cases(PLANNED)
+    assert cases == draw_load_cases(PLANNED)
 
 
 def test_a_load_is_a_point_mass_of_its_link():
@@ -95,9 +95,11 @@ def test_machines_differ_and_their_runs_too():
 
 
 def test_a_heavier_link_is_found_and_not_refuted():
-    case = next(c for c in draw_cases(PLANNED) if c.kind == "doubled" and c.machine == "two_links")
+    case = next(
+        c for c in draw_load_cases(PLANNED) if c.kind == "doubled" and c.machine == "two_links"
+    )
     assert isinstance(case.effects[0], DenserLink)
-    row = run_case(replace(case, effects=(DenserLink("lower", 1.0),)))
+    row = run_load_case(replace(case, effects=(DenserLink("lower", 1.0),)))
     assert row["verdict"] == "attributed"
     assert {e["target"] for e in row["effects_found"]} == {"lower"}
     assert row["refuted"] == []
@@ -109,18 +111,18 @@ def test_a_heavier_link_is_found_and_not_refuted():
 def test_a_load_is_traced_against_unchanged_runs(monkeypatch):
     monkeypatch.setattr(runs, "SECONDS", 8.0)
     load = TiedLoad("lower", 0.2, (0.01, 0.02, -0.25))
-    row = run_case(Case(0, "load", "two_links", 0, (load,)))
-    assert points(row) == 1.0
+    row = run_load_case(LoadCase(0, "load", "two_links", 0, (load,)))
+    assert points_of_loads(row) == 1.0
     assert row["over_least"] > 1.5
 
 
 def test_the_right_link_counts():
     named = [("link_mass", "elbow", 0.4), ("link_com", "elbow_x", 0.1)]
-    assert points(record(found=named)) == 1.0
-    assert points(record(found=[*named, ("link_mass", "shoulder", 0.1)])) == 0.0
-    assert points(record(found=[("coulomb_friction", "elbow", 0.4)])) == 0.0
-    assert points(record("confounded", named, [("link_mass", "shoulder")])) == 0.5
-    assert points(record("not_identifiable")) == 0.0
+    assert points_of_loads(record(found=named)) == 1.0
+    assert points_of_loads(record(found=[*named, ("link_mass", "shoulder", 0.1)])) == 0.0
+    assert points_of_loads(record(found=[("coulomb_friction", "elbow", 0.4)])) == 0.0
+    assert points_of_loads(record("confounded", named, [("link_mass", "shoulder")])) == 0.5
+    assert points_of_loads(record("not_identifiable")) == 0.0
     assert not is_above(record(over_least=None))
     assert right(record("unchanged", over_least=0.5)) is None
     assert right(record(found=[("link_mass", "turn", 1.0)], over_least=0.5)) == 0.0
@@ -142,6 +144,6 @@ def test_held_out_runs_refute_what_makes_them_worse_and_what_leaves_too_much():
 def test_the_report_counts_what_is_finished(tmp_path):
     named = [("link_mass", "elbow", 0.4)]
     kept = [record(found=named), record("unchanged", kind="unchanged", effects=[])]
-    text = write_report_of(tmp_path, kept, tmp_path / "loads.md")
+    text = write_page_of(tmp_path, kept, tmp_path / "loads.md")
     assert "0 of 1" in text
     assert (tmp_path / "cases.csv").read_text().count("\n") == 3
