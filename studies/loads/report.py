@@ -74,7 +74,7 @@ def rules_of_loads(records: Sequence[Record]) -> Rows:
         (
             "loads above the least change: right link",
             "90 %",
-            share([points_of_loads(r) for r in above]),
+            share([points_of(r) for r in above]),
         ),
         (
             "loads above the least change: `not_identifiable`",
@@ -119,7 +119,7 @@ def named_links(effects: Sequence[Mapping[str, Any]]) -> set[str]:
     }
 
 
-def points_of_loads(record: Record) -> float:
+def points_of(record: Record) -> float:
     """1 if only the load's link is named, 1/2 if it is one of two that the runs do not tell."""
     true, found = {record["effects"][0]["target"]}, named_links(record["effects_found"])
     if record["verdict"] == "confounded":
@@ -143,7 +143,7 @@ def has_delay(record: Record) -> bool:
 def right(record: Record) -> float | None:
     """Points of a case; None for a load below the least change that is not named wrong."""
     if record["kind"] == "load":
-        return points_of_loads(record) if is_above(record) else 0.0 if is_wrong(record) else None
+        return points_of(record) if is_above(record) else 0.0 if is_wrong(record) else None
     if record["kind"] == "unchanged":
         return float(not record["effects_found"])
     return float(not record["refuted"] and (record["kind"] != "delay" or has_delay(record)))

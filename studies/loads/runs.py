@@ -23,7 +23,7 @@ ENCODER, RATE_NOISE, TORQUE_NOISE = 1e-4, 5e-3, 5e-3
 """Encoder step [rad]; standard deviations of rates [rad/s] and of torques [of the usual]."""
 
 
-class ArmPush(NamedTuple):
+class Shove(NamedTuple):
     """A force (3,) [N] on the last link of an arm, between two times [s]."""
 
     begin: float
@@ -32,7 +32,7 @@ class ArmPush(NamedTuple):
 
 
 def run_of(
-    name: str, effects: Sequence[Effect], rng: np.random.Generator, pushes: Sequence[ArmPush] = ()
+    name: str, effects: Sequence[Effect], rng: np.random.Generator, pushes: Sequence[Shove] = ()
 ) -> Log:
     """A run of a machine with these effects, none of them declared."""
     machine = machine_of(name)
@@ -51,14 +51,14 @@ def _course(rng: np.random.Generator) -> Scenario:
     )
 
 
-def draw_pushes(name: str, plan: Mapping[str, Any], rng: np.random.Generator) -> list[ArmPush]:
+def draw_pushes(name: str, plan: Mapping[str, Any], rng: np.random.Generator) -> list[Shove]:
     """Pushes of a hand in a run, in any direction."""
     least, most = plan["pushes"]
     times = rng.uniform(2.0, SECONDS - 3.0, rng.integers(least, most + 1))
     weight = GRAVITY * moved_mass(machine_of(name))
     drawn = [(rng.normal(size=3), rng.uniform(*plan["push"])) for _ in times]
     return [
-        ArmPush(t, t + rng.uniform(*plan["push_time"]), share * weight * x / np.linalg.norm(x))
+        Shove(t, t + rng.uniform(*plan["push_time"]), share * weight * x / np.linalg.norm(x))
         for t, (x, share) in zip(times, drawn, strict=True)
     ]
 
@@ -67,7 +67,7 @@ def _driven(
     machine: Modelled,
     effects: Sequence[Effect],
     rng: np.random.Generator,
-    pushes: Sequence[ArmPush],
+    pushes: Sequence[Shove],
 ) -> Log:
     """An arm on a random smooth path, by torques of a controller that knows it, with `tau_ff`."""
     names, steps = machine.joint_names, round(SECONDS * RATE) * SUBSTEPS
