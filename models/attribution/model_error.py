@@ -46,8 +46,10 @@ WHOLE = 0.8
 """Share of its bins that a window has at least."""
 ZERO = "encoder_offset"
 """The effect that every run has at a size of its own."""
-NO_TERMS = frozenset({"gyro_scale", "accel_scale", "gyro_bias", "accel_bias"})
-"""Effects that are no error of a model: what an IMU adds belongs to a run."""
+NO_TERMS = frozenset({"torque_scale", "gyro_scale", "accel_scale", "gyro_bias", "accel_bias"})
+"""Effects that are no error of a model: biases belong to a run, and a scale together with all
+masses explains any torque.
+"""
 EXACT = frozenset(
     {
         *("clock_scale", "imu_delay", "joint_delay", "rate_delay", "torque_delay"),

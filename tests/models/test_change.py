@@ -43,16 +43,6 @@ def test_an_unchanged_run_is_unchanged(known, seed):
     assert (change.verdict, change.found, change.reasons) == ("unchanged", (), ())
 
 
-def test_a_scale_of_the_torque_sensor_is_an_error_of_the_model():
-    """Without it, masses and zeros would stand in for it, on these motions alone."""
-    runs = [run_sums(run_evidence(case(seed, scale=1.2))) for seed in range(4)]
-    error = model_error(runs, PENDULUM.limbs)
-    assert error is not None
-    sizes = dict(zip(error.keys, error.mean, strict=True))
-    assert sizes["torque_scale", "shoulder"] > 0.05
-    assert find_change([case(60, scale=1.2)], error).verdict == "unchanged"
-
-
 def test_friction_is_named_with_its_size(known):
     change = find_change([case(20, armature=0.012, friction=0.5)], known)
     assert (change.verdict, of(change)) == ("attributed", [("coulomb_friction", "shoulder")])
