@@ -14,6 +14,7 @@ from surefoot.models.attribution.model_error import ModelError
 CASE = SimpleNamespace(
     robot=SimpleNamespace(limbs=QUADRUPED.limbs),
     fixed=True,
+    zeros=(),
     log=None,
     motion=SimpleNamespace(first=np.arange(BINS), count=np.ones(BINS)),
 )

@@ -44,10 +44,12 @@ def record(verdict="attributed", found=(), rivals=(), kind="single", effects=(TR
 
 
 def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
+    """But for friction of loaded gears, which the study of loads draws."""
+    catalogue = {name: kind for name, kind in CATALOGUE.items() if name != "load_friction"}
     planned = draw_cases(read_toml(PLAN, "study"))
     single = [c.effects[0].name for c in planned if c.kind == "single"]
     assert len(single) >= 200
-    assert {single.count(name) for name in CATALOGUE} == {6}
+    assert {single.count(name) for name in catalogue} == {6}
     outside = [c.effects[0].name for c in planned if c.kind == "outside"]
     assert len(outside) >= 40
     assert min(outside.count(name) for name in OUTSIDE_EFFECTS) == 7
@@ -55,7 +57,7 @@ def test_the_plan_has_the_whole_catalogue_and_the_kinds_it_must():
     assert [c.kind for c in planned].count("clean") == 40
     one = [c.effects[0] for c in planned if c.kind == "single"]
     grouped = [e for e in one if e.target not in type(e).single_targets(QUADRUPED)]
-    assert len(grouped) == 2 * sum(bool(k.group_targets(QUADRUPED)) for k in CATALOGUE.values())
+    assert len(grouped) == 2 * sum(bool(k.group_targets(QUADRUPED)) for k in catalogue.values())
     assert all(len(c.effects) == 2 for c in planned if c.kind == "together")
     assert all(not c.effects for c in planned if c.kind == "clean")
     assert min(c.seed for c in planned) > 404
