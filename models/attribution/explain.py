@@ -660,7 +660,9 @@ def _extended(
     place, else None; and what was tried and does not, with the reason.
     """
     tried, rejected = [], []
-    for keys, sizes in _proposals(state, beside):
+    for keys, sizes, likely in _proposals(state, beside):
+        if tried and not likely:
+            break
         new = [effect(*key, 0.0) for key in keys]
         new = [
             with_clipped_size(one, x, state.problem.machine)
@@ -696,26 +698,32 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
 
 
-def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.ndarray]]:
-    """Candidates and pairs that might be the best, with their sizes to first order."""
+def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.ndarray, bool]]:
+    """Candidates and pairs with their sizes to first order: those that might be the best, then, as
+    not so likely, others, since far from zero the first order may promise too much.
+    """
     problem, keys = state.problem, state.problem.keys
     earned = state.earned(keys, beside.sizes, beside.deviations)
-    able = (beside.evidence > 0.0) & (earned > 0.0)
+    every = able = (beside.evidence > 0.0) & (earned > 0.0)
     if (first := able & problem.certain).any():
         # Others would absorb what every machine has.
         able = first
     order = [int(i) for i in np.argsort(-beside.evidence)]
     best = float(np.max(beside.evidence, where=able, initial=0.0))
     near = (i for i in order if able[i] and beside.evidence[i] > _NEAR * best)
-    for i in islice(_distinct(near, problem), SINGLES):
-        yield [keys[i]], beside.sizes[[i]]
+    likely = list(islice(_distinct(near, problem), SINGLES))
+    for i in likely:
+        yield [keys[i]], beside.sizes[[i]], True
     pairs = np.triu(_of_pairs(problem, beside), 1)
     ends = np.argpartition(-pairs, min(PAIRS, pairs.size) - 1, axis=None)[:PAIRS]
     for flat in sorted(ends, key=lambda flat: -pairs.flat[flat]):
         pair = np.array(np.unravel_index(flat, pairs.shape))
         if pairs[tuple(pair)] > max(best, 0.0):
             A = beside.S[np.ix_(1 + pair, 1 + pair)] + np.diag(problem.prior[pair] ** -2.0)
-            yield [keys[i] for i in pair], np.linalg.solve(A, beside.S[1 + pair, 0])
+            yield [keys[i] for i in pair], np.linalg.solve(A, beside.S[1 + pair, 0]), True
+    others = (i for i in order if every[i] and i not in likely)
+    for i in islice(_distinct(others, problem), SINGLES):
+        yield [keys[i]], beside.sizes[[i]], False
 
 
 def _distinct(order: Iterator[int], problem: Problem) -> Iterator[int]:

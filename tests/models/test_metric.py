@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose
 from surefoot.models.attribution.metric import metric_of
 from surefoot.models.attribution.model_error import ModelError
 
-CASE = SimpleNamespace(
+CASE: Any = SimpleNamespace(
     robot=SimpleNamespace(limbs=QUADRUPED.limbs),
     fixed=True,
     zeros=(),

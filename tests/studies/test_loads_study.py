@@ -1,7 +1,8 @@
-"""The study of loads: what it draws, one case of each half, and how its rules_of_loads count."""
+"""The study of loads: what it draws, one case of each half, and how its rules count."""
 
 from collections import Counter
 from dataclasses import replace
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -19,9 +20,10 @@ from studies.loads.plan import (
     link,
     machine_of,
 )
-from studies.loads.report import has_delay, is_above, points_of_loads, right, write_page_of
+from studies.loads.report import has_delay, is_above, points_of, right, write_page_of
 from studies.loads.runs import draw_pushes, run_of
 from studies.loads.trial import load_sizes, refuted, run_load_case
+from surefoot import Robot
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import effect
 
@@ -62,7 +64,7 @@ def test_a_load_is_a_point_mass_of_its_link():
     load = TiedLoad("elbow", 0.5, (0.3, 0.02, -0.01))
     sizes, spec = load_sizes(load, machine), mujoco.MjSpec.from_file(str(machine.file))
     before = spec.compile()
-    load.edit_spec(spec, machine)
+    load.edit_spec(spec, cast(Robot, machine))
     after, body = spec.compile(), link(spec, machine, "elbow").name
     assert after.body_mass.sum() - before.body_mass.sum() == pytest.approx(0.5)
     assert sizes["link_mass", "elbow"] == 0.5
@@ -112,17 +114,17 @@ def test_a_load_is_traced_against_unchanged_runs(monkeypatch):
     monkeypatch.setattr(runs, "SECONDS", 8.0)
     load = TiedLoad("lower", 0.2, (0.01, 0.02, -0.25))
     row = run_load_case(LoadCase(0, "load", "two_links", 0, (load,)))
-    assert points_of_loads(row) == 1.0
+    assert points_of(row) == 1.0
     assert row["over_least"] > 1.5
 
 
 def test_the_right_link_counts():
     named = [("link_mass", "elbow", 0.4), ("link_com", "elbow_x", 0.1)]
-    assert points_of_loads(record(found=named)) == 1.0
-    assert points_of_loads(record(found=[*named, ("link_mass", "shoulder", 0.1)])) == 0.0
-    assert points_of_loads(record(found=[("coulomb_friction", "elbow", 0.4)])) == 0.0
-    assert points_of_loads(record("confounded", named, [("link_mass", "shoulder")])) == 0.5
-    assert points_of_loads(record("not_identifiable")) == 0.0
+    assert points_of(record(found=named)) == 1.0
+    assert points_of(record(found=[*named, ("link_mass", "shoulder", 0.1)])) == 0.0
+    assert points_of(record(found=[("coulomb_friction", "elbow", 0.4)])) == 0.0
+    assert points_of(record("confounded", named, [("link_mass", "shoulder")])) == 0.5
+    assert points_of(record("not_identifiable")) == 0.0
     assert not is_above(record(over_least=None))
     assert right(record("unchanged", over_least=0.5)) is None
     assert right(record(found=[("link_mass", "turn", 1.0)], over_least=0.5)) == 0.0
