@@ -1,4 +1,4 @@
-"""Report of the study: its rules_of_loads, and tables by machine and case."""
+"""Report of the study: its rules, and tables by machine and case."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
