@@ -33,7 +33,10 @@ from surefoot.models.attribution.evidence import (
 )
 from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_middles
-from surefoot.models.attribution.noise_floor import is_compensated_approximately
+from surefoot.models.attribution.noise_floor import (
+    POINT_FEET_SIZES,
+    is_compensated_approximately,
+)
 from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channels import channels
@@ -277,6 +280,9 @@ def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -
     span = max(float(np.ptp(case.log.t)) for case in cases)
     per_run = PER_RUN_EFFECTS if several else frozenset()
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
+    if several:
+        # Clocks of each log are told relative to the IMU's: all of them together show in nothing.
+        keys = tuple(key for key in keys if key != ("clock_scale", "imu"))
     certain = np.array(
         [not machine.fixed and kinds[name].is_always_present(at, machine) for name, at in keys]
     )
@@ -308,6 +314,8 @@ def _unknown_size(key: Key, limbs: Limbs) -> float:
     name, target = key
     shows_in = [channels()[c] for c in known_effects()[name].channels_of(target) if c in channels()]
     levels = [channel.level_spread.get(target, 0.0) for channel in shows_in]
+    if limbs.feet_alone:
+        levels.append(POINT_FEET_SIZES.get(key, 0.0))
     return max(EXACT_SHARE * plausible_size(name, target, limbs), *levels, 0.0)
 
 
@@ -542,7 +550,8 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
             sizes = {(e.name, e.target): e.value for e in case.zeros}
             for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
                 least = ZERO_MOVED * np.hypot(deviation, more)
-                if abs(size - sizes.get(key, 0.0)) > least:
+                known = key in sizes
+                if abs(size - sizes.get(key, 0.0)) > (ZERO_MOVED * deviation if known else least):
                     sizes[key] = size
                 if abs(sizes.get(key, 0.0)) <= least:
                     sizes.pop(key, None)

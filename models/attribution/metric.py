@@ -115,9 +115,9 @@ class Metric:
         which = [list(self.places).index(self.known.keys.index(key)) for key in keys]
         prior, out = np.diag(self.precision), []
         for fitted, inverse in zip(self._fitted(sizes), self._inverses, strict=True):
-            # By the log alone, without the prior.
+            # By the log alone, without the prior, unless that tells more: all clocks together.
             both = 1.0 / np.diag(inverse)
-            alone = np.maximum(both - prior, 1e-12 * both)
+            alone = np.where(both > 2.0 * prior, both - prior, both)
             out.append(
                 [(float(fitted[i] * both[i] / alone[i]), float(alone[i] ** -0.5)) for i in which]
             )

@@ -81,7 +81,7 @@ POINT_FEET_SIZES = {
     ("contact_delay", "touchdown"): 3e-3,
     ("contact_delay", "liftoff"): 6e-3,
 }
-POINT_FEET_LEVELS = {"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 11e-3}
+POINT_FEET_LEVELS = {"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 8e-3}
 """What rolling and creeping feet leave where a log gives them and they are taken for points.
 
 From 21 simulated walks of seven robots without an effect (spot_class, v60_class, go1, go2, aliengo,
@@ -270,22 +270,19 @@ def _floor_of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]
     sigma = np.maximum(reading_noise(cases, effects), _least_noise(layout))
     heights = layout.of("foot_height")
     sigma[heights] = np.hypot(sigma[heights], ground_evenness(cases))
+    error, read = _no_error(sigma, layout), tuple(cases)
     if cases[0].by_feet:
         source = (
             "the noise of the readings, and what point feet leave on simulated walks of other "
             "robots, since there is no model of this one"
         )
-        seen, levels = POINT_FEET_SIZES, POINT_FEET_LEVELS
-        deviations = np.array([*seen.values()])
-        mean = 0.0 * deviations
-    else:
-        source, levels = "the differences between successive readings", {}
-        seen = apparent_sizes(cases, sigma)
-        mean = np.array([*seen.values()])
-        deviations = APPARENT_SIZE_DOUBT * mean
-    error = _no_error(sigma, layout)
-    error = replace(error, keys=tuple(seen), mean=mean, covariance=np.diag(deviations**2))
-    return NoiseFloor(sigma, (), source, error, readings=tuple(cases), levels=levels)
+        return NoiseFloor(sigma, (), source, error, readings=read, levels=POINT_FEET_LEVELS)
+    seen = apparent_sizes(cases, sigma)
+    mean = np.array([*seen.values()])
+    covariance = np.diag((APPARENT_SIZE_DOUBT * mean) ** 2)
+    error = replace(error, keys=tuple(seen), mean=mean, covariance=covariance)
+    source = "the differences between successive readings"
+    return NoiseFloor(sigma, (), source, error, readings=read)
 
 
 def ground_evenness(cases: Sequence[LogUnderModel]) -> float:

@@ -192,7 +192,8 @@ def harmful_to_filters(
     parts = [
         (case, *ends)
         for case in cases
-        if not case.fixed and case.log.has("imu") and case.log.has("reference")
+        # How far given feet roll is not known, so they do not judge.
+        if not (case.fixed or case.by_feet) and case.log.has("imu") and case.log.has("reference")
         for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], LOG_PARTS + 1))
     ]
 
