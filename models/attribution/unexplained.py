@@ -91,12 +91,14 @@ def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[
     gains = {joint: _gain(metric, joint, found) for joint in joints}
     blocks = sum(np.ptp(case.log.t) for case in cases) / BLOCK_SECONDS
     price = len(DEGREES + LOADED_DEGREES) * np.log(max(2.0, blocks))
-    energy = np.einsum("kii->i", metric.grams)
+    energy = metric.grams.sum(axis=0)
     out = []
     for joint in dict.fromkeys(at):
         others = [gains[one] for one in joints if kind[one] == kind[joint] and one not in at]
         own = [e for e in found if e.target == joint]
-        explained = sum(e.value**2 * energy[1 + known.keys.index((e.name, joint))] for e in own)
+        at_joint = [1 + known.keys.index((e.name, joint)) for e in own]
+        sizes = np.array([e.value for e in own])
+        explained = float(sizes @ energy[np.ix_(at_joint, at_joint)] @ sizes)
         gain, chance = gains[joint], max(others, default=0.0)
         if gain > max(price, CURVE_OTHERS * chance, CURVE_WORTH * explained):
             by_channel = {}

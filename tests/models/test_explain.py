@@ -1,7 +1,5 @@
 """The search on walks with a known effect: the right one of two that look alike, and no other."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -72,23 +70,6 @@ def test_two_effects_of_one_joint_are_both_found(floor):
         low, high = one.interval
         size = next(e.value for e in truth if e.name == one.effect.name)
         assert low < size < high
-
-
-@pytest.mark.long
-def test_what_two_effects_explain_alike_has_a_rival(floor):
-    """A robot that stands does not tell the offset of a gyro from its answer to gravity."""
-    log = walk(
-        Scenario("stand", (Segment(0.5),), Ground(0.8), stand=20.0),
-        SPOT,
-        3,
-        (effect("gyro_bias", "z", 0.05),),
-        declared=False,
-    )
-    still = replace(log, frame=log.frame[log.t - log.t[0] < 19.5])
-    case = log_under_model(still, SPOT)
-    found = explained(case, noise_floor([case]))
-    assert names(found)[0] == ("gyro_bias", "z")
-    assert ("gyro_g_sensitivity", "z") in [key for key, _ in found.rivals]
 
 
 @pytest.mark.long
