@@ -465,11 +465,25 @@ class _State:
 
     def earned_by(self, chosen: Chosen) -> np.ndarray:
         """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
-        earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
+        earned = self.earned(chosen.keys, chosen.sizes, self._deviations(chosen))
         if not (earned > 0.0).any():
             return earned
         agreed = np.abs(chosen.sizes) > BLOCKS_AGREE * chosen.between_blocks
         return np.where(agreed, earned, np.minimum(earned, -1.0))
+
+
+    def _deviations(self, chosen: Chosen) -> np.ndarray:
+        """Standard deviations of the sizes (k,), each with the error of the model with the others:
+        a machine without an effect does not have what compensating it leaves.
+        """
+        out = chosen.deviations.copy()
+        there = [(one.name, one.target) for one in self.effects]
+        for place, (one, key) in enumerate(zip(chosen.effects, chosen.keys, strict=True)):
+            if key in there and is_compensated_approximately(one):
+                others = [e for e in self.effects if (e.name, e.target) != key]
+                metric = _metric_of(self.problem, self.metric.known, self.error_of(others))
+                out[place] = replace(chosen, metric=metric).deviations[place]
+        return out
 
 
 def _metric(
@@ -478,7 +492,10 @@ def _metric(
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
     before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    known = _moving(problem, effects, known)
+    return _metric_of(problem, _moving(problem, effects, known), error)
+
+
+def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
     if problem.by_windows:
         noise = {group: OF_MEAN * level for group, level in error.noise.items()}
         error = replace(error, noise=noise)
@@ -724,6 +741,8 @@ def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.n
     for i in likely:
         yield [keys[i]], beside.sizes[[i]], True
     pairs = np.triu(_of_pairs(problem, beside), 1)
+    if first.any():
+        pairs = np.where(first[:, None] & first, pairs, 0.0)
     ends = np.argpartition(-pairs, min(PAIRS, pairs.size) - 1, axis=None)[:PAIRS]
     for flat in sorted(ends, key=lambda flat: -pairs.flat[flat]):
         pair = np.array(np.unravel_index(flat, pairs.shape))
