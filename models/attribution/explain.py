@@ -414,12 +414,11 @@ class _State:
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
-        error = self.error_of(effects)
         # Other effects change the derivatives with respect to all candidates.
         same = {(e.name, e.target) for e in effects} <= {(e.name, e.target) for e in self.effects}
         before = self.metric.known if same else None
-        metric = _metric(self.problem, effects, before, error)
-        return replace(self, effects=tuple(effects), error=error, metric=metric)
+        metric = _metric(self.problem, effects, before, self.error)
+        return replace(self, effects=tuple(effects), metric=metric)
 
     @property
     def least_excess(self) -> float:
@@ -465,25 +464,11 @@ class _State:
 
     def earned_by(self, chosen: Chosen) -> np.ndarray:
         """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
-        earned = self.earned(chosen.keys, chosen.sizes, self._deviations(chosen))
+        earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
         if not (earned > 0.0).any():
             return earned
         agreed = np.abs(chosen.sizes) > BLOCKS_AGREE * chosen.between_blocks
         return np.where(agreed, earned, np.minimum(earned, -1.0))
-
-
-    def _deviations(self, chosen: Chosen) -> np.ndarray:
-        """Standard deviations of the sizes (k,), each with the error of the model with the others:
-        a machine without an effect does not have what compensating it leaves.
-        """
-        out = chosen.deviations.copy()
-        there = [(one.name, one.target) for one in self.effects]
-        for place, (one, key) in enumerate(zip(chosen.effects, chosen.keys, strict=True)):
-            if key in there and is_compensated_approximately(one):
-                others = [e for e in self.effects if (e.name, e.target) != key]
-                metric = _metric_of(self.problem, self.metric.known, self.error_of(others))
-                out[place] = replace(chosen, metric=metric).deviations[place]
-        return out
 
 
 def _metric(
@@ -492,10 +477,7 @@ def _metric(
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
     before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    return _metric_of(problem, _moving(problem, effects, known), error)
-
-
-def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
+    known = _moving(problem, effects, known)
     if problem.by_windows:
         noise = {group: OF_MEAN * level for group, level in error.noise.items()}
         error = replace(error, noise=noise)
@@ -786,8 +768,10 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
     """
     problem, rivals = state.problem, []
     for place, key in enumerate(chosen.keys):
-        beside = _beside(state, chosen, instead_of=place)
         own = int(problem.at([key])[0])
+        if problem.certain[own]:
+            continue
+        beside = _beside(state, chosen, instead_of=place)
         S = beside.S[1:, 1:]
         with np.errstate(invalid="ignore"):
             overlap = np.abs(S[own]) / np.sqrt(S[own, own] * np.diag(S))
