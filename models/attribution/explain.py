@@ -414,11 +414,12 @@ class _State:
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
+        error = self.error_of(effects)
         # Other effects change the derivatives with respect to all candidates.
         same = {(e.name, e.target) for e in effects} <= {(e.name, e.target) for e in self.effects}
         before = self.metric.known if same else None
-        metric = _metric(self.problem, effects, before, self.error)
-        return replace(self, effects=tuple(effects), metric=metric)
+        metric = _metric(self.problem, effects, before, error)
+        return replace(self, effects=tuple(effects), error=error, metric=metric)
 
     @property
     def least_excess(self) -> float:
