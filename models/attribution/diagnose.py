@@ -337,13 +337,8 @@ class _Floors:
         return self.last
 
     def error_of(self, effects: Sequence[Effect]) -> ModelError:
-        """Error of the model with these effects.
-
-        The noise of readings propagates through the compensation. What effects leave on simulated
-        walks is no part of the error, since how much a machine has depends on how they are
-        simulated.
-        """
-        return self.of(effects).error if self.plain.readings else self.plain.error
+        """Error of the model with these effects."""
+        return self.of(effects).error
 
 
 @dataclass(frozen=True)

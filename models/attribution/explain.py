@@ -330,8 +330,9 @@ def explain(
 
     A candidate earns its place if the evidence for it exceeds its price, and its size the least
     excess over its standard deviation. Effects that every machine has are chosen first. Whenever
-    one is added, those that no longer earn theirs are dropped. Finally those are dropped that make
-    a channel worse on bins that no fit has seen.
+    one is added, those that no longer earn theirs are dropped. Finally those are dropped that what
+    the others leave once they are compensated may imitate, and those that make a channel worse on
+    bins that no fit has seen.
 
     Args:
         problem: the logs.
@@ -359,6 +360,7 @@ def explain(
         if frozenset(chosen.keys) in tried:
             break
         tried.add(frozenset(chosen.keys))
+    state, chosen = _certain_beside_what_is_left(state, chosen)
     harm: list[tuple[Effect, str]] = []
     while one := harmful(state.metric, state.problem, chosen.effects):
         harm.append(one)
@@ -392,7 +394,7 @@ class _State:
         problem: the logs, with their own zeros and clocks compensated.
         error_of: as of `explain`.
         effects: that are compensated.
-        error: of the model with the effects.
+        error: of the declared model.
         metric: linearised at the effects.
         explained: squared residual of each channel (channels,) that effects of the body explain, in
             units of the noise.
@@ -414,12 +416,11 @@ class _State:
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
-        error = self.error_of(effects)
         # Other effects change the derivatives with respect to all candidates.
         same = {(e.name, e.target) for e in effects} <= {(e.name, e.target) for e in self.effects}
         before = self.metric.known if same else None
-        metric = _metric(self.problem, effects, before, error)
-        return replace(self, effects=tuple(effects), error=error, metric=metric)
+        metric = _metric(self.problem, effects, before, self.error)
+        return replace(self, effects=tuple(effects), metric=metric)
 
     @property
     def least_excess(self) -> float:
@@ -478,7 +479,10 @@ def _metric(
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
     before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    known = _moving(problem, effects, known)
+    return _metric_of(problem, _moving(problem, effects, known), error)
+
+
+def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
     if problem.by_windows:
         noise = {group: OF_MEAN * level for group, level in error.noise.items()}
         error = replace(error, noise=noise)
@@ -517,6 +521,27 @@ def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
         if worst < 0 or earned[worst] > 0.0:
             return state, chosen
         effects = (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
+
+
+def _certain_beside_what_is_left(state: _State, chosen: Chosen) -> tuple[_State, Chosen]:
+    """The effects that earn their places under the error of the model with all others compensated.
+
+    What an effect leaves depends on how it is simulated, so it is no part of the error under which
+    sizes are fitted.
+    """
+    while chosen.effects:
+        deviations = []
+        for place, one in enumerate(chosen.effects):
+            others = [e for e in chosen.effects if e != one]
+            metric = _metric_of(state.problem, state.metric.known, state.error_of(others))
+            deviations.append(replace(chosen, metric=metric).deviations[place])
+        earned = state.earned(chosen.keys, chosen.sizes, np.array(deviations))
+        worst = int(np.argmin(earned))
+        if earned[worst] > 0.0:
+            break
+        kept = (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
+        state, chosen = _settled(state, kept)
+    return state, chosen
 
 
 def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:

@@ -216,7 +216,18 @@ def noise_floor_with(
         return floor
     if near is not None and near.plan is not None and _about_same(near.plan.effects, telling):
         return near
-    return _floor(replace(floor.plan, effects=telling)) or floor
+    found = _floor(replace(floor.plan, effects=telling))
+    return floor if found is None else replace(found, error=_with_doubt(found.error, floor.error))
+
+
+def _with_doubt(error: ModelError, plain: ModelError) -> ModelError:
+    """The error of a model with effects, whose means differ from the `plain` model's by what
+    simulated walks leave once they are compensated: how much that is on the machine is not known.
+    """
+    known = dict(zip(plain.keys, plain.mean, strict=True))
+    mean = np.array([known.get(key, 0.0) for key in error.keys])
+    covariance = error.covariance + np.diag((error.mean - mean) ** 2)
+    return replace(error, mean=mean, covariance=covariance)
 
 
 def _about_same(known: Sequence[Effect], effects: Sequence[Effect]) -> bool:
