@@ -221,13 +221,16 @@ def noise_floor_with(
 
 
 def _with_doubt(error: ModelError, plain: ModelError) -> ModelError:
-    """The error of a model with effects, whose means differ from the `plain` model's by what
-    simulated walks leave once they are compensated: how much that is on the machine is not known.
+    """The error of a model with effects, as far as simulated walks of it tell.
+
+    How much they leave once they are compensated depends on how they are simulated. So the means
+    are those of the `plain` model, known no better than they differ, and so is the noise: what a
+    log has beyond it shows in its own residual.
     """
     known = dict(zip(plain.keys, plain.mean, strict=True))
     mean = np.array([known.get(key, 0.0) for key in error.keys])
     covariance = error.covariance + np.diag((error.mean - mean) ** 2)
-    return replace(error, mean=mean, covariance=covariance)
+    return replace(error, mean=mean, covariance=covariance, noise=plain.noise)
 
 
 def _about_same(known: Sequence[Effect], effects: Sequence[Effect]) -> bool:
