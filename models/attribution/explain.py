@@ -533,8 +533,7 @@ def _certain_beside_what_is_left(state: _State, chosen: Chosen) -> tuple[_State,
         deviations = []
         for place, one in enumerate(chosen.effects):
             others = [e for e in chosen.effects if e != one]
-            metric = _metric_of(state.problem, state.metric.known, state.error_of(others))
-            deviations.append(replace(chosen, metric=metric).deviations[place])
+            deviations.append(_beside_what_is_left(state, chosen, others).deviations[place])
         earned = state.earned(chosen.keys, chosen.sizes, np.array(deviations))
         worst = int(np.argmin(earned))
         if earned[worst] > 0.0:
@@ -542,6 +541,12 @@ def _certain_beside_what_is_left(state: _State, chosen: Chosen) -> tuple[_State,
         kept = (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
         state, chosen = _settled(state, kept)
     return state, chosen
+
+
+def _beside_what_is_left(state: _State, chosen: Chosen, effects: Sequence[Effect]) -> Chosen:
+    """The refined effects under the error of the model with these effects compensated."""
+    error = state.error_of(effects)
+    return replace(chosen, metric=_metric_of(state.problem, state.metric.known, error))
 
 
 def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
@@ -858,7 +863,8 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
 def _with_intervals(state: _State, chosen: Chosen) -> tuple[Found, ...]:
     """Effects, strongest first, with 95 % intervals."""
     at = state.problem.at(chosen.keys)
-    noise, both = np.diag(chosen.of_noise), np.diag(chosen.covariance)
+    with_rest = _beside_what_is_left(state, chosen, chosen.effects)
+    noise, both = np.diag(with_rest.of_noise), np.diag(with_rest.covariance)
     runs = state.error.runs
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
     square = 1.96**2 * (noise + state.problem.unknown[at] ** 2)
