@@ -27,8 +27,7 @@ def test_what_the_legs_of_the_walk_have_is_named_and_mends_the_leg_filter():
     named = {(one.name, one.target): one.value for one in found.effects}
     assert {name for name, _ in named} >= {"foot_rolling", "leg_compliance", "contact_delay"}
     drawn = Robot.load("go1").foot_radius.mean()
-    # On one walk, the rolling of the feet and the compliance of the legs are nearly collinear: of the
-    # drawn radius, between half and one and a half is found.
+    # On one walk, feet that roll and legs that give are nearly collinear.
     assert named["foot_rolling", "all"] == pytest.approx(drawn, rel=0.5)
     assert 0.001 < named["leg_compliance", "all"] < 0.004
     assert 0.005 < named["contact_delay", "liftoff"] < 0.05
