@@ -19,16 +19,29 @@ pytestmark = [
 ]
 
 
-@pytest.mark.long
-def test_what_the_legs_of_the_walk_have_is_named_and_mends_the_leg_filter():
-    """Half a minute of computing: feet that roll, legs that give, contacts that end late."""
+@pytest.fixture(scope="module")
+def found():
+    """The trace of the walk: half a minute of computing."""
     log = import_log(RECORDING, "go1_square")
-    found = trace_logs([log], Robot.for_log(log, "go1"))
+    return trace_logs([log], Robot.for_log(log, "go1"))
+
+
+@pytest.mark.long
+@pytest.mark.xfail(
+    strict=True,
+    reason="on one walk, rolling feet and compliant legs are nearly collinear: about half the "
+    "radius is found",
+)
+def test_the_feet_roll_about_as_far_as_drawn(found):
+    (rolls,) = [one.value for one in found.effects if one.name == "foot_rolling"]
+    assert rolls == pytest.approx(Robot.load("go1").foot_radius.mean(), abs=0.01)
+
+
+@pytest.mark.long
+def test_what_the_legs_of_the_walk_have_is_named_and_mends_the_leg_filter(found):
+    """Feet that roll, legs that give, contacts that end late."""
     named = {(one.name, one.target): one.value for one in found.effects}
     assert {name for name, _ in named} >= {"foot_rolling", "leg_compliance", "contact_delay"}
-    drawn = Robot.load("go1").foot_radius.mean()
-    # On one walk, feet that roll and legs that give are nearly collinear.
-    assert named["foot_rolling", "all"] == pytest.approx(drawn, rel=0.5)
     assert 0.001 < named["leg_compliance", "all"] < 0.004
     assert 0.005 < named["contact_delay", "liftoff"] < 0.05
     assert found.verdict == "none_of_these", "what is left is far above the floor"
