@@ -360,7 +360,7 @@ def explain(
         if frozenset(chosen.keys) in tried:
             break
         tried.add(frozenset(chosen.keys))
-    state, chosen = _certain_beside_what_is_left(state, chosen)
+    state, chosen = _not_imitated(state, chosen)
     harm: list[tuple[Effect, str]] = []
     while one := harmful(state.metric, state.problem, chosen.effects):
         harm.append(one)
@@ -516,18 +516,25 @@ def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
         state = _with_zeros(state, effects)
         chosen = _refined(state, effects)
         state = replace(state, explained=_explained_by_body(state, chosen))
-        earned = state.earned_by(chosen)
-        worst = int(np.argmin(earned)) if len(earned) else -1
-        if worst < 0 or earned[worst] > 0.0:
+        kept = _without_worst(chosen, state.earned_by(chosen))
+        if kept is None:
             return state, chosen
-        effects = (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
+        effects = kept
 
 
-def _certain_beside_what_is_left(state: _State, chosen: Chosen) -> tuple[_State, Chosen]:
-    """The effects that earn their places under the error of the model with all others compensated.
+def _without_worst(chosen: Chosen, earned: np.ndarray) -> tuple[Effect, ...] | None:
+    """The effects without the one that earns its place least; None if all earn theirs."""
+    worst = int(np.argmin(earned)) if len(earned) else -1
+    if worst < 0 or earned[worst] > 0.0:
+        return None
+    return (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
 
-    What an effect leaves depends on how it is simulated, so it is no part of the error under which
-    sizes are fitted.
+
+def _not_imitated(state: _State, chosen: Chosen) -> tuple[_State, Chosen]:
+    """Drop the effects that the residual which the others leave once compensated may imitate.
+
+    How much is left depends on how an effect is simulated, so it is no part of the error under
+    which sizes are fitted.
     """
     while chosen.effects:
         deviations = []
@@ -535,10 +542,9 @@ def _certain_beside_what_is_left(state: _State, chosen: Chosen) -> tuple[_State,
             others = [e for e in chosen.effects if e != one]
             deviations.append(_beside_what_is_left(state, chosen, others).deviations[place])
         earned = state.earned(chosen.keys, chosen.sizes, np.array(deviations))
-        worst = int(np.argmin(earned))
-        if earned[worst] > 0.0:
+        kept = _without_worst(chosen, earned)
+        if kept is None:
             break
-        kept = (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
         state, chosen = _settled(state, kept)
     return state, chosen
 
@@ -546,6 +552,8 @@ def _certain_beside_what_is_left(state: _State, chosen: Chosen) -> tuple[_State,
 def _beside_what_is_left(state: _State, chosen: Chosen, effects: Sequence[Effect]) -> Chosen:
     """The refined effects under the error of the model with these effects compensated."""
     error = state.error_of(effects)
+    if error is state.error:
+        return chosen
     return replace(chosen, metric=_metric_of(state.problem, state.metric.known, error))
 
 
