@@ -237,7 +237,15 @@ def diagnose(
                 options.harmful(unseen or now.cases, effects) if effects else None
             )
 
-        found = explain(problem, floors.error_of, harmful, lambda x: progress(0.4 + 0.5 * x))
+        def needed(
+            metric: Metric, now: Problem, effects: Sequence[Effect], others: Sequence[Effect]
+        ) -> bool:
+            floor = floors.of(others)
+            return are_needed(now.cases, effects, others, metric, floor, split)
+
+        found = explain(
+            problem, floors.error_of, harmful, needed, lambda x: progress(0.4 + 0.5 * x)
+        )
         floors.of([one.effect for one in found.found])
         return found, floors
 
@@ -439,6 +447,32 @@ def find_harmful_effect(
         return float(np.nanmean(left[:, sides.evidence.layout.of(worse)] ** 2))
 
     return min(effects, key=without), worse
+
+
+def are_needed(
+    cases: Sequence[LogUnderModel],
+    effects: Sequence[Effect],
+    others: Sequence[Effect],
+    metric: Metric,
+    floor: NoiseFloor,
+    split: Split,
+) -> bool:
+    """Whether a channel is worse (`ChannelLevel.worse`) with `others` than with `effects`, on bins
+    that no fit has seen.
+
+    Args:
+        cases: the logs, with their own zeros and clocks compensated.
+        effects: found.
+        others: found without some of them.
+        metric: with its weights.
+        floor: noise floor of the model with the others.
+        split: of the logs.
+    """
+    if len(others) == len(effects):
+        return True
+    more, less = (_residuals(cases, e, metric, floor, split.fit) for e in (effects, others))
+    levels = replace(less, before=more.after).levels(split.report)
+    return any(level.worse for level in levels.values())
 
 
 def _held_out(

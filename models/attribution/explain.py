@@ -323,6 +323,7 @@ def explain(
     problem: Problem,
     error_of: Callable[[Sequence[Effect]], ModelError],
     harmful: Callable[[Metric, Problem, Sequence[Effect]], tuple[Effect, str] | None],
+    needed: Callable[[Metric, Problem, Sequence[Effect], Sequence[Effect]], bool],
     progress: Callable[[float], None] = lambda share: None,
 ) -> Explanation:
     """Add the best candidate or pair until none earns its place, then replace what another explains
@@ -331,13 +332,14 @@ def explain(
     A candidate earns its place if the evidence for it exceeds its price, and its size the least
     excess over its standard deviation. Effects that every machine has are chosen first. Whenever
     one is added, those that no longer earn theirs are dropped. Finally those are dropped that what
-    the others leave once they are compensated may imitate, and those that make a channel worse on
-    bins that no fit has seen.
+    the others leave once they are compensated may imitate, unless a channel is worse without them
+    than that; and those that make a channel worse on bins that no fit has seen.
 
     Args:
         problem: the logs.
         error_of: error of the declared model with these effects, which it has and compensates.
         harmful: an effect of these that makes a channel worse, and the channel; None if none does.
+        needed: whether a channel is worse with the second effects than with the first.
         progress: called with the share done, from 0 to 1.
     """
     state, chosen = _settled(_State.of(problem, error_of), ())
@@ -360,7 +362,9 @@ def explain(
         if frozenset(chosen.keys) in tried:
             break
         tried.add(frozenset(chosen.keys))
-    state, chosen = _not_imitated(state, chosen)
+    fewer = _not_imitated(state, chosen)
+    if not needed(state.metric, state.problem, chosen.effects, fewer[1].effects):
+        state, chosen = fewer
     harm: list[tuple[Effect, str]] = []
     while one := harmful(state.metric, state.problem, chosen.effects):
         harm.append(one)

@@ -29,7 +29,7 @@ def floor():
 
 def explained(case, floor):
     problem = problem_of([case], split_of([case]).fit, several=False)
-    return explain(problem, lambda effects: noise_floor_with(floor, effects).error, lambda *_: None)
+    return explain(problem, lambda effects: noise_floor_with(floor, effects).error, lambda *_: None, lambda *_: False)
 
 
 def names(found):
@@ -80,7 +80,7 @@ def test_zeros_of_each_log_are_no_effects(floor):
         for k, zero in enumerate(zeros)
     ]
     problem = problem_of(cases, split_of(cases).fit, several=True)
-    found = explain(problem, lambda _: floor.error, lambda *_: None)
+    found = explain(problem, lambda _: floor.error, lambda *_: None, lambda *_: False)
     assert not found.found
     alone = problem_of(cases[:1], np.ones(len(cases[0].motion.t), bool), several=True)
     runs, _ = zeros_beside(alone, lambda _: floor.error, ())
