@@ -112,8 +112,7 @@ class Diagnosis:
         """Effects that were considered and are not found, and why."""
         if self.attribution is None:
             return ()
-        harmful = ((one, f"it makes {name} worse") for one, name in self.attribution.harmful)
-        return (*harmful, *self.attribution.rejected)
+        return (*self.attribution.dropped, *self.attribution.rejected)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -285,7 +284,7 @@ def diagnose(
             held_out=held_out,
             pushes=pushes,
             pushed_away=gone,
-            harmful=result.harmful,
+            dropped=result.dropped,
             limbs=cases[0].robot.limbs,
         )
     )

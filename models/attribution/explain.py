@@ -20,6 +20,7 @@ from surefoot.models.attribution.effect_sizes import (
     interior_bounds,
     plausible_size,
     price_of_some_parts,
+    prior_of,
     with_clipped_size,
 )
 from surefoot.models.attribution.evidence import (
@@ -133,7 +134,7 @@ class Explanation:
         found: effects, strongest first.
         rounds: candidates of each round.
         rivals: key and overlap of the candidates that explain the logs as well as an effect found.
-        harmful: effects that were dropped, and the channel or filter that each made worse.
+        dropped: effects that were found and are not kept, and why.
         rejected: other effects that were considered last, and why each is not found.
         runs: each log with its own effects.
         metric: linearised at the effects.
@@ -142,7 +143,7 @@ class Explanation:
     found: tuple[Found, ...]
     rounds: tuple[tuple[Candidate, ...], ...]
     rivals: tuple[tuple[Key, float], ...]
-    harmful: tuple[tuple[Effect, str], ...]
+    dropped: tuple[tuple[Effect, str], ...]
     rejected: tuple[tuple[Effect, str], ...]
     runs: tuple[FittedRun, ...]
     metric: Metric
@@ -322,8 +323,12 @@ def _unknown_size(key: Key, limbs: Limbs) -> float:
 def explain(
     problem: Problem,
     error_of: Callable[[Sequence[Effect]], ModelError],
-    harmful: Callable[[Metric, Problem, Sequence[Effect]], tuple[Effect, str] | None],
-    needed: Callable[[Metric, Problem, Sequence[Effect], Sequence[Effect]], bool],
+    harmful: Callable[[Metric, Problem, Sequence[Effect]], tuple[Effect, str] | None] = lambda *_: (
+        None
+    ),
+    needed: Callable[[Metric, Problem, Sequence[Effect], Sequence[Effect]], bool] = lambda *_: (
+        False
+    ),
     progress: Callable[[float], None] = lambda share: None,
 ) -> Explanation:
     """Add the best candidate or pair until none earns its place, then replace what another explains
@@ -333,7 +338,8 @@ def explain(
     excess over its standard deviation. Effects that every machine has are chosen first. Whenever
     one is added, those that no longer earn theirs are dropped. Finally those are dropped that what
     the others leave once they are compensated may imitate, unless a channel is worse without them
-    than that; and those that make a channel worse on bins that no fit has seen.
+    than that; and those of an implausible size, or that make a channel worse on bins that no fit
+    has seen.
 
     Args:
         problem: the logs.
@@ -365,15 +371,20 @@ def explain(
     fewer = _not_imitated(state, chosen)
     if not needed(state.metric, state.problem, chosen.effects, fewer[1].effects):
         state, chosen = fewer
-    harm: list[tuple[Effect, str]] = []
-    while one := harmful(state.metric, state.problem, chosen.effects):
-        harm.append(one)
-        state, chosen = _settled(state, [e for e in chosen.effects if e != one[0]])
+    dropped: list[tuple[Effect, str]] = []
+    while True:
+        one, why = _implausible(chosen) or (None, "")
+        if one is None and (harm := harmful(state.metric, state.problem, chosen.effects)):
+            one, why = harm[0], f"it makes {harm[1]} worse"
+        if one is None:
+            break
+        dropped.append((one, why))
+        state, chosen = _settled(state, [e for e in chosen.effects if e != one])
     return Explanation(
         found=_with_intervals(state, chosen),
         rounds=tuple(rounds),
         rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
-        harmful=tuple(harm),
+        dropped=tuple(dropped),
         rejected=rejected,
         runs=_fitted_runs(state),
         metric=state.metric,
@@ -551,6 +562,17 @@ def _not_imitated(state: _State, chosen: Chosen) -> tuple[_State, Chosen]:
             break
         state, chosen = _settled(state, kept)
     return state, chosen
+
+
+def _implausible(chosen: Chosen) -> tuple[Effect, str] | None:
+    """An effect whose size no machine has, so that another cause must explain the residual, and in
+    words why.
+    """
+    for one, deviation in zip(chosen.effects, chosen.deviations, strict=True):
+        most = prior_of(type(one)).most
+        if abs(one.value) - 1.96 * deviation > most:
+            return one, f"{one.value:.2g} {one.unit} is implausible, above {most:.2g}"
+    return None
 
 
 def _beside_what_is_left(state: _State, chosen: Chosen, effects: Sequence[Effect]) -> Chosen:

@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from surefoot.models.attribution.effect_sizes import Found, prior_of
+from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.explain import FittedRun
 from surefoot.models.attribution.forces import Push
 from surefoot.models.attribution.levels import ChannelLevel
@@ -40,7 +38,7 @@ class Findings:
         held_out: result on held-out logs, where there are any.
         pushes: sections with an outside force; channels are judged without them.
         pushed_away: effects that explain nothing but outside forces.
-        harmful: effects that were dropped, and the channel that each made worse.
+        dropped: effects that were found and are not kept, and why.
         limbs: of the machine, on which bounds depend.
     """
 
@@ -51,12 +49,12 @@ class Findings:
     held_out: HeldOutRuns | None = None
     pushes: Sequence[Push] = ()
     pushed_away: Sequence[Found] = ()
-    harmful: Sequence[tuple[Effect, str]] = ()
+    dropped: Sequence[tuple[Effect, str]] = ()
     limbs: Limbs | None = None
 
 
 def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
-    """The verdict and its reasons; `no_residual`, `attributed` and `confounded` have none."""
+    """The verdict and its reasons; `no_residual` and `attributed` have none."""
     found, channels, pushes = findings.found, findings.channels, findings.pushes
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
@@ -67,10 +65,7 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
         for one in found
         if _at_bound(one.effect, findings.limbs)
     ]
-    reasons += [why for one in found if (why := _implausible(one))]
-    reasons += [
-        f"{one.name} {one.target}: dropped, it makes {name} worse" for one, name in findings.harmful
-    ]
+    reasons += [f"{one.name} {one.target}: dropped, {why}" for one, why in findings.dropped]
     reasons += findings.held_out.worsened if findings.held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)
@@ -86,7 +81,12 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
     if not _gains(found, channels):
         why = "the effects found do not reduce the residual on unseen data"
         return "not_identifiable", (why,)
-    return ("confounded" if findings.rivals else "attributed"), ()
+    imitated = [
+        f"{one.effect.name} {one.effect.target}: what the other effects leave may imitate it"
+        for one in found
+        if one.interval[0] <= 0.0 <= one.interval[1]
+    ]
+    return ("confounded" if findings.rivals or imitated else "attributed"), tuple(imitated)
 
 
 def _above(c: ChannelLevel) -> str:
@@ -100,15 +100,6 @@ def _at_bound(one: Effect, limbs: Limbs | None) -> bool:
         return False
     low, high = type(one).interior_bounds(one.target, limbs)
     return not low < one.value < high
-
-
-def _implausible(one: Found) -> str:
-    """Why an effect of this size is implausible for any machine; "" if it is plausible."""
-    most, least = prior_of(type(one.effect)).most, min(np.abs(one.interval))
-    if one.interval[0] < 0 < one.interval[1] or least <= most:
-        return ""
-    name, unit = f"{one.effect.name} {one.effect.target}", one.effect.unit
-    return f"{name}: {one.effect.value:.2g} {unit} is implausible, above {most:.2g}"
 
 
 def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:

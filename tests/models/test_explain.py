@@ -29,7 +29,12 @@ def floor():
 
 def explained(case, floor):
     problem = problem_of([case], split_of([case]).fit, several=False)
-    return explain(problem, lambda effects: noise_floor_with(floor, effects).error, lambda *_: None, lambda *_: False)
+    return explain(
+        problem,
+        lambda effects: noise_floor_with(floor, effects).error,
+        lambda *_: None,
+        lambda *_: False,
+    )
 
 
 def names(found):
@@ -72,6 +77,22 @@ def test_two_effects_of_one_joint_are_both_found(floor):
         assert low < size < high
 
 
+def test_a_scale_that_no_encoder_has_is_dropped(floor):
+    truth = effect("encoder_scale", "FL_hip", -0.15)
+    found = explained(case_with(truth), floor)
+    one, why = found.dropped[0]
+    assert (one.name, one.target) == ("encoder_scale", "FL_hip")
+    assert one.value == pytest.approx(truth.value, rel=0.1)
+    assert "is implausible, above 0.075" in why
+
+
+@pytest.mark.long
+def test_what_leftovers_of_compensation_may_imitate_is_not_found(floor):
+    """What a spring of a joint leaves once it is compensated looks like masses of links."""
+    found = explained(case_with(effect("leg_compliance", "hip", 1.5e-3)), floor)
+    assert names(found) == [("leg_compliance", "hip")]
+
+
 @pytest.mark.long
 def test_zeros_of_each_log_are_no_effects(floor):
     zeros = (0.01, -0.015)
@@ -80,7 +101,7 @@ def test_zeros_of_each_log_are_no_effects(floor):
         for k, zero in enumerate(zeros)
     ]
     problem = problem_of(cases, split_of(cases).fit, several=True)
-    found = explain(problem, lambda _: floor.error, lambda *_: None, lambda *_: False)
+    found = explain(problem, lambda _: floor.error)
     assert not found.found
     alone = problem_of(cases[:1], np.ones(len(cases[0].motion.t), bool), several=True)
     runs, _ = zeros_beside(alone, lambda _: floor.error, ())

@@ -26,7 +26,10 @@ def found(one):
     floor = noise_floor([case])
     problem = problem_of([case], split_of([case]).fit, several=False)
     result = explain(
-        problem, lambda effects: noise_floor_with(floor, effects).error, lambda *_: None, lambda *_: False
+        problem,
+        lambda effects: noise_floor_with(floor, effects).error,
+        lambda *_: None,
+        lambda *_: False,
     )
     return result, curved_angles(result, [case])
 

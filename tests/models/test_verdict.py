@@ -55,16 +55,16 @@ def test_a_size_at_its_bound_fails():
     assert why == "link_length FL_calf: its size is at its bound"
 
 
-def test_a_scale_that_no_sensor_has_stands_for_another_effect():
-    def of(size, half):
-        one = Found(effect("encoder_scale", "FL_hip", size), (size - half, size + half))
-        return verdict([one], 2.0, 1.0)
-
-    assert of(0.05, 0.01)[0] == "attributed"
-    assert of(-0.08, 0.01)[0] == "attributed"  # or 7 %
-    name, (why,) = of(-0.096, 0.01)
+def test_what_was_dropped_is_a_reason():
+    name, (why,) = verdict([], 1.0, 1.0, dropped=[(CALF.effect, "it makes foot_height worse")])
     assert name == "none_of_these"
-    assert why == "encoder_scale FL_hip: -0.096 ratio is implausible, above 0.075"
+    assert why == "link_length FL_calf: dropped, it makes foot_height worse"
+
+
+def test_an_effect_whose_interval_contains_zero_is_not_attributed():
+    name, (why,) = verdict([Found(CALF.effect, (-0.001, 0.009))], 2.0, 1.0)
+    assert name == "confounded"
+    assert why.startswith("link_length FL_calf")
 
 
 def test_a_held_out_run_may_say_otherwise():
