@@ -169,8 +169,8 @@ class DiagnosisOptions:
         since: error of the model in runs of the unchanged machine, from the trace that found
             `declared`. With it, the diagnosis says what changed since (`find_change`).
         holdout: logs of the same machine, on which the result is judged and nothing is fitted.
-        harmful: of logs and effects, an effect that makes some use of the model worse, and which
-            use; None if none does. Asked of the held-out logs where there are any.
+        harmful: of logs and effects, an effect that makes some use of the model worse, and why it
+            harms; None if none does. Asked of the held-out logs where there are any.
     """
 
     seed: int = 0
@@ -284,7 +284,6 @@ def diagnose(
             held_out=held_out,
             pushes=pushes,
             pushed_away=gone,
-            dropped=result.dropped,
             limbs=cases[0].robot.limbs,
         )
     )
@@ -422,8 +421,10 @@ def find_harmful_effect(
     floor: NoiseFloor,
     split: Split,
 ) -> tuple[Effect, str] | None:
-    """The first channel that the effects make worse (`ChannelLevel.worse`), and the effect whose
-    removal improves it most; None where there is no such channel.
+    """An effect that harms on bins that no fit has seen, and why; None where none does.
+
+    Either its own channels are no better with it than without. Or a channel is worse with all of
+    the effects (`ChannelLevel.worse`), and best without this one.
 
     Args:
         cases: the logs, with their own zeros and clocks compensated.
@@ -435,6 +436,9 @@ def find_harmful_effect(
     if not effects:
         return None
     sides = _residuals(cases, effects, metric, floor, split.fit)
+    for one in effects:
+        if type(one).is_compensated() and np.sum(_own_gains(one, effects, sides, split.report)) < 0:
+            return one, "it makes its own channels no better on bins that no fit has seen"
     levels = sides.levels(split.report)
     worse = next((name for name, level in levels.items() if level.worse), None)
     if worse is None:
@@ -445,7 +449,7 @@ def find_harmful_effect(
         left = _residuals(cases, others, metric, floor, split.fit).after[split.report]
         return float(np.nanmean(left[:, sides.evidence.layout.of(worse)] ** 2))
 
-    return min(effects, key=without), worse
+    return min(effects, key=without), f"it makes {worse} worse"
 
 
 def are_needed(
@@ -534,6 +538,16 @@ def _gains(
     return block_gains(less, sides.after, sides.evidence, weights.sigma, weight)
 
 
+def _own_gains(
+    one: Effect, effects: Sequence[Effect], sides: Residuals, used: np.ndarray
+) -> np.ndarray:
+    """The same of the channels that the effect shows in, of all their blocks (K,)."""
+    gains = _gains(one, effects, sides, used)
+    return np.concatenate(
+        [np.zeros(0), *(gains[c] for c in one.channels_of(one.target) if c in gains)]
+    )
+
+
 def _interval(blocks: np.ndarray) -> np.ndarray:
     """95 % interval (2,) of the sum over blocks, by a bootstrap."""
     drawn = block_bootstrap_counts(len(blocks), np.random.default_rng(0)) @ blocks
@@ -596,9 +610,8 @@ def _still_explains(
     """Whether an effect still explains anything outside the bins of a mask `pushed` (M,)."""
     if not type(one).is_compensated():
         return True
-    gains = _gains(one, effects, sides, ~pushed)
-    blocks = [gains[name] for name in one.channels_of(one.target) if name in gains]
-    return bool(blocks) and bool(_interval(np.concatenate(blocks))[0] > 0.0)
+    blocks = _own_gains(one, effects, sides, ~pushed)
+    return bool(len(blocks)) and bool(_interval(blocks)[0] > 0.0)
 
 
 def logs_under_model(

@@ -34,11 +34,13 @@ class Found:
 
 
 def interior_bounds(name: str, target: str, machine: Machine) -> tuple[float, float]:
-    """Bounds of an effect on this machine, for derivatives within them: no link of a machine on a
-    fixed base loses more mass than it has.
+    """Bounds of an effect on this machine, for derivatives within them: no size is implausible, and
+    no link of a machine on a fixed base loses more mass than it has.
     """
     kind, limbs = known_effects()[name], machine.limbs
     low, high = kind.interior_bounds(target, limbs)
+    most = prior_of(kind).most
+    low, high = max(low, -most), min(high, most)
     if name == "link_mass" and machine.fixed and machine.dynamics is not None:
         model = machine.dynamics.model
         parts = kind.members_of(target, limbs)

@@ -20,7 +20,6 @@ from surefoot.models.attribution.effect_sizes import (
     interior_bounds,
     plausible_size,
     price_of_some_parts,
-    prior_of,
     with_clipped_size,
 )
 from surefoot.models.attribution.evidence import (
@@ -338,13 +337,12 @@ def explain(
     excess over its standard deviation. Effects that every machine has are chosen first. Whenever
     one is added, those that no longer earn theirs are dropped. Finally those are dropped that what
     the others leave once they are compensated may imitate, unless a channel is worse without them
-    than that; and those of an implausible size, or that make a channel worse on bins that no fit
-    has seen.
+    than that; and those that harm on bins that no fit has seen.
 
     Args:
         problem: the logs.
         error_of: error of the declared model with these effects, which it has and compensates.
-        harmful: an effect of these that makes a channel worse, and the channel; None if none does.
+        harmful: an effect of these that harms, and why; None if none does.
         needed: whether a channel is worse with the second effects than with the first.
         progress: called with the share done, from 0 to 1.
     """
@@ -372,14 +370,10 @@ def explain(
     if not needed(state.metric, state.problem, chosen.effects, fewer[1].effects):
         state, chosen = fewer
     dropped: list[tuple[Effect, str]] = []
-    while True:
-        one, why = _implausible(chosen) or (None, "")
-        if one is None and (harm := harmful(state.metric, state.problem, chosen.effects)):
-            one, why = harm[0], f"it makes {harm[1]} worse"
-        if one is None:
-            break
-        dropped.append((one, why))
-        state, chosen = _settled(state, [e for e in chosen.effects if e != one])
+    while harm := harmful(state.metric, state.problem, chosen.effects):
+        dropped.append(harm)
+        state, chosen = _settled(state, [e for e in chosen.effects if e != harm[0]])
+        rivals = _replaced(state, chosen)[1]
     return Explanation(
         found=_with_intervals(state, chosen),
         rounds=tuple(rounds),
@@ -564,17 +558,6 @@ def _not_imitated(state: _State, chosen: Chosen) -> tuple[_State, Chosen]:
     return state, chosen
 
 
-def _implausible(chosen: Chosen) -> tuple[Effect, str] | None:
-    """An effect whose size no machine has, so that another cause must explain the residual, and in
-    words why.
-    """
-    for one, deviation in zip(chosen.effects, chosen.deviations, strict=True):
-        most = prior_of(type(one)).most
-        if abs(one.value) - 1.96 * deviation > most:
-            return one, f"{one.value:.2g} {one.unit} is implausible, above {most:.2g}"
-    return None
-
-
 def _beside_what_is_left(state: _State, chosen: Chosen, effects: Sequence[Effect]) -> Chosen:
     """The refined effects under the error of the model with these effects compensated."""
     error = state.error_of(effects)
@@ -755,9 +738,10 @@ def _extended(
 def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     """Why a refined effect at this place does not earn it."""
     one, size = chosen.effects[place], abs(chosen.sizes[place])
-    low, high = type(one).interior_bounds(one.target, state.problem.limbs)
+    low, high = interior_bounds(one.name, one.target, state.problem.machine)
     if not low < one.value < high:
-        return "its size is at its bound"
+        bound = low if one.value <= low else high
+        return f"its size is at its bound of {bound:.2g} {one.unit}"
     if size <= BLOCKS_AGREE * chosen.between_blocks[place]:
         excess = size / chosen.between_blocks[place]
         return (
@@ -818,12 +802,14 @@ def _of_pairs(problem: Problem, beside: _Beside) -> np.ndarray:
     c, b = beside.S[1:, 1:], beside.S[1:, 0]
     d = np.diag(c) + precision
     whole = d[:, None] * d
-    determinant = np.maximum(whole - c**2, 1e-12 * whole)
-    gain = (b[:, None] ** 2 * d - 2.0 * b[:, None] * b * c + b**2 * d[:, None]) / determinant
-    shrink = np.log(determinant / (precision[:, None] * precision))
-    evidence = gain - shrink - problem.price[:, None] - problem.price
     seen = np.isfinite(beside.deviations) & np.isfinite(problem.price)
-    known = seen[:, None] & seen & (np.abs(c) < 0.999 * np.sqrt(whole))
+    # Those that show in nothing may have products a little below zero.
+    with np.errstate(invalid="ignore"):
+        determinant = np.maximum(whole - c**2, 1e-12 * whole)
+        gain = (b[:, None] ** 2 * d - 2.0 * b[:, None] * b * c + b**2 * d[:, None]) / determinant
+        shrink = np.log(determinant / (precision[:, None] * precision))
+        evidence = gain - shrink - problem.price[:, None] - problem.price
+        known = seen[:, None] & seen & (np.abs(c) < 0.999 * np.sqrt(whole))
     return np.where(known, evidence, 0.0)
 
 

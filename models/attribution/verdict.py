@@ -38,7 +38,6 @@ class Findings:
         held_out: result on held-out logs, where there are any.
         pushes: sections with an outside force; channels are judged without them.
         pushed_away: effects that explain nothing but outside forces.
-        dropped: effects that were found and are not kept, and why.
         limbs: of the machine, on which bounds depend.
     """
 
@@ -49,7 +48,6 @@ class Findings:
     held_out: HeldOutRuns | None = None
     pushes: Sequence[Push] = ()
     pushed_away: Sequence[Found] = ()
-    dropped: Sequence[tuple[Effect, str]] = ()
     limbs: Limbs | None = None
 
 
@@ -65,7 +63,6 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
         for one in found
         if _at_bound(one.effect, findings.limbs)
     ]
-    reasons += [f"{one.name} {one.target}: dropped, {why}" for one, why in findings.dropped]
     reasons += findings.held_out.worsened if findings.held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)

@@ -183,7 +183,7 @@ def stretch(log: Log, begin: float, end: float) -> Log | None:
 def harmful_to_filters(
     cases: Sequence[LogUnderModel], effects: Sequence[Effect]
 ) -> tuple[Effect, str] | None:
-    """The effect without which leg odometry or the leg filter errs least, and which of the two;
+    """The effect without which leg odometry or the leg filter errs least, and why it harms;
     None where neither errs more with the effects than without one of them.
 
     Judged by the relative error (RPE) on `LOG_PARTS` of each log: the mean increase exceeds `HARM`,
@@ -226,7 +226,7 @@ def harmful_to_filters(
             doubt = stdtrit(len(more) - 1, 0.975) * np.std(more, ddof=1) / np.sqrt(len(more))
             if (excess := float(np.mean(more) - doubt)) > 0.0:
                 worst = max(worst or (0.0, one, name), (excess, one, name), key=lambda x: x[0])
-    return worst and worst[1:]
+    return worst and (worst[1], f"it makes {worst[2]} worse")
 
 
 def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[str, float]]]:

@@ -55,12 +55,6 @@ def test_a_size_at_its_bound_fails():
     assert why == "link_length FL_calf: its size is at its bound"
 
 
-def test_what_was_dropped_is_a_reason():
-    name, (why,) = verdict([], 1.0, 1.0, dropped=[(CALF.effect, "it makes foot_height worse")])
-    assert name == "none_of_these"
-    assert why == "link_length FL_calf: dropped, it makes foot_height worse"
-
-
 def test_an_effect_whose_interval_contains_zero_is_not_attributed():
     name, (why,) = verdict([Found(CALF.effect, (-0.001, 0.009))], 2.0, 1.0)
     assert name == "confounded"
