@@ -77,6 +77,7 @@ def test_two_effects_of_one_joint_are_both_found(floor):
         assert low < size < high
 
 
+@pytest.mark.long
 def test_a_scale_that_no_encoder_has_is_not_found(floor):
     found = explained(case_with(effect("encoder_scale", "FL_hip", -0.15)), floor)
     assert ("encoder_scale", "FL_hip") not in names(found)
