@@ -471,8 +471,6 @@ def are_needed(
         floor: noise floor of the model with the others.
         split: of the logs.
     """
-    if len(others) == len(effects):
-        return True
     more, less = (_residuals(cases, e, metric, floor, split.fit) for e in (effects, others))
     levels = replace(less, before=more.after).levels(split.report)
     return any(level.worse for level in levels.values())

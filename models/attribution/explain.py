@@ -366,13 +366,16 @@ def explain(
         if frozenset(chosen.keys) in tried:
             break
         tried.add(frozenset(chosen.keys))
-    fewer = _not_imitated(state, chosen)
-    if not needed(state.metric, state.problem, chosen.effects, fewer[1].effects):
-        state, chosen = fewer
+    at_fewer, fewer = _not_imitated(state, chosen)
+    if len(fewer.effects) < len(chosen.effects) and not needed(
+        state.metric, state.problem, chosen.effects, fewer.effects
+    ):
+        state, chosen = at_fewer, fewer
     dropped: list[tuple[Effect, str]] = []
     while harm := harmful(state.metric, state.problem, chosen.effects):
         dropped.append(harm)
         state, chosen = _settled(state, [e for e in chosen.effects if e != harm[0]])
+    if dropped:
         rivals = _replaced(state, chosen)[1]
     return Explanation(
         found=_with_intervals(state, chosen),

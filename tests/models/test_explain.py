@@ -29,12 +29,7 @@ def floor():
 
 def explained(case, floor):
     problem = problem_of([case], split_of([case]).fit, several=False)
-    return explain(
-        problem,
-        lambda effects: noise_floor_with(floor, effects).error,
-        lambda *_: None,
-        lambda *_: False,
-    )
+    return explain(problem, lambda effects: noise_floor_with(floor, effects).error)
 
 
 def names(found):

@@ -5,7 +5,7 @@ import pytest
 
 from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.design import design, without_nuisance
-from surefoot.models.attribution.diagnose import find_harmful_effect
+from surefoot.models.attribution.diagnose import are_needed, find_harmful_effect
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.levels import channel_levels
 from surefoot.models.attribution.metric import metric_of
@@ -49,6 +49,14 @@ def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case, floor):
     one, why = harm
     assert one == wrong
     assert "no better" in why
+
+
+def test_what_is_there_is_needed_and_what_is_not_there_is_not(case, floor):
+    wrong = effect("encoder_offset", "FL_thigh", 0.02)
+    known, split = linearise([case], (), all_keys(case)), split_of([case])
+    metric = metric_of([case], known, floor.error, split.fit)
+    assert are_needed([case], (TRUTH,), (), metric, floor, split)
+    assert not are_needed([case], (TRUTH, wrong), (TRUTH,), metric, floor, split)
 
 
 def test_bins_that_were_not_there_before_do_no_harm(case, floor):

@@ -25,12 +25,7 @@ def found(one):
     case = log_under_model(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
     floor = noise_floor([case])
     problem = problem_of([case], split_of([case]).fit, several=False)
-    result = explain(
-        problem,
-        lambda effects: noise_floor_with(floor, effects).error,
-        lambda *_: None,
-        lambda *_: False,
-    )
+    result = explain(problem, lambda effects: noise_floor_with(floor, effects).error)
     return result, curved_angles(result, [case])
 
 
