@@ -279,6 +279,7 @@ def diagnose(
         Findings(
             found=found,
             channels=channels,
+            imitated=result.imitated,
             curves=bool(curves),
             rivals=result.rivals,
             held_out=held_out,

@@ -132,6 +132,7 @@ class Explanation:
     Attributes:
         found: effects, strongest first.
         rounds: candidates of each round.
+        imitated: keys of those that what the others leave once compensated may imitate.
         rivals: key and overlap of the candidates that explain the logs as well as an effect found.
         dropped: effects that were found and are not kept, and why.
         rejected: other effects that were considered last, and why each is not found.
@@ -140,6 +141,7 @@ class Explanation:
     """
 
     found: tuple[Found, ...]
+    imitated: frozenset[Key]
     rounds: tuple[tuple[Candidate, ...], ...]
     rivals: tuple[tuple[Key, float], ...]
     dropped: tuple[tuple[Effect, str], ...]
@@ -262,6 +264,12 @@ class Chosen:
         sizes = self.metric.without_blocks(self.keys, self.precision)
         return np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0))
 
+    @cached_property
+    def least_misfit(self) -> float:
+        """The misfit that they would leave without a prior, to first order."""
+        S, pull = self.metric.products(self.table, self.X, self.keys), self.precision * self.sizes
+        return self.misfit - float(pull @ np.linalg.pinv(S[1:, 1:], hermitian=True) @ pull)
+
     def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]
         return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
@@ -367,18 +375,26 @@ def explain(
             break
         tried.add(frozenset(chosen.keys))
     at_fewer, fewer = _not_imitated(state, chosen)
+    imitated = frozenset(chosen.keys) - frozenset(fewer.keys)
     if len(fewer.effects) < len(chosen.effects) and not needed(
         state.metric, state.problem, chosen.effects, fewer.effects
     ):
         state, chosen = at_fewer, fewer
     dropped: list[tuple[Effect, str]] = []
-    while harm := harmful(state.metric, state.problem, chosen.effects):
-        dropped.append(harm)
-        state, chosen = _settled(state, [e for e in chosen.effects if e != harm[0]])
-    if dropped:
-        rivals = _replaced(state, chosen)[1]
+    while True:
+        if harm := harmful(state.metric, state.problem, chosen.effects):
+            dropped.append(harm)
+            better = [e for e in chosen.effects if e != harm[0]]
+        else:
+            one, rivals = _replaced(state, chosen) if dropped else (None, rivals)
+            if one is None or frozenset(one.keys) in tried:
+                break
+            tried.add(frozenset(one.keys))
+            better = one.effects
+        state, chosen = _settled(state, better)
     return Explanation(
         found=_with_intervals(state, chosen),
+        imitated=imitated & frozenset(chosen.keys),
         rounds=tuple(rounds),
         rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
         dropped=tuple(dropped),
@@ -846,7 +862,8 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
                 continue
             if one.cost + costs < chosen.cost:
                 return one, ()
-            if alike[i] and one.misfit < chosen.misfit + NAMED and problem.keys[i][0] != key[0]:
+            as_well = one.least_misfit < chosen.least_misfit + NAMED
+            if alike[i] and as_well and problem.keys[i][0] != key[0]:
                 rivals.append((problem.keys[i], float(overlap[i])))
     return None, tuple(rivals)
 

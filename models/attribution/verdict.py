@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from surefoot.models.attribution.effect_sizes import Found
+from surefoot.models.attribution.evidence import Key
 from surefoot.models.attribution.explain import FittedRun
 from surefoot.models.attribution.forces import Push
 from surefoot.models.attribution.levels import ChannelLevel
@@ -33,6 +34,7 @@ class Findings:
     Attributes:
         found: effects, strongest first.
         channels: residuals on data that no fit has seen.
+        imitated: keys of the effects that what the others leave may imitate.
         curves: whether a joint's encoder error is a curve of its angle.
         rivals: other explanations of an effect.
         held_out: result on held-out logs, where there are any.
@@ -43,6 +45,7 @@ class Findings:
 
     found: Sequence[Found]
     channels: dict[str, ChannelLevel]
+    imitated: frozenset[Key] = frozenset()
     curves: bool = False
     rivals: Sequence[object] = ()
     held_out: HeldOutRuns | None = None
@@ -81,7 +84,7 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
     imitated = [
         f"{one.effect.name} {one.effect.target}: what the other effects leave may imitate it"
         for one in found
-        if one.interval[0] <= 0.0 <= one.interval[1]
+        if (one.effect.name, one.effect.target) in findings.imitated
     ]
     return ("confounded" if findings.rivals or imitated else "attributed"), tuple(imitated)
 

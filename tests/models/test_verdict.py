@@ -55,8 +55,9 @@ def test_a_size_at_its_bound_fails():
     assert why == "link_length FL_calf: its size is at its bound"
 
 
-def test_an_effect_whose_interval_contains_zero_is_not_attributed():
-    name, (why,) = verdict([Found(CALF.effect, (-0.001, 0.009))], 2.0, 1.0)
+def test_an_effect_that_the_others_may_imitate_is_not_attributed():
+    key = (CALF.effect.name, CALF.effect.target)
+    name, (why,) = verdict([CALF], 2.0, 1.0, imitated=frozenset([key]))
     assert name == "confounded"
     assert why.startswith("link_length FL_calf")
 
