@@ -71,6 +71,8 @@ study-observer: setup
 study-trace: setup
 	$(BIN)/python -m studies.blind -o out/blind_study \
 		--data docs/data/blind --page docs/results/blind.md
+	$(BIN)/python -m studies.blind --plan studies/blind/beyond.toml -o out/blind_beyond \
+		--data docs/data/blind_beyond --page docs/results/blind_beyond.md
 
 # Loads tied to links of arms and walking robots, and machines on fixed bases; killed, it goes on.
 study-loads: setup

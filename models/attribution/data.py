@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.models.attribution.evidence import LogUnderModel, all_keys, channels_of
 from surefoot.models.attribution.noise_floor import NoiseFloor, ground_evenness
 from surefoot.models.attribution.sensor_noise import reference_notes
-from surefoot.models.residuals.binning import BIN, bin_mean
+from surefoot.models.residuals.binning import BIN, bin_mean, inner_bins
 from surefoot.models.residuals.channels import CHANNELS, channels
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
@@ -82,7 +82,9 @@ class Split:
 
 
 def split_of(cases: Sequence[LogUnderModel]) -> Split:
-    """Split each log: every third block reports, so that both parts have all that a robot does."""
+    """Split each log: every third block reports, so that both parts have all that a robot does. The
+    ends of a log belong to neither.
+    """
     fits, reports = [], []
     for case in cases:
         t = case.motion.t - case.motion.t[0]
@@ -92,8 +94,9 @@ def split_of(cases: Sequence[LogUnderModel]) -> Split:
             block = min(max(block, SHORTEST_FIXED_BLOCK), t[-1] / 3.0)
         block = max(block, 1e-9)
         phase = np.mod(t, 3.0 * block)
-        fits.append((phase >= GAP * block) & (phase < 2.0 * block))
-        reports.append(phase >= 2.0 * block + GAP * block)
+        used = inner_bins(case.motion.t)
+        fits.append(used & (phase >= GAP * block) & (phase < 2.0 * block))
+        reports.append(used & (phase >= 2.0 * block + GAP * block))
     return Split(np.concatenate(fits), np.concatenate(reports))
 
 

@@ -56,6 +56,7 @@ from surefoot.models.attribution.unexplained import Unexplained, curved_angles, 
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
 from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights, sticks
 from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.models.residuals.binning import inner_bins
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all, in_order
 from surefoot.sim.log import Log
@@ -497,7 +498,7 @@ def _held_out(
     """
     runs, worsened, sides = [], [], []
     for number, case in enumerate(cases, 1):
-        every = np.ones(len(case.motion.t), dtype=bool)
+        every = inner_bins(case.motion.t)
         fitted, metric = zeros_beside(
             problem_of([case], every, several), lambda _: floor.error, effects
         )

@@ -60,7 +60,7 @@ BLOCKS_AGREE = 2.0
 """Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
-SINGLES, PAIRS = 3, 1
+SINGLES, PAIRS = 5, 1
 """Single candidates and pairs that are refined in each round."""
 _NEAR = 0.5
 """Share of the best evidence from which a candidate may turn out better in the refinement."""

@@ -10,8 +10,6 @@ from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
 from surefoot.models.residuals.channel import Channel
 from surefoot.models.residuals.channels import channels
 
-AT_FLOOR_RATIO = 1.05
-"""Ratio to the upper limit of the floor's walks up to which a channel is at its floor."""
 NOISE_RATIO = 1.5
 """Ratio to the floor from which a channel is above it, at the lower end of its interval."""
 WORSE_RATIO = 1.02
@@ -45,12 +43,12 @@ class ChannelLevel:
     """
     by_chance: bool = False
     """Whether the increase, over a channel's few events, is within chance."""
-    lowest: float = 0.0
-    """Lower end of the 95 % interval of `after`, by a bootstrap over blocks."""
+    low_share: float = 1.0
+    """Lower end of the 95 % interval of `after`, by a bootstrap over blocks, as a share of it."""
     of_noise: float = np.inf
     """Largest level that noise and the model's own error explain."""
     on_like_ground: bool = True
-    """Whether the walks of the floor are on ground like the log's, which theirs is level."""
+    """Whether the ground of the log is level, as that of the floor's walks is."""
 
     @property
     def at_floor(self) -> bool:
@@ -62,9 +60,8 @@ class ChannelLevel:
         """Whether the remaining residual is at the noise floor, even of a channel that no fit
         uses.
         """
-        if self.lowest > self.of_noise:
-            return False
-        return not self.on_like_ground or self.after <= AT_FLOOR_RATIO * self.highest
+        limit = min(self.of_noise, self.highest) if self.on_like_ground else self.of_noise
+        return self.low_share * self.after <= limit
 
     @property
     def below_floor(self) -> bool:
@@ -153,7 +150,7 @@ def channel_levels(
             evaluation_only=channel.evaluation_only,
             same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
-            lowest=_lowest(after[:, columns], channel, known),
+            low_share=_low_share(after[:, columns], channel, known),
             of_noise=max(np.inf if own is None else NOISE_RATIO * own, floor.levels.get(name, 0.0)),
             on_like_ground=on_like_ground,
         )
@@ -219,12 +216,14 @@ def _bulk(square: np.ndarray, channel: Channel) -> np.ndarray:
     return square[: max(1, round((0.9 if channel.of_events else 0.99) * len(square)))]
 
 
-def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
-    """Lower end of the 95 % interval of the trimmed RMS of values (M, n), by blocks."""
+def _low_share(values: np.ndarray, channel: Channel, known: Evidence) -> float:
+    """Lower end of the 95 % interval of the trimmed RMS of values (M, n), by blocks, as a share of
+    it.
+    """
     square = values**2
     there = np.isfinite(square)
     if not there.any():
-        return np.nan
+        return 1.0
     there &= square <= _bulk(square, channel)[-1]
     block = known.log * 1_000_000 + np.floor(known.t / BLOCK_SECONDS).astype(int)
     rows, block = there.any(axis=1), np.unique(block, return_inverse=True)[1]
@@ -234,4 +233,5 @@ def _lowest(values: np.ndarray, channel: Channel, known: Evidence) -> float:
     )
     drawn = block_bootstrap_counts(int(np.count_nonzero(count)), np.random.default_rng(0))
     mean = (drawn @ total[count > 0]) / np.maximum(drawn @ count[count > 0], 1.0)
-    return float(np.sqrt(np.percentile(mean, 2.5)))
+    level = np.sum(total) / np.sum(count)
+    return float(np.sqrt(np.percentile(mean, 2.5) / level)) if level > 0.0 else 1.0

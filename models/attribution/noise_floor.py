@@ -37,6 +37,7 @@ from surefoot.models.attribution.sensor_noise import (
     resample_reference,
 )
 from surefoot.models.attribution.weights import robust_weights
+from surefoot.models.residuals.binning import inner_bins
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.motion import with_dead_reckoning
@@ -359,11 +360,13 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         known = replace(known, table=table_of(case, plan.effects))
         # The same minimum noise as for the log, so that channels have the same relative weight.
         weights = robust_weights(design(known), _least_noise(known.layout))
-        sums = run_sums(RunEvidence(case, known, weights.weight, {}), frozenset(), EXACT)
-        t, every = known.t, np.ones(len(known.t), dtype=bool)
-        left = without_nuisance(known, weights.sigma, weights.weight, every)
-        late = t > t[0] + SETTLING if t[-1] - t[0] > 2.0 * SETTLING else every
-        return FloorWalk(left[late], weights.sigma, sums)
+        weight = weights.weight * inner_bins(known.t)[:, None]
+        sums = run_sums(RunEvidence(case, known, weight, {}), frozenset(), EXACT)
+        t, used = known.t, inner_bins(known.t)
+        left = without_nuisance(known, weights.sigma, weights.weight, used)
+        if t[-1] - t[0] > 2.0 * SETTLING:
+            used &= t > t[0] + SETTLING
+        return FloorWalk(left[used], weights.sigma, sums)
     return None
 
 

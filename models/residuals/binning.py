@@ -24,10 +24,19 @@ BIN = 0.02
 """Length of a bin [s]."""
 STANCE_MARGIN = 0.03
 """Margin at either end of a stance that is left out [s]: the foot still lands or already lifts."""
+LOG_ENDS = 0.06
+"""Ends of a log that nothing is fitted to [s]: where a delay is compensated, readings are missing
+there. Bounds of the joints' and the IMU's delays are a little shorter.
+"""
 LEAST_NOISE_RATIO = 1.5
 """Noise ratio of accelerations from rates to those from angles above which angles are used; below
 it rates are preferred, since they need no smoothing window.
 """
+
+
+def inner_bins(t: np.ndarray) -> np.ndarray:
+    """Mask (M,) of the bins of a log, at times t (M,) [s], that are not at its ends."""
+    return (t >= t[0] + LOG_ENDS) & (t <= t[-1] - LOG_ENDS)
 
 
 @dataclass(frozen=True)

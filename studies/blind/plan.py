@@ -10,7 +10,7 @@ import numpy as np
 
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot import Robot
-from surefoot.extend import Effect, effect, known_effects
+from surefoot.extend import Effect, effect, known_effects, read_toml
 
 PLAN = Path(__file__).with_name("study.toml")
 ROBOTS = PLAN.with_name("robots")
@@ -28,19 +28,20 @@ class Case:
     """One log: its kind, walk and undeclared effects."""
 
     number: int
-    kind: str  # single, clean, outside, together, twins
+    kind: str  # single, clean, outside, together, twins, exact, late, large
     robot: str
     seed: int
     effects: tuple[Effect, ...] = ()
     twin: str = ""
     standing: bool = False
+    ground: str = ""  # of the walk, if it is not the course of its seed
 
 
 def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
     """Draw every case of a plan from its seed."""
     rng = np.random.default_rng(plan["seed"])
     walks = [(r, s) for s in plan["walk"]["seeds"] for r in plan["walk"]["robots"]]
-    known = [name for name in known_effects() if name in plan["sizes"]]
+    known = [name for name in known_effects() if name in plan.get("sizes", ())]
     found: list[Case] = []
 
     def add(kind: str, effects: Sequence[Effect] = (), **more) -> None:
@@ -68,6 +69,15 @@ def draw_cases(plan: Mapping[str, Any]) -> list[Case]:
             name, target = pair["of"][0].split()
             one = effect(name, target, np.exp(rng.uniform(*np.log(pair["size"]))))
             add("twins", [one], twin=pair["of"][1], standing=True)
+    for turn in range(plan.get("exact", 0)):
+        add("exact", ground=plan["grounds"][turn % len(plan["grounds"])])
+    for turn in range(plan.get("late", 0)):
+        late = plan["lateness"][turn % len(plan["lateness"])]
+        add("late", [effect("joint_delay", "all", late)])
+    twice = {name: 2.0 * high for name, (_, high) in read_toml(PLAN, "study")["sizes"].items()}
+    suited = [name for name, size in twice.items() if size < known_effects()[name].bounds[1]]
+    for name in rng.choice(suited, plan.get("large", 0), replace=False):
+        add("large", [drawn(name, [twice[name], twice[name]])])
     return found
 
 

@@ -29,6 +29,7 @@ from surefoot.scenarios.reporting import OUTSIDE as MISSED
 Record = Mapping[str, Any]
 Rows = list[dict[str, Any]]
 CASE_KINDS = ("single", "clean", "outside", "together", "twins")
+BEYOND_KINDS = ("exact", "late", "large")
 NOT_NAMED = ("nothing", "another target", "confounded")
 """Further columns of the confusion matrix, for logs whose effect was not found."""
 
@@ -41,13 +42,17 @@ def write_report_of(
     Returns the tables as text.
     """
     walked = [r for r in records if "fell" not in r]
-    of = {kind: [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS}
+    of = {kind: [r for r in walked if r["kind"] == kind] for kind in CASE_KINDS + BEYOND_KINDS}
     drawn = read_toml(plan, "study")
-    sections = [
-        Section("The plan", plan_prose(drawn, len(records)), plan_table(drawn)),
-        *(results(of, records) if of["single"] else ()),
-    ]
-    title = "Blind study of trace"
+    if drawn["each"]:
+        title = "Blind study of trace"
+        sections = [
+            Section("The plan", plan_prose(drawn, len(records)), plan_table(drawn)),
+            *(results(of, records) if of["single"] else ()),
+        ]
+    else:
+        title = "Beyond the blind study of trace"
+        sections = beyond(of, len(records) - len(walked))
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-trace"))
     every = Section("Every case", table=[_row(r) for r in records])
@@ -122,6 +127,38 @@ def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> li
             ),
         ),
         *(Section(heading, table=rows) for heading, rows in details(of).items() if rows),
+    ]
+
+
+def beyond(of: Mapping[str, Sequence[Record]], fell: int) -> list[Section]:
+    """Sections on what the study's draws do not reach."""
+    exact, late, large = (of[kind] for kind in BEYOND_KINDS)
+    lines = [
+        ("robot as declared: no_residual", [r["verdict"] == "no_residual" for r in exact]),
+        ("robot as declared: no effect named", [not named(r) for r in exact]),
+        ("all joint readings late: named first", [named(r)[:1] == truth(r) for r in late]),
+        ("twice the largest size: named first", [named(r)[:1] == truth(r) for r in large]),
+    ]
+    prose = (
+        "Robots as declared on a slope, on ice, on stairs and on rough ground; joint angles, rates "
+        "and torques that are late by the same time; effects of twice the largest size of the "
+        f"blind study. Falls, which leave no log: {fell}. Shares with their 95 % "
+        "interval (Wilson) in brackets."
+    )
+    grounds = [
+        {
+            "ground": r["ground"],
+            "robot": r["robot"],
+            "verdict": r["verdict"],
+            "reasons": "; ".join(r["reasons"]) or "-",
+            "masked as slipping [%]": 100.0 * r["masked_share"],
+        }
+        for r in exact
+    ]
+    return [
+        Section("Results", prose, [{"of": a, "measured": share(hits)} for a, hits in lines]),
+        Section("Robots as declared", table=grounds),
+        Section("Late joints and large effects", table=[_short(r) for r in (*late, *large)]),
     ]
 
 

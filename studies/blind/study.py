@@ -70,7 +70,8 @@ def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:
     effects = [e.as_dict() for e in case.effects]
     drawn = {"kind": case.kind, "robot": case.robot, "seed": case.seed, "effects": effects}
     known = {"candidates": candidates_digest(), "model": study_robot(case.robot).digest}
-    return drawn | known | {"standing": case.standing, "walk": plan["walk"]}
+    ground = {"standing": case.standing, "ground": case.ground, "rough": plan.get("rough")}
+    return drawn | known | ground | {"walk": plan["walk"]}
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,9 @@ class BlindStudy:
     page: Path | None = None
     """Page of results to write too, such as docs/results/blind.md."""
     plan: Path = PLAN
-    """Another plan of draws, courses and robots; `pilot.toml` is for development."""
+    """Another plan: `beyond.toml` has other grounds and larger effects, `pilot.toml` is for
+    development.
+    """
 
     def run(self) -> None:
         folder = self.data or self.out / "cases"

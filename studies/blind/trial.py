@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from studies.blind.plan import PLAN, Case, study_robot
+from studies.walking.grounds import grounds_for
 from surefoot import Log, Scenario, walk
-from surefoot.extend import Effect, Ground, Patch, Segment, SurefootError, read_toml
+from surefoot.extend import Effect, Ground, Patch, Segment, Strip, SurefootError, read_toml
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
 from surefoot.models.attribution.forces import DRY_FRICTION
 
@@ -39,6 +40,21 @@ def ground_and_course(seed: int, standing: bool, plan: Path = PLAN) -> Scenario:
     return Scenario("study", segments, Ground(rng.uniform(*w["mu"]), patches))
 
 
+def scenario_of(case: Case, plan: Path = PLAN) -> Scenario:
+    """The scenario of a case: the course of its seed, or one on another ground."""
+    if not case.ground:
+        return ground_and_course(case.seed, case.standing, plan)
+    if case.ground != "rough":
+        return next(s for s in grounds_for(study_robot(case.robot)) if s.name == case.ground)
+    course = ground_and_course(case.seed, False, plan)
+    far = float(
+        np.ceil(2.0 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in course.segments))
+    )
+    # Bumps of a rough strip have a standard deviation of a quarter of their height.
+    bumps = Strip((-far, 0.0), (far, 0.0), 2.0 * far, rough=4.0 * read_toml(plan, "study")["rough"])
+    return replace(course, ground=Ground(course.ground.mu, strips=(bumps,)))
+
+
 def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
     """Simulate and trace one case of a plan.
 
@@ -51,9 +67,10 @@ def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
         "seed": case.seed,
         "effects": [e.as_dict() for e in case.effects],
         "twin": case.twin,
+        "ground": case.ground,
     }
     robot = study_robot(case.robot)
-    scenario = ground_and_course(case.seed, case.standing, plan)
+    scenario = scenario_of(case, plan)
     try:
         log = walk(scenario, robot, case.seed, case.effects, declared=False)
     except SurefootError as fell:
@@ -62,7 +79,8 @@ def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:
         log = standing_part(log)
     found = diagnose([log], robot)
     result = found.as_dict()
-    record |= {key: result.get(key) for key in ("verdict", "rivals", "remainder", "channels")}
+    kept = ("verdict", "reasons", "rivals", "remainder", "channels", "masked_share")
+    record |= {key: result.get(key) for key in kept}
     record["effects_found"] = result["effects"]
     record["over_floor"] = [size_over_floor(found, one) for one in case.effects]
     return record

@@ -48,8 +48,9 @@ def test_without_a_floor_any_more_is_harm():
 
 
 def test_a_channel_is_at_its_floor_up_to_what_walks_reach():
-    assert ChannelLevel(3.0, 1.25, 1.0, "m", 1.2).at_floor
+    assert ChannelLevel(3.0, 1.2, 1.0, "m", 1.2).at_floor
     assert not ChannelLevel(3.0, 1.3, 1.0, "m", 1.2).at_floor
+    assert ChannelLevel(3.0, 1.3, 1.0, "m", 1.2, low_share=0.9).at_floor
 
 
 def test_the_level_of_a_few_values_scatters_as_drawn_ones_do():

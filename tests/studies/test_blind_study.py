@@ -18,7 +18,7 @@ from studies.blind.report import (
     write_report_of,
 )
 from studies.blind.study import run_blind_study
-from studies.blind.trial import ground_and_course, size_over_floor, standing_part
+from studies.blind.trial import ground_and_course, scenario_of, size_over_floor, standing_part
 from surefoot.models.attribution.diagnose import Diagnosis
 from surefoot.models.attribution.forces import FootFriction
 from surefoot.sim.common.toml import read_toml
@@ -172,3 +172,29 @@ def test_nearly_all_is_not_all():
     assert share([True] * 212 + [False]).startswith("99.5 % (")
     assert share([True] * 213).startswith("100 % (")
     assert share([True] * 91 + [False] * 9).startswith("91 % (")
+
+
+def test_beyond_the_study_lie_other_grounds_late_joints_and_larger_effects():
+    plan_file = PLAN.with_name("beyond.toml")
+    plan, sizes = read_toml(plan_file, "study"), read_toml(PLAN, "study")["sizes"]
+    planned = draw_cases(plan)
+    of = {kind: [c for c in planned if c.kind == kind] for kind in ("exact", "late", "large")}
+    assert sum(map(len, of.values())) == len(planned) == 40
+    assert not any(c.effects for c in of["exact"])
+    grounds = [scenario_of(c, plan_file).ground for c in of["exact"][:4]]
+    assert [bool(g.patches) for g in grounds] == [False, True, False, False]
+    assert [max((s.steps for s in g.strips), default=0) > 0 for g in grounds] == [0, 0, 1, 0]
+    assert grounds[3].strips[0].rough == 4.0 * plan["rough"]
+    assert {c.effects[0].value for c in of["late"]} == set(plan["lateness"])
+    for (one,) in (c.effects for c in of["large"]):
+        assert abs(one.value) == pytest.approx(2.0 * sizes[one.name][1])
+
+
+def test_the_page_of_what_lies_beyond_says_what_fell(tmp_path):
+    more = {"ground": "stairs", "reasons": [], "masked_share": 0.0}
+    rows = [record(kind="exact", effects=(), **more), record("none_of_these", kind="late", **more)]
+    rows.append({"number": 2, "kind": "large", "fell": "it fell", "effects": [TRUE]})
+    rows[2] |= {"robot": "spot_class", "seed": 0}
+    said = write_report_of(tmp_path / "out", rows, plan=PLAN.with_name("beyond.toml"))
+    assert "no log: 1." in said
+    assert "0 % (0..79) of 1" in said
