@@ -138,6 +138,7 @@ def beyond(of: Mapping[str, Sequence[Record]], fell: int) -> list[Section]:
         ("robot as declared: no effect named", [not named(r) for r in exact]),
         ("all joint readings late: named first", [named(r)[:1] == truth(r) for r in late]),
         ("twice the largest size: named first", [named(r)[:1] == truth(r) for r in large]),
+        ("late or large: nothing else named", [named(r) == truth(r) for r in (*late, *large)]),
     ]
     prose = (
         "Robots as declared on a slope, on ice, on stairs and on rough ground; joint angles, rates "
