@@ -34,11 +34,11 @@ def explained(case, floor):
 
 def test_joints_far_late_do_not_lack_readings_where_they_are_fitted():
     """Compensation of a delay repeats the last readings beyond the end of a log."""
-    case = case_with(effect("joint_delay", "all", 0.04))
-    split, late = split_of([case]), [effect("joint_delay", "all", 0.04)]
-    table = linearise([case], late, ()).table
-    rates = linearise([case], (), ()).layout.channels["joint_rate"]
-    ends, inside = table[-3:, rates], table[split.fit | split.report][:, rates]
+    late = effect("joint_delay", "all", 0.04)
+    case = case_with(late)
+    split, known = split_of([case]), linearise([case], [late], ())
+    rates = known.table[:, known.layout.channels["joint_rate"]]
+    ends, inside = rates[-3:], rates[split.fit | split.report]
     assert np.nanmax(np.abs(ends)) > 10.0 * np.nanmax(np.abs(inside))
 
 
