@@ -244,7 +244,12 @@ def diagnose(
             return are_needed(now.cases, effects, others, metric, floor, split)
 
         found = explain(
-            problem, floors.error_of, harmful, needed, lambda x: progress(0.4 + 0.5 * x)
+            problem,
+            floors.plain.error,
+            lambda effects, keys: floors.of(effects).apparent_deviations(keys),
+            harmful,
+            needed,
+            lambda x: progress(0.4 + 0.5 * x),
         )
         floors.of([one.effect for one in found.found])
         return found, floors
@@ -343,10 +348,6 @@ class _Floors:
         """The floor with these effects; that of nearly the same sizes is kept."""
         self.last = noise_floor_with(self.plain, effects, self.last)
         return self.last
-
-    def error_of(self, effects: Sequence[Effect]) -> ModelError:
-        """Error of the model with these effects."""
-        return self.of(effects).error
 
 
 @dataclass(frozen=True)
@@ -499,9 +500,7 @@ def _held_out(
     runs, worsened, sides = [], [], []
     for number, case in enumerate(cases, 1):
         every = inner_bins(case.motion.t)
-        fitted, metric = zeros_beside(
-            problem_of([case], every, several), lambda _: floor.error, effects
-        )
+        fitted, metric = zeros_beside(problem_of([case], every, several), floor.error, effects)
         run = _with_lags(fitted, lags)[0]
         runs.append(run)
         one = _residuals([run.case], effects, metric, floor, every)

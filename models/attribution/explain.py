@@ -329,7 +329,8 @@ def _unknown_size(key: Key, limbs: Limbs) -> float:
 
 def explain(
     problem: Problem,
-    error_of: Callable[[Sequence[Effect]], ModelError],
+    error: ModelError,
+    left: Callable[[Sequence[Effect], Sequence[Key]], np.ndarray],
     harmful: Callable[[Metric, Problem, Sequence[Effect]], tuple[Effect, str] | None] = lambda *_: (
         None
     ),
@@ -349,12 +350,14 @@ def explain(
 
     Args:
         problem: the logs.
-        error_of: error of the declared model with these effects, which it has and compensates.
+        error: of the declared model.
+        left: standard deviations of the sizes (k,) that these candidates seem to have in what
+            walks of the model with these effects leave once they are compensated.
         harmful: an effect of these that harms, and why; None if none does.
         needed: whether a channel is worse with the second effects than with the first.
         progress: called with the share done, from 0 to 1.
     """
-    state, chosen = _settled(_State.of(problem, error_of), ())
+    state, chosen = _settled(_State.of(problem, error), ())
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     rejected: tuple[tuple[Effect, str], ...] = ()
@@ -374,7 +377,7 @@ def explain(
         if frozenset(chosen.keys) in tried:
             break
         tried.add(frozenset(chosen.keys))
-    at_fewer, fewer = _not_imitated(state, chosen)
+    at_fewer, fewer = _not_imitated(state, chosen, left)
     imitated = frozenset(chosen.keys) - frozenset(fewer.keys)
     if len(fewer.effects) < len(chosen.effects) and not needed(
         state.metric, state.problem, chosen.effects, fewer.effects
@@ -393,7 +396,7 @@ def explain(
             better = one.effects
         state, chosen = _settled(state, better)
     return Explanation(
-        found=_with_intervals(state, chosen),
+        found=_with_intervals(state, chosen, left(chosen.effects, chosen.keys)),
         imitated=imitated & frozenset(chosen.keys),
         rounds=tuple(rounds),
         rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
@@ -405,10 +408,10 @@ def explain(
 
 
 def zeros_beside(
-    problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError], effects: Sequence[Effect]
+    problem: Problem, error: ModelError, effects: Sequence[Effect]
 ) -> tuple[tuple[FittedRun, ...], Metric]:
     """Each log's own zeros, biases and clocks beside given effects, and the metric with them."""
-    state = _State.of(problem, error_of).at(effects)
+    state = _State.of(problem, error).at(effects)
     state = _with_zeros(state, effects)
     return _fitted_runs(state), state.metric
 
@@ -420,7 +423,6 @@ class _State:
     Attributes:
         declared: the logs under the declared model.
         problem: the logs, with their own zeros and clocks compensated.
-        error_of: as of `explain`.
         effects: that are compensated.
         error: of the declared model.
         metric: linearised at the effects.
@@ -430,17 +432,15 @@ class _State:
 
     declared: Sequence[LogUnderModel]
     problem: Problem
-    error_of: Callable[[Sequence[Effect]], ModelError]
     effects: tuple[Effect, ...]
     error: ModelError
     metric: Metric
     explained: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
     @staticmethod
-    def of(problem: Problem, error_of: Callable[[Sequence[Effect]], ModelError]) -> "_State":
-        error = error_of(())
+    def of(problem: Problem, error: ModelError) -> "_State":
         metric = _metric(problem, (), None, error)
-        return _State(problem.cases, problem, error_of, (), error, metric)
+        return _State(problem.cases, problem, (), error, metric)
 
     def at(self, effects: Sequence[Effect]) -> "_State":
         """The search at other effects, with each log's zeros as they are."""
@@ -558,31 +558,27 @@ def _without_worst(chosen: Chosen, earned: np.ndarray) -> tuple[Effect, ...] | N
     return (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
 
 
-def _not_imitated(state: _State, chosen: Chosen) -> tuple[_State, Chosen]:
-    """Drop the effects that the residual which the others leave once compensated may imitate.
+def _not_imitated(
+    state: _State, chosen: Chosen, left: Callable[[Sequence[Effect], Sequence[Key]], np.ndarray]
+) -> tuple[_State, Chosen]:
+    """Drop the effects that the residual which the others leave once compensated may imitate; left
+    as of `explain`.
 
     How much is left depends on how an effect is simulated, so it is no part of the error under
     which sizes are fitted.
     """
     while chosen.effects:
-        deviations = []
-        for place, one in enumerate(chosen.effects):
-            others = [e for e in chosen.effects if e != one]
-            deviations.append(_beside_what_is_left(state, chosen, others).deviations[place])
-        earned = state.earned(chosen.keys, chosen.sizes, np.array(deviations))
+        imitated = [
+            left([e for e in chosen.effects if e != one], chosen.keys)[place]
+            for place, one in enumerate(chosen.effects)
+        ]
+        deviations = np.hypot(chosen.deviations, imitated)
+        earned = state.earned(chosen.keys, chosen.sizes, deviations)
         kept = _without_worst(chosen, earned)
         if kept is None:
             break
         state, chosen = _settled(state, kept)
     return state, chosen
-
-
-def _beside_what_is_left(state: _State, chosen: Chosen, effects: Sequence[Effect]) -> Chosen:
-    """The refined effects under the error of the model with these effects compensated."""
-    error = state.error_of(effects)
-    if error is state.error:
-        return chosen
-    return replace(chosen, metric=_metric_of(state.problem, state.metric.known, error))
 
 
 def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
@@ -862,8 +858,8 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
                 continue
             if one.cost + costs < chosen.cost:
                 return one, ()
-            as_well = one.least_misfit < chosen.least_misfit + NAMED
-            if alike[i] and as_well and problem.keys[i][0] != key[0]:
+            twin = alike[i] and problem.keys[i][0] != key[0]
+            if twin and one.least_misfit < chosen.least_misfit + NAMED:
                 rivals.append((problem.keys[i], float(overlap[i])))
     return None, tuple(rivals)
 
@@ -900,11 +896,13 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     return tuple(sorted(out, key=lambda one: not one.earned))
 
 
-def _with_intervals(state: _State, chosen: Chosen) -> tuple[Found, ...]:
-    """Effects, strongest first, with 95 % intervals."""
+def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Found, ...]:
+    """Effects, strongest first, with 95 % intervals.
+
+    left: standard deviations (k,) by what they leave once compensated.
+    """
     at = state.problem.at(chosen.keys)
-    with_rest = _beside_what_is_left(state, chosen, chosen.effects)
-    noise, both = np.diag(with_rest.of_noise), np.diag(with_rest.covariance)
+    noise, both = np.diag(chosen.of_noise), np.diag(chosen.covariance) + left**2
     runs = state.error.runs
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
     square = 1.96**2 * (noise + state.problem.unknown[at] ** 2)

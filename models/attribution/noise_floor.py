@@ -10,15 +10,21 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import chi2
 
-from surefoot.models.attribution.design import design, without_nuisance
+from surefoot.models.attribution.design import (
+    design,
+    nuisance_precision,
+    scaled_inverse,
+    without_nuisance,
+)
 from surefoot.models.attribution.effect_sizes import with_clipped_size
 from surefoot.models.attribution.evidence import (
+    Key,
     LogUnderModel,
     all_keys,
     linearise,
     log_under_model,
-    table_of,
 )
 from surefoot.models.attribution.model_error import (
     EXACT,
@@ -36,7 +42,7 @@ from surefoot.models.attribution.sensor_noise import (
     reference_sampling,
     resample_reference,
 )
-from surefoot.models.attribution.weights import robust_weights
+from surefoot.models.attribution.weights import RobustWeights, robust_weights
 from surefoot.models.residuals.binning import inner_bins
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout, layout_for
@@ -46,7 +52,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log.schema import group_columns
-from surefoot.sim.robot.limbs import QUADRUPED
+from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
@@ -92,19 +98,43 @@ hardly depend on robot or speed, and a tenth more.
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FloorWalk:
-    """One simulated walk of the declared model.
+    """One simulated walk of the declared model, with effects that it has compensated.
 
     Attributes:
+        case: the walk.
+        effects: that it has.
         left: its residual without nuisance parameters and first steps (M, W); NaN where masked.
-        sigma: noise of each column (W,).
-        sums: of its residual and all candidates.
+        weights: of its entries, and the noise of its columns.
     """
 
+    case: LogUnderModel
+    effects: tuple[Effect, ...]
     left: np.ndarray
-    sigma: np.ndarray
-    sums: RunSums
+    weights: RobustWeights
+
+    def sums(self) -> RunSums:
+        """Of its residual and all candidates."""
+        keys = all_keys(self.case)
+        known = linearise([self.case], self.effects, keys, evaluation_channels=False)
+        weights = robust_weights(design(known), _least_noise(known.layout))
+        weight = weights.weight * inner_bins(known.t)[:, None]
+        return run_sums(RunEvidence(self.case, known, weight, {}), frozenset(), EXACT)
+
+    def apparent_sizes(self, keys: Sequence[Key]) -> tuple[np.ndarray, np.ndarray]:
+        """Sizes (k,) that candidates seem to have beyond those it has, and variances (k,) of their
+        noise.
+        """
+        known = linearise([self.case], self.effects, keys, evaluation_channels=False)
+        data, fitted = design(known), known.layout.fitted
+        root = np.sqrt(self.weights.weight) / self.weights.sigma
+        root[~inner_bins(known.t)] = 0.0
+        G = data.grams(data.y, root, fitted, np.zeros(len(root), int))[0]
+        of_nuisance = np.diag(np.append(np.zeros(len(keys)), nuisance_precision(known)))
+        covariance = scaled_inverse(G[1:, 1:] + of_nuisance)
+        sizes = covariance @ G[1:, 0]
+        return sizes[: len(keys)], np.diag(covariance)[: len(keys)]
 
 
 @dataclass(frozen=True)
@@ -140,7 +170,7 @@ class NoiseFloor:
         sigma: noise of each column of the residual table (W,), in its unit.
         walks: the simulated walks.
         source: of the floor, in words.
-        error: of the model; that of a machine on a fixed base for means over windows.
+        error: of the declared model; that of a machine on a fixed base for means over windows.
         plan: what was simulated.
         readings: the logs, where the noise of their own readings is the floor.
         levels: channel -> upper limit of its residual where no walk of the machine shows it.
@@ -153,6 +183,17 @@ class NoiseFloor:
     plan: FloorPlan | None = None
     readings: tuple[LogUnderModel, ...] = ()
     levels: Mapping[str, float] = field(default_factory=dict)
+
+    def apparent_deviations(self, keys: Sequence[Key]) -> np.ndarray:
+        """Standard deviations (k,) of sizes that candidates seem to have in the walks beyond those
+        which these have, as far as noise hardly explains them; zeros without walks.
+        """
+        if not self.walks or not keys:
+            return np.zeros(len(keys))
+        sizes, noise = zip(*(one.apparent_sizes(keys) for one in self.walks), strict=True)
+        n = len(self.walks)
+        by_chance = chi2.ppf(0.95, n) / n * np.mean(noise, axis=0)
+        return np.sqrt(np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0))
 
 
 def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
@@ -181,11 +222,13 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
         effects=(),
         catalogue=tuple(known_effects()),
     )
-    if (floor := _floor(plan)) is not None:
-        return floor
     layout = layout_for(first.robot.limbs)
+    if walks := _floor_walks(plan):
+        error = _error_of(walks, layout.limbs) or _no_error(_noise_of(walks), layout)
+        return _floor_of_walks(walks, error, plan)
     sigma = data_sheet_noise(first.log.rate, layout, plan.evenness)
-    return NoiseFloor(sigma, (), "data sheets of the declared sensors", _no_error(sigma, layout))
+    source = "data sheets of the declared sensors"
+    return NoiseFloor(sigma, (), source, _no_error(sigma, layout))
 
 
 def noise_floor_with(
@@ -217,21 +260,9 @@ def noise_floor_with(
         return floor
     if near is not None and near.plan is not None and _about_same(near.plan.effects, telling):
         return near
-    found = _floor(replace(floor.plan, effects=telling))
-    return floor if found is None else replace(found, error=_with_doubt(found.error, floor.error))
-
-
-def _with_doubt(error: ModelError, plain: ModelError) -> ModelError:
-    """The error of a model with effects, as far as simulated walks of it tell.
-
-    How much they leave once they are compensated depends on how they are simulated. So the means
-    are those of the `plain` model, known no better than they differ, and so is the noise: what a
-    log has beyond it shows in its own residual.
-    """
-    known = dict(zip(plain.keys, plain.mean, strict=True))
-    mean = np.array([known.get(key, 0.0) for key in error.keys])
-    covariance = error.covariance + np.diag((error.mean - mean) ** 2)
-    return replace(error, mean=mean, covariance=covariance, noise=plain.noise)
+    plan = replace(floor.plan, effects=telling)
+    walks = _floor_walks(plan)
+    return _floor_of_walks(walks, floor.error, plan) if walks else floor
 
 
 def _about_same(known: Sequence[Effect], effects: Sequence[Effect]) -> bool:
@@ -254,23 +285,31 @@ def is_compensated_approximately(one: Effect) -> bool:
     return on_body or kind.alter_ground is not Effect.alter_ground or kind.is_lossy(one.target)
 
 
-@lru_cache(maxsize=16)
-def _floor(plan: FloorPlan) -> NoiseFloor | None:
-    """The floor by simulated walks; None where the robot completes none."""
-    layout = layout_for(declared(plan.file).limbs)
+def _floor_walks(plan: FloorPlan) -> tuple[FloorWalk, ...]:
+    """The walks of a plan that the robot completes."""
     # Without the other courses, so that a walk is cached once for all logs that contain it.
     alone = replace(plan, courses=())
     walks = [_floor_walk(alone, course, number) for number, course in enumerate(plan.courses)]
-    completed = tuple(one for one in walks if one is not None)
-    if not completed:
-        return None
-    sigma = np.sqrt(np.mean([one.sigma**2 for one in completed], axis=0))
-    sigma = np.maximum(sigma, _least_noise(layout))
-    source = f"{len(completed)} simulated walks of the declared model along the log's own course"
+    return tuple(one for one in walks if one is not None)
+
+
+def _floor_of_walks(walks: tuple[FloorWalk, ...], error: ModelError, plan: FloorPlan) -> NoiseFloor:
+    source = f"{len(walks)} simulated walks of the declared model along the log's own course"
     if plan.sampling:
         source += ", with a reference as coarse as the log's"
-    error = model_error([one.sums for one in completed], layout.limbs) or _no_error(sigma, layout)
-    return NoiseFloor(sigma, completed, source, error, plan)
+    return NoiseFloor(_noise_of(walks), walks, source, error, plan)
+
+
+def _noise_of(walks: Sequence[FloorWalk]) -> np.ndarray:
+    """Noise (W,) of the columns in walks of the declared model."""
+    sigma = np.sqrt(np.mean([one.weights.sigma**2 for one in walks], axis=0))
+    return np.maximum(sigma, _least_noise(layout_for(walks[0].case.robot.limbs)))
+
+
+@lru_cache(maxsize=16)
+def _error_of(walks: tuple[FloorWalk, ...], limbs: Limbs) -> ModelError | None:
+    """Error of the declared model, as these walks of it show it; None if they are too few."""
+    return model_error([one.sums() for one in walks], limbs)
 
 
 def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
@@ -356,17 +395,14 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))
         case = log_under_model(log, robot)
-        known = linearise([case], plan.effects, all_keys(case), evaluation_channels=False)
-        known = replace(known, table=table_of(case, plan.effects))
+        known = linearise([case], plan.effects, ())
         # The same minimum noise as for the log, so that channels have the same relative weight.
         weights = robust_weights(design(known), _least_noise(known.layout))
-        weight = weights.weight * inner_bins(known.t)[:, None]
-        sums = run_sums(RunEvidence(case, known, weight, {}), frozenset(), EXACT)
         t, used = known.t, inner_bins(known.t)
         left = without_nuisance(known, weights.sigma, weights.weight, used)
         if t[-1] - t[0] > 2.0 * SETTLING:
             used &= t > t[0] + SETTLING
-        return FloorWalk(left[used], weights.sigma, sums)
+        return FloorWalk(case, plan.effects, left[used], weights)
     return None
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from studies.blind.plan import PLAN, Case, study_robot
 from studies.walking.grounds import grounds_for
 from surefoot import Log, Scenario, walk
-from surefoot.extend import Effect, Ground, Patch, Segment, Strip, SurefootError, read_toml
+from surefoot.extend import Effect, Ground, Patch, Segment, SurefootError, read_toml
 from surefoot.models.attribution.diagnose import Diagnosis, diagnose
 from surefoot.models.attribution.forces import DRY_FRICTION
+from surefoot.models.attribution.noise_floor import ground_of
 
 STANDING_TIME = 20.0
 """Duration of the logs of a standing robot [s], with effects that standing cannot distinguish."""
@@ -47,12 +48,8 @@ def scenario_of(case: Case, plan: Path = PLAN) -> Scenario:
     if case.ground != "rough":
         return next(s for s in grounds_for(study_robot(case.robot)) if s.name == case.ground)
     course = ground_and_course(case.seed, False, plan)
-    far = float(
-        np.ceil(2.0 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in course.segments))
-    )
-    # Bumps of a rough strip have a standard deviation of a quarter of their height.
-    bumps = Strip((-far, 0.0), (far, 0.0), 2.0 * far, rough=4.0 * read_toml(plan, "study")["rough"])
-    return replace(course, ground=Ground(course.ground.mu, strips=(bumps,)))
+    rough = read_toml(plan, "study")["rough"]
+    return replace(course, ground=ground_of(course.segments, rough, course.ground.mu))
 
 
 def run_case(case: Case, plan: Path = PLAN) -> dict[str, Any]:

@@ -29,7 +29,9 @@ def floor():
 
 def explained(case, floor):
     problem = problem_of([case], split_of([case]).fit, several=False)
-    return explain(problem, lambda effects: noise_floor_with(floor, effects).error)
+    return explain(
+        problem, floor.error, lambda e, keys: noise_floor_with(floor, e).apparent_deviations(keys)
+    )
 
 
 def test_joints_far_late_do_not_lack_readings_where_they_are_fitted():
@@ -104,10 +106,10 @@ def test_zeros_of_each_log_are_no_effects(floor):
         for k, zero in enumerate(zeros)
     ]
     problem = problem_of(cases, split_of(cases).fit, several=True)
-    found = explain(problem, lambda _: floor.error)
+    found = explain(problem, floor.error, lambda _, keys: np.zeros(len(keys)))
     assert not found.found
     alone = problem_of(cases[:1], np.ones(len(cases[0].motion.t), bool), several=True)
-    runs, _ = zeros_beside(alone, lambda _: floor.error, ())
+    runs, _ = zeros_beside(alone, floor.error, ())
     for run, zero in zip((*found.runs, *runs), (*zeros, zeros[0]), strict=True):
         one = next(z for z in run.zeros if z.effect.target == "FL_thigh")
         assert one.effect.name == "encoder_offset"

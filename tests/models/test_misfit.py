@@ -25,7 +25,9 @@ def found(one):
     case = log_under_model(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
     floor = noise_floor([case])
     problem = problem_of([case], split_of([case]).fit, several=False)
-    result = explain(problem, lambda effects: noise_floor_with(floor, effects).error)
+    result = explain(
+        problem, floor.error, lambda e, keys: noise_floor_with(floor, e).apparent_deviations(keys)
+    )
     return result, curved_angles(result, [case])
 
 
