@@ -26,6 +26,7 @@ from surefoot.models.attribution.evidence import (
     linearise,
     log_under_model,
 )
+from surefoot.models.attribution.metric import noise_of
 from surefoot.models.attribution.model_error import (
     EXACT,
     ModelError,
@@ -122,15 +123,18 @@ class FloorWalk:
         weight = weights.weight * inner_bins(known.t)[:, None]
         return run_sums(RunEvidence(self.case, known, weight, {}), frozenset(), EXACT)
 
-    def apparent_sizes(self, keys: Sequence[Key]) -> tuple[np.ndarray, np.ndarray]:
+    def apparent_sizes(
+        self, keys: Sequence[Key], sigma: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Sizes (k,) that candidates seem to have beyond those it has, and variances (k,) of their
-        noise.
+        noise, for noise sigma (W,) of the columns, NaN where it is not known.
         """
         known = linearise([self.case], self.effects, keys, evaluation_channels=False)
         data, fitted = design(known), known.layout.fitted
-        root = np.sqrt(self.weights.weight) / self.weights.sigma
+        root = np.sqrt(self.weights.weight) / sigma
         root[~inner_bins(known.t)] = 0.0
-        G = data.grams(data.y, root, fitted, np.zeros(len(root), int))[0]
+        used, every = fitted[np.isfinite(sigma[fitted])], np.zeros(len(root), int)
+        G = data.grams(data.y, root, used, every)[0]
         of_nuisance = np.diag(np.append(np.zeros(len(keys)), nuisance_precision(known)))
         covariance = scaled_inverse(G[1:, 1:] + of_nuisance)
         sizes = covariance @ G[1:, 0]
@@ -190,7 +194,8 @@ class NoiseFloor:
         """
         if not self.walks or not keys:
             return np.zeros(len(keys))
-        sizes, noise = zip(*(one.apparent_sizes(keys) for one in self.walks), strict=True)
+        sigma = noise_of(self.error, layout_for(self.walks[0].case.robot.limbs))
+        sizes, noise = zip(*(one.apparent_sizes(keys, sigma) for one in self.walks), strict=True)
         n = len(self.walks)
         by_chance = chi2.ppf(0.95, n) / n * np.mean(noise, axis=0)
         return np.sqrt(np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0))
