@@ -51,7 +51,12 @@ from surefoot.models.attribution.model_error import (
     run_evidence,
     run_sums,
 )
-from surefoot.models.attribution.noise_floor import NoiseFloor, noise_floor, noise_floor_with
+from surefoot.models.attribution.noise_floor import (
+    NoiseFloor,
+    left_deviations,
+    noise_floor,
+    noise_floor_with,
+)
 from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
 from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights, sticks
@@ -246,7 +251,7 @@ def diagnose(
         found = explain(
             problem,
             floors.plain.error,
-            lambda effects, keys: floors.of(effects).apparent_deviations(keys),
+            lambda effects, keys: left_deviations(floors.plain, floors.of(effects), keys),
             harmful,
             needed,
             lambda x: progress(0.4 + 0.5 * x),

@@ -188,9 +188,9 @@ class NoiseFloor:
     readings: tuple[LogUnderModel, ...] = ()
     levels: Mapping[str, float] = field(default_factory=dict)
 
-    def apparent_deviations(self, keys: Sequence[Key]) -> np.ndarray:
-        """Standard deviations (k,) of sizes that candidates seem to have in the walks beyond those
-        which these have, as far as noise hardly explains them; zeros without walks.
+    def apparent_variances(self, keys: Sequence[Key]) -> np.ndarray:
+        """Variances (k,) of the sizes that candidates seem to have in the walks beyond those which
+        these have, as far as noise hardly explains them; zeros without walks.
         """
         if not self.walks or not keys:
             return np.zeros(len(keys))
@@ -198,7 +198,22 @@ class NoiseFloor:
         sizes, noise = zip(*(one.apparent_sizes(keys, sigma) for one in self.walks), strict=True)
         n = len(self.walks)
         by_chance = chi2.ppf(0.95, n) / n * np.mean(noise, axis=0)
-        return np.sqrt(np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0))
+        return np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0)
+
+
+def left_deviations(plain: NoiseFloor, floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
+    """Standard deviations (k,) of the sizes that candidates seem to have in what effects leave once
+    they are compensated, beyond those that they seem to have without.
+
+    Args:
+        plain: floor of the declared model.
+        floor: the same of the model with the effects.
+        keys: of the candidates.
+    """
+    if floor is plain:
+        return np.zeros(len(keys))
+    more = floor.apparent_variances(keys) - plain.apparent_variances(keys)
+    return np.sqrt(np.maximum(more, 0.0))
 
 
 def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:

@@ -7,7 +7,7 @@ from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.explain import explain, problem_of, zeros_beside
 from surefoot.models.attribution.metric import interpolation_weights
-from surefoot.models.attribution.noise_floor import noise_floor, noise_floor_with
+from surefoot.models.attribution.noise_floor import left_deviations, noise_floor, noise_floor_with
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -30,7 +30,9 @@ def floor():
 def explained(case, floor):
     problem = problem_of([case], split_of([case]).fit, several=False)
     return explain(
-        problem, floor.error, lambda e, keys: noise_floor_with(floor, e).apparent_deviations(keys)
+        problem,
+        floor.error,
+        lambda e, keys: left_deviations(floor, noise_floor_with(floor, e), keys),
     )
 
 

@@ -9,7 +9,7 @@ from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.explain import explain, problem_of
-from surefoot.models.attribution.noise_floor import noise_floor, noise_floor_with
+from surefoot.models.attribution.noise_floor import left_deviations, noise_floor, noise_floor_with
 from surefoot.models.attribution.unexplained import angle_curves, curved_angles
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -26,7 +26,9 @@ def found(one):
     floor = noise_floor([case])
     problem = problem_of([case], split_of([case]).fit, several=False)
     result = explain(
-        problem, floor.error, lambda e, keys: noise_floor_with(floor, e).apparent_deviations(keys)
+        problem,
+        floor.error,
+        lambda e, keys: left_deviations(floor, noise_floor_with(floor, e), keys),
     )
     return result, curved_angles(result, [case])
 
