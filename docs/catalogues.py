@@ -68,7 +68,7 @@ def effects_page() -> str:
         "# Effects",
         "What a real robot may have and its model may lack: [`simulate --effects`]"
         "(../guides/simulate.md#robots-that-differ-from-their-model) adds them, "
-        "[`trace`](../guides/trace_and_loop.md) looks for them. Sizes are within the bounds below. "
+        "[`trace`](../guides/trace.md) looks for them. Sizes are within the bounds below. "
         "Yours are added as [own effect](../guides/own_effect.md) describes.",
         to_markdown(rows, markup=True),
     ]

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {
@@ -22,6 +23,7 @@ PAGES = {
     "SECURITY.md": "security.md",
 }
 ELSEWHERE = re.compile(r"\[([^\]]+)\]\((?:LICENSE|CITATION\.cff|Makefile)\)")
+WALKER = re.compile(r"compared with \d+ simulated walks of (\w+)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -37,6 +39,21 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "reference/filters.md", content=filters))
     files.append(File.generated(config, "reference/effects.md", content=effects))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """The text of a page, under a title that no other page has."""
+    if not page.file.src_uri.startswith("results/"):
+        return markdown
+    first, newline, rest = markdown.partition("\n")
+    return f"# {_title(markdown)}{newline}{rest}" if first.startswith("# ") else markdown
+
+
+def _title(text: str) -> str:
+    """The title of a page of results; the pages of `realism` are told apart by their robots."""
+    title = text.partition("\n")[0].removeprefix("# ")
+    walker = WALKER.search(text) if title.endswith("simulated walks") else None
+    return f"{title} of {walker.group(1)}" if walker else title
 
 
 def _maps() -> str:
@@ -126,7 +143,7 @@ def _results() -> str:
     rows = []
     for row in pages_table(ROOT / "docs" / "results"):
         page = ROOT / "docs" / "results" / row["page"]
-        title = page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        title = _title(page.read_text(encoding="utf-8"))
         rows.append(f"| [{title}]({row['page']}) | `{row['commit']}` | {row['state']} |")
     return "\n\n".join(lines) + "\n" + "\n".join(rows) + "\n"
 
