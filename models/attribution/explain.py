@@ -82,6 +82,8 @@ EXACT_SHARE = 1e-3
 """Share of an effect's plausible size to which any model is exact."""
 ZERO_MOVED = 4.0
 """Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
+ZERO_SETTLED = 0.5
+"""The same once the effects are found."""
 ZERO_ROUNDS = 4
 """Most times that the zeros of the logs are fitted beside the same effects."""
 
@@ -395,6 +397,8 @@ def explain(
             tried.add(frozenset(one.keys))
             better = one.effects
         state, chosen = _settled(state, better)
+    # Residuals are reported with the zeros that are compensated.
+    state, chosen = _settled(state, chosen.effects, moved=ZERO_SETTLED)
     return Explanation(
         found=_with_intervals(state, chosen, left(chosen.effects, chosen.keys)),
         imitated=imitated & frozenset(chosen.keys),
@@ -536,12 +540,16 @@ def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) ->
     return np.where(sticks(problem.cases, at, layout), np.nan, np.concatenate(tables))
 
 
-def _settled(state: _State, effects: Sequence[Effect]) -> tuple[_State, Chosen]:
-    """Fit each log's zeros and the sizes of effects in turn; drop what does not earn its place."""
+def _settled(
+    state: _State, effects: Sequence[Effect], moved: float = ZERO_MOVED
+) -> tuple[_State, Chosen]:
+    """Fit each log's zeros (`moved` as of `_with_zeros`) and the sizes of effects in turn; drop
+    what does not earn its place.
+    """
     while True:
         if tuple(effects) != state.effects:
             state = state.at(effects)
-        state = _with_zeros(state, effects)
+        state = _with_zeros(state, effects, moved)
         chosen = _refined(state, effects)
         state = replace(state, explained=_explained_by_body(state, chosen))
         kept = _without_worst(chosen, state.earned_by(chosen))
@@ -593,8 +601,9 @@ def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
     return np.maximum(square(without) - square(chosen.table), 0.0)
 
 
-def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
-    """Compensate each log's zeros and clocks that are far from where they are now.
+def _with_zeros(state: _State, effects: Sequence[Effect], moved: float = ZERO_MOVED) -> _State:
+    """Compensate each log's zeros and clocks that are far from where they are now, by more than
+    `moved` standard deviations.
 
     Biases need no compensation, since the residual is linear in them.
     """
@@ -613,7 +622,7 @@ def _with_zeros(state: _State, effects: Sequence[Effect]) -> _State:
             for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
                 least = ZERO_MOVED * np.hypot(deviation, more)
                 known = key in sizes
-                if abs(size - sizes.get(key, 0.0)) > (ZERO_MOVED * deviation if known else least):
+                if abs(size - sizes.get(key, 0.0)) > (moved * deviation if known else least):
                     sizes[key] = size
                 if abs(sizes.get(key, 0.0)) <= least:
                     sizes.pop(key, None)

@@ -28,7 +28,11 @@ def floor():
 
 
 def explained(case, floor):
-    problem = problem_of([case], split_of([case]).fit, several=False)
+    return explained_together([case], floor, several=False)
+
+
+def explained_together(cases, floor, several=True):
+    problem = problem_of(cases, split_of(cases).fit, several)
     return explain(
         problem,
         floor.error,
@@ -107,8 +111,7 @@ def test_zeros_of_each_log_are_no_effects(floor):
         case_with(effect("encoder_offset", "FL_thigh", zero), seed=k)
         for k, zero in enumerate(zeros)
     ]
-    problem = problem_of(cases, split_of(cases).fit, several=True)
-    found = explain(problem, floor.error, lambda _, keys: np.zeros(len(keys)))
+    found = explained_together(cases, floor)
     assert not found.found
     alone = problem_of(cases[:1], np.ones(len(cases[0].motion.t), bool), several=True)
     runs, _ = zeros_beside(alone, floor.error, ())
@@ -117,6 +120,14 @@ def test_zeros_of_each_log_are_no_effects(floor):
         assert one.effect.name == "encoder_offset"
         assert one.effect.value == pytest.approx(zero, abs=1e-3)
         assert one.effect in run.compensated
+
+
+@pytest.mark.long
+def test_zeros_that_logs_seemed_to_have_vanish_with_the_effect_that_they_lacked(floor):
+    longer = effect("link_length", "FR_calf", 0.006)
+    found = explained_together([case_with(longer, seed=seed) for seed in (3, 4)], floor)
+    assert names(found) == [("link_length", "FR_calf")]
+    assert not any(run.compensated for run in found.runs)
 
 
 def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floor):
