@@ -397,8 +397,9 @@ def explain(
             tried.add(frozenset(one.keys))
             better = one.effects
         state, chosen = _settled(state, better)
-    # Residuals are reported with the zeros that are compensated.
-    state, chosen = _settled(state, chosen.effects, moved=ZERO_SETTLED)
+    if problem.several:
+        # Residuals are reported with the zeros that are compensated.
+        state, chosen = _settled(state, chosen.effects, moved=ZERO_SETTLED)
     return Explanation(
         found=_with_intervals(state, chosen, left(chosen.effects, chosen.keys)),
         imitated=imitated & frozenset(chosen.keys),
