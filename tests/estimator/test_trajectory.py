@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from motions import motion
 from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 from scipy.spatial.transform import Rotation
 from whole_runs import run_coverage
 
@@ -14,7 +15,6 @@ from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, reference
 from surefoot.estimator.initial import GRAVITY_STD, initial_state, level, still_gyro_bias
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log, Meta
 
@@ -64,8 +64,7 @@ def test_never_overwrites_without_force(estimate, tmp_path):
         path = tmp_path / f"{write.__name__}.out"
         write(path)
         before = path.read_bytes()
-        with pytest.raises(SurefootError, match="exists already"):
-            write(path)
+        refused("exists already", write, path)
         assert path.read_bytes() == before
         write(path, force=True)
     assert not list(tmp_path.glob(".*"))
@@ -89,11 +88,8 @@ def test_bad_files_are_one_clear_line(estimate, tmp_path):
         (text, "cannot be read"),
         (other, "is not a trajectory"),
     ):
-        with pytest.raises(TrajectoryError, match=words) as caught:
-            Trajectory.read(path)
-        assert str(path) in str(caught.value)
-    with pytest.raises(TrajectoryError, match="p_GI has shape"):
-        replace(estimate, p_GI=np.zeros((3, 3)))
+        assert str(path) in refused(words, Trajectory.read, path, error=TrajectoryError)
+    refused("p_GI has shape", replace, estimate, p_GI=np.zeros((3, 3)), error=TrajectoryError)
 
 
 def test_reference_is_cut_to_ref_ok():
@@ -130,8 +126,7 @@ def test_start_without_a_reference_is_gravity():
     assert_allclose(state.v_GI, 0)
     assert covariance[0, 0] == GRAVITY_STD.tilt**2
     falling = frame.assign(accel_x=0.0, accel_y=0.0, accel_z=0.1)
-    with pytest.raises(SurefootError, match="gravity is unknown"):
-        initial_state(Log(falling, bare.meta))
+    refused("gravity is unknown", initial_state, Log(falling, bare.meta))
 
 
 @pytest.mark.parametrize(("shaken", "known"), [(0.01, True), (0.1, False)])

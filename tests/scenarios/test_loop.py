@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
@@ -26,7 +27,6 @@ from surefoot.scenarios.trace.training_walks import (
     simulate_training,
     simulated_robot,
 )
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.options import GaitOptions
@@ -197,11 +197,9 @@ def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
 
 def test_another_loops_folder_is_left_alone(robot, log, tmp_path):
     (tmp_path / RECIPE).write_text(json.dumps({"log": "another"}))
-    with pytest.raises(SurefootError, match="not empty"):
-        loop(log, robot, LoopSettings(tmp_path))
+    refused("not empty", loop, log, robot, LoopSettings(tmp_path))
     bare = replace(log, frame=log.frame.drop(columns=[c for c in log.frame if "ref" in str(c)]))
-    with pytest.raises(SurefootError, match="ref"):
-        loop(bare, robot, LoopSettings(tmp_path / "new"))
+    refused("ref", loop, bare, robot, LoopSettings(tmp_path / "new"))
 
 
 @pytest.mark.slow

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.models.attribution.diagnose import diagnose
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, add
 from surefoot.sim.effects.base import AXES, Effect, with_columns
 from surefoot.sim.ground.terrain import Ground
@@ -83,14 +83,12 @@ def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
         channels = ("imu_gyro",)
         targets = AXES
 
-    with pytest.raises(SurefootError, match="Nameless: lacks name"):
-        add(Nameless)
+    refused("Nameless: lacks name", add, Nameless)
 
     class Taken(GyroWarming):
         name = "gyro_bias"
 
-    with pytest.raises(SurefootError, match="gyro_bias: the catalogue has one of that name"):
-        add(Taken)
+    refused("gyro_bias: the catalogue has one of that name", add, Taken)
     assert not any(k.__qualname__.endswith(("Nameless", "Taken")) for k in CATALOGUE.values())
 
 

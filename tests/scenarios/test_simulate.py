@@ -14,6 +14,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from dataset_index import read_index
+from refusals import refusal, refused
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets.index import Journal
@@ -80,9 +81,8 @@ def test_the_index_says_what_was_drawn_and_what_happened(folder, capsys):
 
 
 def test_a_fall_says_where_and_why_and_keeps_its_walk(folder, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main("simulate cliff.toml -o walks".split())
-    assert "no walk was made" in str(stop.value)
+    stop = refusal(main, "simulate cliff.toml -o walks".split(), error=SystemExit)
+    assert "no walk was made" in stop
     out = capsys.readouterr().out
     assert re.search(r"fell: .* s at \(-?\d.*\) m: the base (tilted|sank)", out)
     log = Log.read(folder / "walks" / "_dataset" / "falls" / "cliff_0.parquet")
@@ -253,8 +253,7 @@ def test_a_folder_of_the_index_that_is_none_is_refused_before_the_walk(what, fol
         os.mkfifo(place)
     else:
         place.write_text("mine")
-    with pytest.raises(SurefootError, match="_dataset"):
-        simulate(SimulateSettings([Path("short.toml")], Path("walks")))
+    refused("_dataset", simulate, SimulateSettings([Path("short.toml")], Path("walks")))
     assert not list((folder / "elsewhere").iterdir())
     assert list((folder / "walks").iterdir()) == [place]
 
@@ -289,8 +288,7 @@ def test_undeclared_effects_leave_no_trace_but_the_answer(folder):
     for path in Path("hidden").rglob("*"):
         if path.is_file() and path.name != "truth.toml":
             assert b"gyro_scale" not in path.read_bytes()
-    with pytest.raises(SurefootError, match="undeclared effects"):
-        simulate(SimulateSettings([Path("short.toml")], Path("hidden")))
+    refused("undeclared effects", simulate, SimulateSettings([Path("short.toml")], Path("hidden")))
     with pytest.raises(SurefootError, match="without undeclared effects"):
         simulate(
             SimulateSettings(
@@ -360,5 +358,4 @@ def test_a_journal_that_is_a_link_is_refused(tmp_path):
     journal = Journal(tmp_path / "walks").path
     journal.parent.mkdir(parents=True)
     journal.symlink_to(tmp_path / "victim.txt")
-    with pytest.raises(SurefootError, match=r"journal\.jsonl: is a link"):
-        Journal(tmp_path / "walks")
+    refused(r"journal\.jsonl: is a link", Journal, tmp_path / "walks")

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from backports import zstd
+from refusals import refusal
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.models.observer.observer import Observer
 from surefoot.sim.common import limits
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import read_recording
@@ -36,10 +36,8 @@ MAP = '[columns]\nt = "/imu:header.stamp"\n' + "".join(
 
 
 def line_of(function, *arguments) -> str:
-    with pytest.raises(SurefootError) as caught:
-        function(*arguments)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    caught = refusal(function, *arguments)
+    return caught
 
 
 @pytest.mark.parametrize(
