@@ -17,23 +17,13 @@ from surefoot.models.alignment.least_squares import Placement, Readings, placeme
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses, reference_poses
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 SCALER = measured_folder() / "scaler_trot"
 P_IM = np.array([0.04, 0.06, 0.11])
 R_IM = Rotation.from_euler("zyx", [0.5, -0.2, 0.1])
-
-
-@pytest.fixture(scope="module")
-def log():
-    course = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
-    return walk(Scenario("seen", course, Ground(0.8)), Robot.load("spot_class"), 4)
 
 
 def tracked(log, offset, wobble=0.0, seed=0):

@@ -14,18 +14,10 @@ from surefoot.models.residuals.feet import (
     stance_displacement,
     stance_means,
 )
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import stances
-from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
-
-
-@pytest.fixture(scope="module")
-def log():
-    return walk(Scenario("turn", (Segment(3.0, 0.5, turn=0.4),), Ground(0.8)), ROBOT, seed=4)
 
 
 def test_a_mean_stands_in_the_middle_of_its_stance():

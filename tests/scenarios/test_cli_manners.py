@@ -52,9 +52,7 @@ def test_version(capsys):
     ("arguments", "suggestion"),
     [
         ("simulat demo/walk -o new", "did you mean 'simulate'?"),
-        ("simulate demo/wlak -o new", "did you mean 'demo/walk'?"),
-        ("simulate demo/walk --robot spotclass -o new", "did you mean 'spot_class'?"),
-        ("robots spot_clas", "did you mean 'spot_class'?"),
+        ("suite spott -o new", "did you mean 'spot'?"),
         ("simulate demo/walk --robt spot_class -o new", "--robot"),
     ],
 )
@@ -160,14 +158,6 @@ def test_what_libraries_accept_in_a_variable_is_accepted(name, value):
     assert name not in done.stderr  # which may say that kernels are compiled
 
 
-def test_a_mistyped_suite_is_corrected(tmp_path):
-    with pytest.raises(SystemExit) as stopped:
-        main(["suite", "spott", "-o", str(tmp_path / "out")])
-    assert "unknown suite 'spott'; known: spot, vision60; did you mean 'spot'?" in str(
-        stopped.value.code
-    )
-
-
 def version_with(name: str, value: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "surefoot", "--version"],
@@ -240,8 +230,6 @@ def test_a_file_of_one_s_own_is_a_plugin_for_one_run(tmp_path):
     [
         (None, "no such Python file"),
         ("1 / 0", "ZeroDivisionError"),
-        ("PLUGINS = {}", "needs PLUGINS"),
-        ("PLUGINS = {'surefoot.filters': {}}", "no group 'surefoot.filters'"),
     ],
 )
 def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
@@ -269,18 +257,13 @@ def test_help_names_what_it_takes(capsys):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_is_in_words_and_not_in_pythons(command, capsys):
-    """Left to itself, tyro prints `{None}|PATH`, `(default: None)` and `(default: )`."""
+def test_help_has_a_sentence_for_each_option_in_words_and_not_in_pythons(command, capsys):
+    """What tyro adds in brackets follows a full stop, and each flag has a text. Left to itself,
+    tyro prints `{None}|PATH`, `(default: None)` and `(default: )`, and the defaults of flags."""
     assert not ended(f"{command} --help")
-    text = capsys.readouterr().out
-    assert [word for word in ("None", "default: )", "default: '')") if word in text] == []
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_has_a_sentence_for_each_option(command, capsys):
-    """What tyro adds in brackets follows a full stop, and each flag has a text."""
-    assert not ended(f"{command} --help")
-    text = " ".join(re.sub("[─│╭╮╰╯]", " ", capsys.readouterr().out.partition("╭")[2]).split())
+    help_ = capsys.readouterr().out
+    assert not re.findall(r"None|default: (?:''|False|True|)\)", help_)
+    text = " ".join(re.sub("[─│╭╮╰╯]", " ", help_.partition("╭")[2]).split())
     bare = r"\S*[^.\s] \((?:required|optional|repeatable|default: [^)]*)\)"
     assert re.findall(rf"{bare}|--[\w-]+(?= -|$)", text) == []
 
@@ -290,13 +273,6 @@ def test_help_of_train_lists_the_inputs_apart(capsys):
     assert not ended("train --help")
     text = "".join(capsys.readouterr().out.replace("│", "").split())
     assert ":q|q,dq|q,dq,tau|feet|tau,feet|q,dq,tau,feet." in text
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_flag_is_shown_without_its_default(command, capsys):
-    assert not ended(f"{command} --help")
-    text = capsys.readouterr().out
-    assert [word for word in ("default: False", "default: True") if word in text] == []
 
 
 @pytest.mark.parametrize(("options", "seen"), [((), False), (("-W", "default"), True)])

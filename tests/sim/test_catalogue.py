@@ -11,7 +11,7 @@ from turning import mean_rotation
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.file import load_effects, save_effects
-from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP, World, robot_spec
 from surefoot.sim.robot import Robot
@@ -322,10 +322,6 @@ def test_foot_slip_takes_friction_from_all_ground(plain, walked):
     log = walked("foot_slip", "all", 0.75)
     assert_allclose(log.mu, 0.25 * plain.mu)
     assert (log.slip > 0.05).sum() > 10 * max(1, (plain.slip > 0.05).sum())
-    strip = Strip((0.0, 0.0), (1.0, 0.0), 1.0, mu=0.5)
-    ground = Ground(0.8, (Patch(1.0, 0.0, 1.0, 1.0, 0.2),), strips=(strip,))
-    less = effect("foot_slip", "all", 0.5).alter_ground(ground)
-    assert (less.mu, less.patches[0].mu, less.strips[0].mu) == (0.4, 0.1, 0.25)
 
 
 def test_the_whole_catalogue_is_here():

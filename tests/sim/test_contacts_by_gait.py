@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.clock import brought_forward
 from surefoot.sim.importing.contacts import feet_that_stand, legs_in_phase, up_by_feet, up_in_imu
 from surefoot.sim.importing.recording import import_log
@@ -15,18 +14,14 @@ from surefoot.sim.importing.sections import ContactTable
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 GAIT = ContactTable(on=0.0, off=0.0, of="gait")
 
 
 @pytest.fixture(scope="module")
-def trot() -> Log:
+def trot(log) -> Log:
     """A trot as a robot logs it that knows where its feet are and not which of them stand."""
-    robot = Robot.load("spot_class")
-    log = walk(Scenario("short", (Segment(5.0, 0.5, turn=0.2),), Ground(0.8)), robot, 1)
-    feet = robot.feet_I(log.q)
+    feet = Robot.load("spot_class").feet_I(log.q)
     kept = [c for c in log.frame if c == "t" or c.startswith(("gyro", "accel", "contact"))]
     columns = {
         f"foot_{leg}_{axis}": feet[:, k, i]

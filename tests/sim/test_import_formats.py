@@ -25,6 +25,7 @@ from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.importing.table import RecordedTable, column_readings
 from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 
 MEASURED = measured_folder()
 ROWS = 60
@@ -336,8 +337,6 @@ def test_uneven_stamps_and_held_readings_are_said_and_made_even_on_demand(tmp_pa
 
 
 def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path):
-    from surefoot.sim.robot import Robot
-
     robot = Robot.load("spot_class")
     frame = pd.DataFrame({f"q_{joint}": np.zeros(5) for joint in robot.limbs.joints})
     frame.insert(0, "t", 0.01 * np.arange(5))
@@ -354,13 +353,7 @@ def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path)
 
 
 @pytest.mark.parametrize("of", ["torque", "kinematics"])
-def test_contacts_follow_from_torques_and_from_kinematics(tmp_path, of):
-    from surefoot.sim.ground.terrain import Ground
-    from surefoot.sim.robot import Robot
-    from surefoot.sim.scenario import Scenario, Segment
-    from surefoot.sim.walk import walk
-
-    log = walk(Scenario("short", (Segment(4.0, 0.4),), Ground(0.8)), Robot.load("spot_class"), 0)
+def test_contacts_follow_from_torques_and_from_kinematics(log, tmp_path, of):
     starts = ("t", "gyro", "accel", "q_", "tau_")
     kept = [c for c in log.frame if c.startswith(starts) and "_des" not in c and "_ff" not in c]
     log.frame[kept].to_csv(tmp_path / "run.csv", index=False)

@@ -1,15 +1,10 @@
 """Scenario files: what they mean, what a seed may change, and one clear line for every mistake."""
 
-from contextlib import suppress
-
 import numpy as np
 import pytest
 from ground_course import surfaces, whole_course
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from refusals import refusal, refused
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.scenario import Scenario, drawn
 from surefoot.sim.scenario_catalog import bundled_scenarios
@@ -163,23 +158,3 @@ def test_bundled_scenarios_have_names_and_a_file_of_that_name_goes_first(tmp_pat
     (tmp_path / "demo").mkdir()
     (tmp_path / "demo" / "walk").write_text('name = "mine"\nsegment = [{duration = 1.0}]\n')
     assert Scenario.load("demo/walk").name == "mine"
-
-
-VALUES = st.one_of(
-    st.none(), st.booleans(), st.integers(-3, 3), st.floats(), st.text(max_size=3), st.just([1, 2])
-)
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    key=st.sampled_from(["laps", "stand", "name", "robot", "role", "segment", "ground", "ranges"]),
-    value=VALUES,
-)
-def test_no_value_of_any_key_ends_in_another_error(tmp_path_factory, key, value):
-    if value is None:
-        return
-    text = f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}\n"
-    path = tmp_path_factory.mktemp("s") / "walk.toml"
-    path.write_text(text if key == "segment" else SEGMENT + text, encoding="utf-8")
-    with suppress(SurefootError):
-        Scenario.load(path)
