@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from whole_runs import run_coverage
 
 from surefoot.estimator.core.lie import hat
-from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, reference
 from surefoot.estimator.initial import GRAVITY_STD, initial_state, level, still_gyro_bias
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -169,12 +168,3 @@ def test_level_turns_the_force_upwards():
         assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
         assert np.linalg.det(R) > 0
         assert_allclose(R @ force, np.array([0, 0, np.linalg.norm(force)]), atol=1e-12)
-
-
-def test_state_packs_and_unpacks():
-    rng = np.random.default_rng(0)
-    R = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix()
-    state = NavState(R, *rng.normal(size=(4, 3)))
-    back = NavState.unpack(state.pack(2))
-    for name in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
-        assert_array_equal(getattr(back, name), getattr(state, name))

@@ -54,11 +54,3 @@ def test_it_is_estimated_tabled_and_drawn(file, tmp_path):
     done = run_with("own_estimator", "-m", "surefoot", *command, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "own.tum").stat().st_size > 1000
-
-
-def test_without_its_package_it_is_unknown_in_one_line(file, tmp_path):
-    command = ("estimate", str(file), "--filter", "standing_feet")
-    done = run_with("", "-m", "surefoot", *command, cwd=tmp_path)
-    assert done.returncode == 1
-    assert "unknown filter 'standing_feet'; known: coverage" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1

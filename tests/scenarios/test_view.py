@@ -4,6 +4,7 @@ import subprocess
 
 import pytest
 from refusals import refused
+from written import written
 
 from surefoot.scenarios.viewer.view import recording_file, view
 from surefoot.sim.common.files import command_run, whole_file
@@ -31,8 +32,7 @@ def test_a_folder_is_no_recording(tmp_path):
 
 @pytest.mark.parametrize("web", [False, True])
 def test_the_server_listens_on_this_machine_alone(tmp_path, monkeypatch, web):
-    path = tmp_path / "walk.rrd"
-    path.write_bytes(b"RRF2....")
+    path = written(tmp_path / "walk.rrd", b"RRF2....")
     commands = []
 
     def run(command, check):
@@ -57,7 +57,6 @@ def test_a_recording_that_was_altered_is_not_shown(tmp_path, monkeypatch):
 
 
 def test_a_viewer_that_fails_is_an_error(tmp_path, monkeypatch):
-    path = tmp_path / "walk.rrd"
-    path.write_bytes(b"RRF2....")
+    path = written(tmp_path / "walk.rrd", b"RRF2....")
     monkeypatch.setattr(subprocess, "run", lambda c, check: subprocess.CompletedProcess(c, 3))
     refused(r"exit code 3; without a screen, try web", view, path)

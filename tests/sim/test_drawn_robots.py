@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from quadruped_mjcf import KNEE, SPHERE, quadruped_mjcf
 from refusals import refused
+from written import written
 
 from surefoot.sim.effects.body import FootRolling
 from surefoot.sim.ground.terrain import Ground
@@ -34,9 +35,7 @@ def posture(qpos: str) -> str:
 
 
 def drawn(tmp_path, text: str) -> Robot:
-    path = tmp_path / "dog.xml"
-    path.write_text(text)
-    return Robot.load(path)
+    return Robot.load(written(tmp_path / "dog.xml", text))
 
 
 @pytest.mark.parametrize(
@@ -131,8 +130,7 @@ def test_two_robots_are_not_chosen_from(tmp_path):
 def test_a_fixed_machine_with_something_loose_remains_fixed(tmp_path):
     upper = '<body name="upper"><joint name="b"/><geom size=".1"/></body>'
     arm = f'<body name="arm"><joint name="a"/><geom size=".1"/>{upper}</body>'
-    path = tmp_path / "arm.xml"
-    path.write_text(f"<mujoco><worldbody>{BALL}{arm}</worldbody></mujoco>")
+    path = written(tmp_path / "arm.xml", f"<mujoco><worldbody>{BALL}{arm}</worldbody></mujoco>")
     machine = load_machine(path)
     assert (machine.fixed, machine.limbs.joints) == (True, ("a", "b"))
 

@@ -10,6 +10,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+from written import written
 
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.importing import bag
@@ -108,9 +109,7 @@ def write_bag(path: Path, kind: str) -> Path:
 
 @pytest.fixture
 def map_file(tmp_path):
-    path = tmp_path / "map.toml"
-    path.write_text(MAP)
-    return path
+    return written(tmp_path / "map.toml", MAP)
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
@@ -148,8 +147,7 @@ def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, k
     ],
 )
 def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
-    map_file = tmp_path / "map.toml"
-    map_file.write_text(MAP.replace(old, new))
+    map_file = written(tmp_path / "map.toml", MAP.replace(old, new))
     bag = write_bag(tmp_path / "run", "sqlite3")
     assert said in refusal(import_log, bag, map_file)
 

@@ -15,6 +15,7 @@ from refusals import refusal
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from written import written
 
 from surefoot.models.observer.observer import Observer
 from surefoot.sim.common import limits
@@ -97,9 +98,7 @@ TEXTS = {
 @pytest.mark.parametrize("case", TEXTS)
 def test_a_text_that_is_no_table_is_said_to_be_what_it_is(tmp_path, case):
     text, said = TEXTS[case]
-    path = tmp_path / "log.txt"
-    path.write_text(text)
-    line = line_of(guess_map, [path])
+    line = line_of(guess_map, [written(tmp_path / "log.txt", text)])
     assert all(word in line for word in ("log.txt", said))
 
 
@@ -171,8 +170,7 @@ def test_cells_of_numbers_are_within_the_limits_of_memory(tmp_path, monkeypatch)
 
 
 def test_the_first_word_among_numbers_is_named(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("t\n1\n" + "no\n" * 5)
+    path = written(tmp_path / "a.csv", "t\n1\n" + "no\n" * 5)
     (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
     assert "line 3: 'no' is not a number" in line_of(read_recording, path, tmp_path / "map.toml")
 
@@ -183,9 +181,7 @@ def test_the_first_word_among_numbers_is_named(tmp_path):
      "signal,value\n" + "gyro,0.1\nknee,0.2\n" * 20],
 )  # fmt: skip
 def test_a_table_with_words_is_a_table(tmp_path, text):
-    path = tmp_path / "log.csv"
-    path.write_text(text)
-    guess_map([path])
+    guess_map([written(tmp_path / "log.csv", text)])
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from ground_course import surfaces, whole_course
 from refusals import refusal, refused
+from written import written
 
 from surefoot.sim.common.files import bundled
 from surefoot.sim.scenario import Scenario, drawn
@@ -38,9 +39,7 @@ patch_shift = 0.1
 
 
 def load(tmp_path, text: str) -> Scenario:
-    path = tmp_path / "walk.toml"
-    path.write_text(text)
-    return Scenario.load(path)
+    return Scenario.load(written(tmp_path / "walk.toml", text))
 
 
 def test_segments_by_length_angle_and_rounds(tmp_path):
