@@ -96,7 +96,7 @@ def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "own_thing", raising=False)
     plugins.cache_clear()
     try:
-        with pytest.raises(SurefootError, match="plugin mine .*must be a subclass of Channel"):
+        with pytest.raises(SurefootError, match=r"plugin mine .*must be a subclass of Channel"):
             CHANNELS["mine"]
         assert list(channels.__wrapped__()) == [kind.name for kind in BUNDLED_CHANNELS]
         robot = Robot.load("spot_class")
