@@ -53,11 +53,6 @@ def test_progress_is_told(walks):
     assert all(np.all(rmse > 0) for _, _, rmse in told)
 
 
-def test_a_quick_training_says_nothing_to_a_pipe(walks, capfd):
-    train(walks["fit"], Body(), replace(TINY, inputs="q"), progress=True)
-    assert capfd.readouterr().err == ""
-
-
 def test_held_out_labels_do_not_matter(walks):
     """Other labels in the held-out blocks change the score, never a weight."""
     log = walks["fit"]

@@ -73,14 +73,6 @@ def test_bundled_masses_are_the_published_ones():
     assert Robot.load("v60_class").mass == pytest.approx(51.0, abs=1e-6)
 
 
-def test_an_unknown_robot_is_one_clear_line():
-    assert "v60_class" in refused("unknown robot 'dog'", Robot.load, "dog")
-
-
-def test_a_missing_file_is_named(tmp_path):
-    refused("no such MJCF", Robot.load, tmp_path / "robot.xml")
-
-
 MODEL = """<mujoco model="odd"><worldbody><body name="base"><freejoint/>
 <geom type="box" size=".2 .1 .1"/>{legs}</body></worldbody>{actuators}</mujoco>"""
 LEG = """<body name="h{i}" pos="{x} {y} 0"><joint name="h{i}" axis="1 0 0"/>
