@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from refusals import refusal, refused
 
-from surefoot.estimator.core.checks import (
-    DivergedError,
-    SampleError,
-    check_sound,
-    spd,
-)
+from surefoot.estimator.core.checks import DivergedError, SampleError, check_sound, spd
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.leg import LegFilter
 

@@ -119,8 +119,7 @@ def test_another_body_is_reported(log):
 def test_an_accelerometer_of_another_convention_is_named_and_does_no_harm(log):
     """Gravity of the wrong sign, as one public recording has it, and an axis turned about."""
     odd = with_columns(
-        log,
-        {"accel_z": log.frame["accel_z"] - 19.62, "accel_y": -log.frame["accel_y"]},
+        log, {"accel_z": log.frame["accel_z"] - 19.62, "accel_y": -log.frame["accel_y"]}
     )
     found = align(odd, tracked(log, 0.3))
     np.testing.assert_array_equal(found.accel_sign, [1.0, -1.0, 1.0])

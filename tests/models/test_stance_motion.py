@@ -9,11 +9,7 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.weights import correlated_entries
 from surefoot.models.residuals.binning import BIN, at_rows, reference_motion
-from surefoot.models.residuals.feet import (
-    FEWEST_STANCE_BINS,
-    stance_displacement,
-    stance_means,
-)
+from surefoot.models.residuals.feet import FEWEST_STANCE_BINS, stance_displacement, stance_means
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances
 

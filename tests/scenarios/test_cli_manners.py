@@ -226,11 +226,7 @@ def test_a_file_of_one_s_own_is_a_plugin_for_one_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (None, "no such Python file"),
-        ("1 / 0", "ZeroDivisionError"),
-    ],
+    ("text", "message"), [(None, "no such Python file"), ("1 / 0", "ZeroDivisionError")]
 )
 def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
     if text is not None:

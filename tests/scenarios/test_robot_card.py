@@ -26,8 +26,7 @@ def two_legs(links: list[float]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("links", "length"),
-    [([0.4], 0.4), ([0.3, 0.4], 0.7), ([0.0, 0.0, 0.3, 0.4, 0.0, 0.05], 0.75)],
+    ("links", "length"), [([0.4], 0.4), ([0.3, 0.4], 0.7), ([0.0, 0.0, 0.3, 0.4, 0.0, 0.05], 0.75)]
 )
 def test_a_leg_of_any_number_of_hinges_has_its_length(tmp_path, links, length):
     card = robot_card(str(written(tmp_path / "robot.xml", two_legs(links))), None)

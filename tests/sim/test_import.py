@@ -273,12 +273,7 @@ def test_the_rate_of_two_rows_and_more_is_that_of_their_steps(t):
         ("map.toml", "{ knee = -1 }", "{ ankle = -1 }", "[robot] joint 'ankle' has no column"),
         ("map.toml", "kp = { knee", "kp = { ankle", "[motor_law.kp] unknown key 'ankle'"),
         ("map.toml", 'ref_p_y = "y"\n', "", "[reference.columns] ref_p_y is missing"),
-        (
-            "map.toml",
-            'frame = "base"',
-            'frame = "world"',
-            "[reference] frame must be one of",
-        ),
+        ("map.toml", 'frame = "base"', 'frame = "world"', "[reference] frame must be one of"),
         ("map.toml", '"mocap.csv"', '"vicon.csv"', "vicon.csv: No such file"),
         ("map.toml", "[source]", "[source", "map.toml"),
         ("map.toml", 't = { column = "ms", unit = "ms" }', "", "t or [source] rate"),

@@ -319,10 +319,7 @@ def test_parameters_above_a_table_are_no_table(tmp_path):
 
 REFUSED = {
     "tags of the shell": (lambda d: text(d, two_kinds()), ("lines of several kinds", "'$IMU.txt'")),
-    "JSON": (
-        lambda d: text(d, [json.dumps({"t": t, "gyro": [0.1, 0.2]}) for t in T]),
-        (".jsonl",),
-    ),
+    "JSON": (lambda d: text(d, [json.dumps({"t": t, "gyro": [0.1, 0.2]}) for t in T]), (".jsonl",)),
     "an object array": (
         lambda d: npz(d, t=T, info=np.array({"q": 1}, dtype=object)),
         ("Object", "np.savez"),

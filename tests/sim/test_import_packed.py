@@ -215,10 +215,7 @@ def test_what_a_bag_multiplies_is_refused_before(tmp_path, monkeypatch, content,
 
 @pytest.mark.parametrize(
     ("column", "topics", "word"),
-    [
-        ("data GENERATED ALWAYS AS (zeroblob(200000000))", 1, "computed"),
-        ("data", 5000, "topics"),
-    ],
+    [("data GENERATED ALWAYS AS (zeroblob(200000000))", 1, "computed"), ("data", 5000, "topics")],
 )
 def test_a_database_of_too_much(tmp_path, column, topics, word):
     connection = sqlite3.connect(tmp_path / "r.db3")

@@ -301,10 +301,7 @@ def test_doubled_unknown_and_mistyped_columns_are_named(tmp_path):
         ({"schema": SCHEMA, "rate": 10.0}, "runs at 500 Hz, the metadata says 10"),
         ({"schema": SCHEMA, "rate": RATE, "colour": 1}, "metadata: unknown key 'colour'"),
         ({"schema": SCHEMA, "rate": RATE, "effects": [1]}, "effects[0] must be a table, is 1"),
-        (
-            {"schema": SCHEMA, "rate": RATE, "effects": [{"name": "a"}]},
-            "1 target is missing",
-        ),
+        ({"schema": SCHEMA, "rate": RATE, "effects": [{"name": "a"}]}, "1 target is missing"),
         (
             {"schema": SCHEMA, "rate": RATE, "model": {"p_BI": [1.0, 2.0]}},
             "[model] p_BI must be an array",

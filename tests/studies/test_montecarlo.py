@@ -40,12 +40,7 @@ from studies.montecarlo.study import (
     run_montecarlo,
     run_trials,
 )
-from studies.montecarlo.trials import (
-    make_trials,
-    population,
-    true_motion,
-    velocity_errors,
-)
+from studies.montecarlo.trials import make_trials, population, true_motion, velocity_errors
 from studies.montecarlo.update import update, update_illustration
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import FilterNoise, NavState
