@@ -1,9 +1,12 @@
 """Every effect of the catalogue, from a file into a walk, shows in the data as what it says."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from perfect import PERFECT
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from turning import mean_rotation
@@ -18,18 +21,13 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import swings
-from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walk import plan, simulate_motion, walk
 
 SPOT = Robot.load("spot_class")
-# Nothing but the effect: sensors without noise, and an IMU of steps that are next to none.
-PERFECT = Sensors(
-    gyro_noise=0, accel_noise=0, gyro_instability=0, accel_instability=0, gyro_turn_on=0,
-    accel_turn_on=0, gyro_range=35, accel_range=1000, encoder_step=0, velocity_noise=0,
-    torque_noise=0, force_noise=0,
-)  # fmt: skip
+# Nothing but the effect: an IMU of steps that are next to none.
+EXACT = replace(PERFECT, gyro_range=35, accel_range=1000)
 ROUNDED = {"gyro": 35 / 2**15, "accel": 1000 / 2**15}
-COURSE = Scenario("short", (Segment(4.0, 0.6, turn=0.4),), Ground(0.8), stand=0.6, sensors=PERFECT)
+COURSE = Scenario("short", (Segment(4.0, 0.6, turn=0.4),), Ground(0.8), stand=0.6, sensors=EXACT)
 STREAMS = ("gyro", "accel", "q", "dq", "tau", "tau_ff", "force", "contact")
 REFERENCE = ("ref_p", "ref_q", "ref_v")
 TRUTH = ("slip", "mu")

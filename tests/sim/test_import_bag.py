@@ -17,34 +17,30 @@ from surefoot.sim.importing import bag
 from surefoot.sim.importing.bag import read_bag
 from surefoot.sim.importing.recorded_file import recorded_files
 from surefoot.sim.importing.recording import import_log
-from surefoot.sim.log import Log
+from surefoot.sim.log import LEGS, Log
 
-MAP = """
-[columns]
-t = "/imu:header.stamp"
-gyro_x = { column = "/imu:angular_velocity.x", unit = "deg/s" }
-gyro_y = "/imu:angular_velocity.y"
-gyro_z = "/imu:angular_velocity.z"
-accel_x = "/imu:linear_acceleration.x"
-accel_y = "/imu:linear_acceleration.y"
-accel_z = "/imu:linear_acceleration.z"
-q_knee = "/joints:position[knee]"
-dq_knee = "/joints:velocity[1]"
-contact_FL = "/joints:effort[0]"
-contact_FR = "/joints:effort[0]"
-contact_RL = "/joints:effort[0]"
-contact_RR = "/joints:effort[0]"
-[reference]
+THEIRS = {
+    "t": "/imu:header.stamp",
+    **{f"gyro_{a}": f"/imu:angular_velocity.{a}" for a in "yz"},
+    **{f"accel_{a}": f"/imu:linear_acceleration.{a}" for a in "xyz"},
+    "q_knee": "/joints:position[knee]",
+    "dq_knee": "/joints:velocity[1]",
+    **{f"contact_{leg}": "/joints:effort[0]" for leg in LEGS},
+}
+POSES = {
+    "t": "/mocap:received",
+    **{f"ref_p_{a}": f"/mocap:pose.position.{a}" for a in "xyz"},
+    **{f"ref_q_{a}": f"/mocap:pose.orientation.{a}" for a in "wxyz"},
+}
+ENTRIES, REFERENCE = (
+    "".join(f'{ours} = "{theirs}"\n' for ours, theirs in columns.items())
+    for columns in (THEIRS, POSES)
+)
+MAP = f"""[columns]
+gyro_x = {{ column = "/imu:angular_velocity.x", unit = "deg/s" }}
+{ENTRIES}[reference]
 [reference.columns]
-t = "/mocap:received"
-ref_p_x = "/mocap:pose.position.x"
-ref_p_y = "/mocap:pose.position.y"
-ref_p_z = "/mocap:pose.position.z"
-ref_q_w = "/mocap:pose.orientation.w"
-ref_q_x = "/mocap:pose.orientation.x"
-ref_q_y = "/mocap:pose.orientation.y"
-ref_q_z = "/mocap:pose.orientation.z"
-[robot]
+{REFERENCE}[robot]
 name = "hopper"
 """
 EPOCH = 1_700_000_000_123_456_789  # ns

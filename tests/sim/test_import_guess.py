@@ -29,7 +29,6 @@ MEASURED = measured_folder()
 Truth = dict[str, tuple[str, float, float]]
 """Their column, scale and offset of each column of the log."""
 ENOUGH = 0.9
-PARTS = "hip", "thigh", "calf"
 
 
 def truth_of(name: str, **more: str) -> Truth:
@@ -78,14 +77,8 @@ def judged(draft: Draft, truth: Truth) -> tuple[int, int, list[str]]:
 
 def theirs_of_so101(column: str) -> str:
     """A column of the bundled map as a draft calls it, by the joints' names in the log."""
-    names = {
-        "shoulder_pan": "Rotation",
-        "shoulder_lift": "Pitch",
-        "elbow_flex": "Elbow",
-        "wrist_flex": "Wrist_Pitch",
-        "wrist_roll": "Wrist_Roll",
-        "gripper": "Jaw",
-    }
+    names = {"shoulder_pan": "Rotation", "shoulder_lift": "Pitch", "elbow_flex": "Elbow"}
+    names |= {"wrist_flex": "Wrist_Pitch", "wrist_roll": "Wrist_Roll", "gripper": "Jaw"}
     column = column.replace("x_effort", "x_tau")
     joint = next((name for name in names if column.endswith(name)), None)
     return column.replace(joint, names[joint]) if joint else column
@@ -175,12 +168,8 @@ MANNERS: dict[str, dict[str, str | tuple[str, float]]] = {
     "right first": {"t": ("lcm_timestamp", 1e6), "gyro": "omegaBody[{n}]", "accel": "aBody[{n}]"}
     | {"q": "q[{mit}]", "dq": "qd[{mit}]", "tau": "tauEst[{mit}]", "contact": "contact[{foot}]"}
     | {"ref_p": "mocap_position[{n}]", "ref_q": "mocap_orientation[{n}]"},
-    "from one": {
-        "t": "t",
-        "gyro": ("gyr_{a}", DEGREES),
-        "accel": "acc_{a}",
-        "q": "leg{l}_joint{j}_q",
-    }
+    "from one": {"t": "t", "gyro": ("gyr_{a}", DEGREES), "accel": "acc_{a}"}
+    | {"q": "leg{l}_joint{j}_q"}
     | {"dq": "leg{l}_joint{j}_dq", "tau": "leg{l}_joint{j}_tau", "contact": "contact{l}"}
     | {"ref_p": "pos_ref_{a}", "ref_q": "quat_ref_{a}"},
     "prefixed": {"t": "go.header.stamp", "gyro": "go.imu.angularVelocity.{a}"}

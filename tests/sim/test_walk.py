@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from ground_course import whole_course
+from perfect import PERFECT
 from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
@@ -15,16 +16,10 @@ from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.physics.scene import TIMESTEP, build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
-from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion
+from surefoot.sim.sensors.streams import ideal_streams, imu_motion
 from surefoot.sim.walk import STEPS_PER_TICK, plan, simulate_motion, walk
 
 SPOT = Robot.load("spot_class")
-# Nothing between the simulation and the log but the rounding of the IMU.
-PERFECT = Sensors(
-    gyro_noise=0.0, accel_noise=0.0, gyro_instability=0.0, accel_instability=0.0,
-    gyro_turn_on=0.0, accel_turn_on=0.0, encoder_step=0.0,
-    velocity_noise=0.0, torque_noise=0.0, force_noise=0.0,
-)  # fmt: skip
 TERRAIN = Ground(
     0.8,
     (Patch(2.0, 0.0, 0.8, 3.0, 0.2),),
