@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from refusals import refused
+from written import written
 
 from studies.measured import measured_folder
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
@@ -191,8 +192,7 @@ def test_a_map_takes_feet_in_millimetres_and_says_which_bodies_they_are(tmp_path
     feet = "".join(f'foot_left_{x} = {{ column = "p", unit = "mm" }}\n' for x in "xyz")
     force = "".join(f'force_left_{x} = {{ column = "n", unit = "kN" }}\n' for x in "xyz")
     text = f'[columns]\nt = "t"\n{feet}{force}[robot]\nname = "mine"\nfeet = {{ left = "sole" }}\n'
-    (tmp_path / "map.toml").write_text(text)
-    log = import_log(tmp_path / "robot.csv", tmp_path / "map.toml")
+    log = import_log(tmp_path / "robot.csv", written(tmp_path / "map.toml", text))
     assert log.legs == ("left",)
     np.testing.assert_allclose(log.foot_I[:, 0, 1], [0.10, 0.11, 0.12])
     np.testing.assert_allclose(log.force_I[:, 0, 2], [1e3, 2e3, 3e3])

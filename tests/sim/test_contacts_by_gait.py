@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from written import written
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.clock import brought_forward
@@ -98,8 +99,7 @@ def test_import_says_how_to_mend_rates_that_come_late_and_its_line_mends_them(tm
     dq = 9.0 * np.cos(9.0 * late) + 6.9 * np.cos(23.0 * late)
     pd.DataFrame({"t": t, "q": q, "dq": dq}).to_csv(tmp_path / "log.csv", index=False)
     text = '[columns]\nt = "t"\nq_a = "q"\ndq_a = "dq"\n'
-    (tmp_path / "map.toml").write_text(text)
-    (found,) = check_log(import_log(tmp_path / "log.csv", tmp_path / "map.toml"))
+    (found,) = check_log(import_log(tmp_path / "log.csv", written(tmp_path / "map.toml", text)))
     late = found.changes["even"]["late"]["dq"]
     assert late == pytest.approx(0.012, abs=1e-3)
     line, _, section = found.map_line.partition(" in ")

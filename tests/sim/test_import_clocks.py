@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from refusals import refusal, refused
+from written import written
 
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.recording import read_recording
@@ -183,8 +184,7 @@ def test_a_reference_and_a_further_file_lose_single_rows_too(tmp_path):
     mocap.to_csv(tmp_path / "mocap.csv", index=False)
     more = "x_on = 'feet:on'\n[sources.feet]\nfile = 'feet.csv'\nt = 't'\n"
     text = COLUMNS.replace("UNIT", "s") + more + REFERENCE.replace("OFFSET", "")
-    (tmp_path / "map.toml").write_text(text)
-    found = read_recording(tmp_path / "robot.csv", tmp_path / "map.toml")
+    found = read_recording(tmp_path / "robot.csv", written(tmp_path / "map.toml", text))
     assert found.poses is not None
     assert len(found.poses.t) == N - 1
     assert len(found.log().t) == N

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import scipy.io
 from scipy.spatial.transform import Rotation
+from written import written
 
 import surefoot.sim.importing.recording as recording_module
 from studies.measured import measured_folder
@@ -61,8 +62,7 @@ def text(folder, separator=",", header=True, decimal="."):
 
 
 def write_json(folder, values):
-    path = folder / "run.json"
-    path.write_text(json.dumps(values))
+    path = written(folder / "run.json", json.dumps(values))
     return path
 
 
@@ -140,8 +140,7 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_gives_the_readings_that_went_in(tmp_path, form):
     write, rules = FORMS[form]
-    (tmp_path / "map.toml").write_text(rules)
-    log = import_log(write(tmp_path), tmp_path / "map.toml")
+    log = import_log(write(tmp_path), written(tmp_path / "map.toml", rules))
     for name, values in READINGS.items():
         np.testing.assert_allclose(log.frame[name], values, atol=1e-12)
     log.write(tmp_path / "log.parquet")
@@ -150,8 +149,7 @@ def test_every_form_gives_the_readings_that_went_in(tmp_path, form):
 
 def test_the_memory_for_a_text_is_that_of_its_worst_case(tmp_path, monkeypatch):
     """Empty records: 64 bytes each and 8 for its place, of 3 bytes of text, beside the text."""
-    path = tmp_path / "run.json"
-    path.write_text("[" + 20_000 * "{}," + "{}]")
+    path = written(tmp_path / "run.json", "[" + 20_000 * "{}," + "{}]")
     tracemalloc.start()
     kept = json.loads(path.read_text())
     most = tracemalloc.get_traced_memory()[1]
@@ -296,8 +294,7 @@ def test_a_reference_may_be_angles_in_a_world_with_y_up_and_from_world_to_body(t
         + places.format(x="X", y="Y", z="Z")
         + quaternion,
     ):
-        (tmp_path / "map.toml").write_text(text_of_map)
-        log = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+        log = import_log(tmp_path / "run.csv", written(tmp_path / "map.toml", text_of_map))
         np.testing.assert_allclose(log.ref_p, p_G, atol=1e-12)
         np.testing.assert_allclose(log.ref_R_GI, R_GM.as_matrix(), atol=1e-12)
 
@@ -310,8 +307,7 @@ def test_uneven_stamps_and_held_readings_are_said_and_made_even_on_demand(tmp_pa
         tmp_path / "run.csv", index=False
     )
     rules = '[columns]\nt = "t"\nq_knee = "knee"\ncontact_left = "flag"\n'
-    (tmp_path / "map.toml").write_text(rules)
-    recording = read_recording(tmp_path / "run.csv", tmp_path / "map.toml")
+    recording = read_recording(tmp_path / "run.csv", written(tmp_path / "map.toml", rules))
     said = "\n".join(import_lines(recording.log(), notes=recording.notes))
     assert "stamps: 2 ms apart, uneven by 0.4" in said
     assert [*held_streams(recording.log())["q"]] == ["q_knee"]
@@ -336,8 +332,7 @@ def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path)
         "[columns]\n" + "".join(f'{n} = "{n}"\n' for n in frame) + '[robot]\nname = "spot_class"\n'
     )
     for given, radius in (("", robot.foot_radius), ("foot_radius = 0.0\n", 0.0)):
-        (tmp_path / "map.toml").write_text(rules + given)
-        log = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+        log = import_log(tmp_path / "run.csv", written(tmp_path / "map.toml", rules + given))
         np.testing.assert_allclose(Robot.for_log(log).foot_radius, radius)
         said = "\n".join(import_lines(log))
         assert ("of the robot's file; the map has no [robot] foot_radius" in said) == (not given)
@@ -351,8 +346,7 @@ def test_contacts_follow_from_torques_and_from_kinematics(log, tmp_path, of):
     rules = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in kept)
     sizes = {"torque": "on = 85\noff = 85", "kinematics": "on = 0.3\noff = 0.3"}[of]
     rules += f'[robot]\nname = "spot_class"\n[contact]\nof = "{of}"\n{sizes}\n'
-    (tmp_path / "map.toml").write_text(rules)
-    found = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+    found = import_log(tmp_path / "run.csv", written(tmp_path / "map.toml", rules))
     assert f"contact from {of}" in found.meta.derived
     assert found.legs == log.legs
     # Rules of thumb: an early swing is slow, and a leg that swings has torque of its own.
