@@ -830,9 +830,8 @@ def test_rates_that_leap_as_their_angle_does_are_no_spikes(log):
     there = (log.t > 3.0) & (log.t < 3.05)
     rate = np.where(there, 12.0 * np.array([0.0, 1.0, 0.0, -1.0])[np.arange(len(log.t)) % 4], 0.0)
     turned = np.cumsum(rate) / log.meta.rate
-    chatters = edited(
-        log, q_FL_calf=log.frame["q_FL_calf"] + turned, dq_FL_calf=log.frame["dq_FL_calf"] + rate
-    )
+    q, dq = log.frame["q_FL_calf"], log.frame["dq_FL_calf"]
+    chatters = edited(log, q_FL_calf=q + turned, dq_FL_calf=dq + rate)
     assert found_in(chatters) == []
     garbled = edited(chatters, q_FL_calf=q)
     assert named("spikes: dq_FL_calf", garbled)
