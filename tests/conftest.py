@@ -35,13 +35,18 @@ def catalogue():
 
 
 @pytest.fixture(scope="session")
-def log() -> Log:
+def robot() -> Robot:
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="session")
+def log(robot) -> Log:
     """A walk for tests that need any: 14 s of spot_class on a level floor, ahead and in two turns.
 
     Whoever changes its columns does so in a copy.
     """
     course = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
-    return walk(Scenario("seen", course, Ground(0.8)), Robot.load("spot_class"), 4)
+    return walk(Scenario("seen", course, Ground(0.8)), robot, 4)
 
 
 @pytest.fixture

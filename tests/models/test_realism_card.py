@@ -20,17 +20,11 @@ from surefoot.models.realism.quantities import (
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import strides
 
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")

@@ -40,11 +40,6 @@ SHORT = TrainingPlan(walks=1, seconds=4.0, calibration=4.0)
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
-
-
-@pytest.fixture(scope="module")
 def log(robot):
     segments = (Segment(4.0, 0.6), Segment(4.0, 0.5, 0.0, 0.4))
     return walk(Scenario("measured", segments, Ground(0.8), "spot_class"), robot, 3)

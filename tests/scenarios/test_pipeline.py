@@ -16,18 +16,12 @@ from surefoot.scenarios.estimate.run import ESTIMATORS, Learnt, run_filter
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 
 SEGMENTS = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5), Segment(3.0, 0.5, turn=-0.5))
 SHORT = TrainSettings(steps=60, batch=4, every=20)
 TIMING = "step [us]"
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")

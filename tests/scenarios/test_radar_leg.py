@@ -10,7 +10,6 @@ from surefoot.scenarios.estimate import radar_velocity as module
 from surefoot.scenarios.estimate.radar_velocity import radar_velocity
 from surefoot.scenarios.estimate.run import Learnt, estimator_named, run_all, run_filter
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import walk
 
@@ -21,11 +20,6 @@ segment = [{ duration = 3.0, forward = 0.6 }, { duration = 3.0, forward = 0.4, t
 [ground]
 mu = 0.8
 """
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")

@@ -33,11 +33,6 @@ DRAWN = SimulatedRobot("as drawn")
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
-
-
-@pytest.fixture(scope="module")
 def measured(robot):
     """A walk with a long duty factor and jitter, logged at 400 Hz."""
     gait = GaitOptions(duty=0.72, unloading=0.05, period_jitter=0.04)

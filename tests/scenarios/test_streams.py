@@ -47,11 +47,6 @@ ROUNDING = 2e-4
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return Robot.load("spot_class")
-
-
-@pytest.fixture(scope="module")
 def walks(robot) -> list[Log]:
     segments = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5))
     ground = Ground(0.8, (Patch(1.0, 0.0, 0.5, 2.0, 0.2),))

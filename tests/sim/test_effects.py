@@ -18,18 +18,12 @@ from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.effects.timing import reference_lag, reference_lag_drift
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import TIMESTEP, robot_spec
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
 from surefoot.sim.robot.legs import LEGS, find_legs
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Streams
 from surefoot.sim.walk import walk
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
 
 
 @pytest.fixture

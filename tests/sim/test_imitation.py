@@ -7,7 +7,6 @@ import pytest
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import (
@@ -21,11 +20,6 @@ from surefoot.sim.walking.imitation import (
 )
 
 FORWARD, TURN = 0.6, 0.4
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")

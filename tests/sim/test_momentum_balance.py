@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.physics.momentum_balance import momentum_balance
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.walk import walk
@@ -23,11 +22,6 @@ duration = 4.0
 forward = 0.5
 turn = 0.3
 """
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")

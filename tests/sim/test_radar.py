@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walking.radar import Radar, RadarSensor, mounting, radar, radar_over
 
@@ -21,11 +20,6 @@ EXACT = RadarSensor(
     ghosts=0.0,
 )  # fmt: skip
 FLAT = Ground(0.8)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")
