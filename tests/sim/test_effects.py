@@ -26,6 +26,13 @@ from surefoot.sim.sensors.streams import Streams
 from surefoot.sim.walk import walk
 
 
+@pytest.fixture(scope="module")
+def log(robot):
+    """A short walk: lags are sought in it often."""
+    segments = (Segment(2.0, 0.5, turn=0.4),)
+    return walk(Scenario("short", segments, Ground(0.8), stand=0.3), robot, seed=3)
+
+
 @pytest.fixture
 def streams():
     rng = np.random.default_rng(0)
