@@ -81,7 +81,7 @@ def test_other_inputs_are_refused(inputs):
 
 def test_missing_inputs_are_named_and_never_filled(mse_observer, walks):
     with pytest.raises(ObserverError, match=r"lacks dq \(dq_FL_hip.*reads q,dq; .* derives"):
-        predict(mse_observer, without(walks["test"], "dq"), Body())
+        predict(mse_observer, without(walks["test"], "dq_"), Body())
 
 
 def test_another_robot_is_refused(mse_observer, walks):

@@ -164,9 +164,8 @@ def test_what_cannot_be_trained_on_is_said(walks):
     fit = walks["fit"]
     with pytest.raises(ObserverError, match="10 s at least"):
         train(fit.rows(slice(0, 5 * WINDOW - 10)), Body(), TINY)
-    refused("lacks tau", train, without(fit, "tau"), Body(), TINY, error=ObserverError)
-    frame = fit.frame.drop(columns=[c for c in fit.frame if c.startswith("ref_")])
-    refused("reference", train, replace(fit, frame=frame), Body(), TINY, error=LogError)
+    refused("lacks tau", train, without(fit, "tau_"), Body(), TINY, error=ObserverError)
+    refused("reference", train, without(fit, "ref_"), Body(), TINY, error=LogError)
     refused("loss", train, fit, Body(), replace(TINY, loss="l1"), error=ObserverError)
     refused("no log", train, [], Body(), error=ObserverError)
     refused("steps must be", replace, TINY, steps=0)

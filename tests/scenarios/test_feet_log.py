@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from refusals import refused
+from synthetic import without
 from written import written
 
 from studies.measured import measured_folder
@@ -153,8 +154,8 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
 
 
 def test_what_is_missing_is_one_line(tmp_path, feet):
-    without = replace(feet, frame=feet.frame[[c for c in feet.frame if not c.startswith("foot")]])
-    refused(r"lacks foot \(foot_a_x, .*\) and q \(q_<joint>\)", run_filter, "leg", without, None)
+    bare = without(feet, "foot")
+    refused(r"lacks foot \(foot_a_x, .*\) and q \(q_<joint>\)", run_filter, "leg", bare, None)
     declared = ({"name": "gyro_bias", "target": "x", "value": 0.01, "unit": "rad/s"},)
     told = replace(feet, meta=replace(feet.meta, effects=declared))
     refused("which, whose effects it declares", run_filter, "leg", told, None)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refusals import refused
+from synthetic import without
 
 from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.models.attribution.diagnose import diagnose
@@ -54,9 +55,7 @@ def log():
     course = (Segment(10.0, 0.6, turn=0.3), Segment(10.0, 0.5, turn=-0.4), Segment(10.0, 0.6))
     warm = [ThermalGyroDrift("y", SIZE)]
     walked = walk(Scenario("warm", course, Ground(0.8)), ROBOT, 5, warm, declared=False)
-    legs = ("q_", "dq_", "tau_", "contact_", "slip_", "mu_")
-    names = [n for n in walked.frame if not str(n).startswith(legs)]
-    return replace(walked, frame=walked.frame[names])
+    return without(walked, "q_", "dq_", "tau_", "contact_", "slip_", "mu_")
 
 
 def test_the_form_that_is_left_becomes_an_effect(log, catalogue):

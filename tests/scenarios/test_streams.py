@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
+from synthetic import without
 
 from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.evaluation.trajectory import Trajectory
@@ -139,8 +140,7 @@ def test_a_log_that_comes_in_pieces_gives_the_trajectory_of_the_whole(name, log,
 
 
 def test_joint_rates_that_are_missing_are_the_same_in_pieces(log, robot):
-    frame = log.frame.drop(columns=[name for name in log.frame if str(name).startswith("dq_")])
-    bare = replace(log, frame=frame)
+    bare = without(log, "dq_")
     rows = every_row(log.t)
     whole = begun("leg", bare, robot, Learnt()).run(bare, rows)
     assert_same(joined_trajectory(estimated_raw("leg", bare, robot, Learnt())), whole, 0.0)
@@ -235,15 +235,10 @@ def test_a_sample_without_what_legs_need_is_one_line(log, robot):
     refused(r"^the sample at \S+ s lacks contact$", stream.step, sample)
 
 
-def without_reference(log: Log) -> Log:
-    kept = [column for column in log.frame if not str(column).startswith("ref_")]
-    return replace(log, frame=log.frame[kept])
-
-
 @pytest.mark.parametrize("name", [n for n in ESTIMATORS if n != "radar_leg"])
 def test_samples_alone_give_the_numbers_of_a_log_without_reference(name, walks, learnt, robot):
     """It finds its rate and its start in its first samples, as `run_filter` does in a log's."""
-    log = without_reference(walks[1].rows(slice(0, 2000)))
+    log = without(walks[1].rows(slice(0, 2000)), "ref_")
     whole = run_filter(name, log, robot, learnt).trajectory
     wanted, online = set(whole.t.tolist()), StreamingEstimator(name, robot, learnt)
     found = {}

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
+from synthetic import without
 
 from surefoot.sim.common.series import low_pass
 from surefoot.sim.gait.options import GaitOptions
@@ -128,11 +129,6 @@ def at_rate(log: Log, rate: float) -> Log:
 
 def edited(log: Log, **columns) -> Log:
     return replace(log, frame=log.frame.assign(**columns))
-
-
-def without(log: Log, *prefixes: str) -> Log:
-    kept = [c for c in log.frame if not str(c).startswith(prefixes)]
-    return replace(log, frame=log.frame[kept])
 
 
 def columns_of(log: Log, *prefixes: str) -> list[str]:
