@@ -8,13 +8,13 @@ import pandas as pd
 
 from surefoot.sim.effects.base import Effect
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.fixed_base import FixedBase
+from surefoot.sim.robot.machine import Modelled
 
 RATE, SUBSTEPS = 500.0, 5
 
 
 def driven(
-    machine: FixedBase,
+    machine: Modelled,
     effects: Sequence[Effect] = (),
     seconds: float = 10.0,
     scale: float = 0.0,
@@ -33,7 +33,7 @@ def driven(
     for joint in machine.joint_names:
         spec.add_actuator(target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
     for one in effects:
-        one.edit_spec(spec, machine)
+        one.edit_spec(spec, machine)  # pyright: ignore[reportArgumentType]
     spec.option.timestep = 1.0 / RATE / SUBSTEPS
     # A first-order integrator's rates are half a step behind its angles: a delay of 0.1 ms.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4

@@ -408,7 +408,7 @@ def test_inertias_of_a_urdf_that_no_body_has_are_mended_and_named(tmp_path):
     np.testing.assert_allclose(model.body("arm").inertia, 0.2)  # the mean: their sum stays
     assert model.body("arm").mass[0] == 1.0
     assert 0.0 < model.body("middle").mass[0] < 1e-5
-    card = robot_card(file, None).text
+    card = robot_card(str(file), None).text
     assert "exceeds the sum of the others" in card
     assert "taken for all three of base, arm" in card
     assert "links that move without a mass or a moment of inertia" in card
@@ -560,7 +560,7 @@ def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
     machine = load_machine(file)
     assert isinstance(machine, FixedBase)
     assert "none of its 1 chains of hinges ends in" in machine.legless
-    assert machine.legless in robot_card(file, None).text
+    assert machine.legless in robot_card(str(file), None).text
     t = 0.01 * np.arange(50)
     frame = pd.DataFrame({"t": t, "q_shoulder": 0.0 * t})
     meta = Meta(100.0, robot=str(file))
