@@ -5,6 +5,11 @@ from pathlib import Path
 import pytest
 
 from surefoot.sim.effects import CATALOGUE
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.walk import walk
 
 CLIFF = """
 name = "cliff"
@@ -27,6 +32,21 @@ def catalogue():
     yield CATALOGUE
     CATALOGUE.clear()
     CATALOGUE.update(before)
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return Robot.load("spot_class")
+
+
+@pytest.fixture(scope="session")
+def log(robot) -> Log:
+    """A walk for tests that need any: 14 s of spot_class on a level floor, ahead and in two turns.
+
+    Whoever changes its columns does so in a copy.
+    """
+    course = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
+    return walk(Scenario("seen", course, Ground(0.8)), robot, 4)
 
 
 @pytest.fixture

@@ -85,11 +85,7 @@ def run_forked(
     after = contents(folder)
     changed = sorted(n for n in before.keys() | after.keys() if before.get(n) != after.get(n))
     return Outcome(
-        os.waitstatus_to_exitcode(status),
-        out,
-        err,
-        used.ru_utime + used.ru_stime,
-        tuple(changed),
+        os.waitstatus_to_exitcode(status), out, err, used.ru_utime + used.ru_stime, tuple(changed)
     )
 
 

@@ -5,7 +5,7 @@ body moves at -l cos(q) dq of the diagonal pair in stance. Hips move sideways in
 stride's amplitude wanders, so that speed does.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -85,10 +85,10 @@ def synthetic_walk(
     return Log(pd.DataFrame(columns), Meta(rate=rate, robot=robot), name)
 
 
-def without(log: Log, group: str) -> Log:
-    """The log less the columns of a joint group."""
-    names = [f"{group}_{joint}" for joint in JOINTS]
-    return Log(log.frame.drop(columns=names), log.meta, log.name)
+def without(log: Log, *starts: str) -> Log:
+    """The log less the columns that start so."""
+    kept = [name for name in log.frame if not str(name).startswith(starts)]
+    return replace(log, frame=log.frame[kept])
 
 
 def _wander(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from refusals import refused
 from scipy.stats import chi2
 
 from surefoot.estimator.ego_velocity import _checked, _ego_velocity, _solve, ego_velocities
-from surefoot.sim.common.errors import SurefootError
 
 
 def ego_velocity(direction, doppler, noise, angle_noise=(0.0, 0.0)):
@@ -138,13 +138,8 @@ def test_frames_in_one_loop_are_frames_one_by_one():
 
 
 def test_bad_input_is_one_clear_line():
-    with pytest.raises(SurefootError, match="direction: shape"):
-        ego_velocity(np.ones((4, 2)), np.ones(4), 0.03)
-    with pytest.raises(SurefootError, match="doppler: shape"):
-        ego_velocity(np.ones((4, 3)), np.ones(3), 0.03)
-    with pytest.raises(SurefootError, match="noise"):
-        ego_velocity(np.ones((4, 3)), np.ones(4), 0.0)
-    with pytest.raises(SurefootError, match="noise: inf"):
-        ego_velocity(np.ones((4, 3)), np.ones(4), np.inf)
-    with pytest.raises(SurefootError, match="angle_noise"):
-        ego_velocity(np.ones((4, 3)), np.ones(4), 0.1, (0.0, -0.1))
+    refused("direction: shape", ego_velocity, np.ones((4, 2)), np.ones(4), 0.03)
+    refused("doppler: shape", ego_velocity, np.ones((4, 3)), np.ones(3), 0.03)
+    refused("noise", ego_velocity, np.ones((4, 3)), np.ones(4), 0.0)
+    refused("noise: inf", ego_velocity, np.ones((4, 3)), np.ones(4), np.inf)
+    refused("angle_noise", ego_velocity, np.ones((4, 3)), np.ones(4), 0.1, (0.0, -0.1))

@@ -199,13 +199,6 @@ def test_pieces_give_the_health_of_the_whole(walk, legs):
         assert_allclose((a.nis, a.whiteness, a.drift), (b.nis, b.whiteness, b.drift), rtol=1e-9)
 
 
-def test_a_filter_is_where_its_last_sample_is(walk):
-    one, few = InvariantFilter(*walk.start(), noise=NOISE), slice(9)
-    gyro, accel = sensed(walk, np.random.default_rng(5))
-    one.run(imu_samples(walk.t[few], gyro[few], accel[few]))
-    assert one.t == walk.t[8]
-
-
 @pytest.mark.parametrize("kind", ["gaussian", "bounds"])
 def test_velocities(walk, kind):
     """Right ones are believed; Gaussian ones that are off by ten deviations for a while are not."""

@@ -5,6 +5,7 @@ import pytest
 from lie_group import se_inverse, se_log, so3_exp
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 from whole_runs import run_leg
 
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
@@ -232,10 +233,8 @@ def test_bad_input_is_one_clear_line(walk, rolling):
     state, P = walk.start()
     with pytest.raises(SurefootError, match="foot_rates_I: needed"):
         LegFilter(state, P, foot_radius=0.02).predict(np.zeros(3), np.zeros(3), 0.01)
-    with pytest.raises(SurefootError, match="slip_gate"):
-        LegFilter(state, P, slip_gate=-1.0)
-    with pytest.raises(SurefootError, match="foot_radius"):
-        LegFilter(state, P, foot_radius=np.array([0.1, 0.2]))
+    refused("slip_gate", LegFilter, state, P, slip_gate=-1.0)
+    refused("foot_radius", LegFilter, state, P, foot_radius=np.array([0.1, 0.2]))
     leg = LegFilter(state, P)
     with pytest.raises(SurefootError, match="foot_positions_I: shape"):
         leg.update_contacts(np.zeros((3, 3)), np.ones(4), np.zeros((4, 3, 3)))
@@ -253,8 +252,7 @@ def test_a_leg_filter_is_where_its_last_sample_is(walk, rolling):
 
 @pytest.mark.parametrize("contact", [-0.1, np.inf, np.nan, np.ones(2), np.array([0.1, 0.1, -0.1])])
 def test_contact_noise_is_one_or_three_finite_numbers(contact):
-    with pytest.raises(SurefootError, match="noise: contact must be"):
-        LegNoise(contact=contact).packed()
+    refused("noise: contact must be", LegNoise(contact=contact).packed)
 
 
 def standing_foot():

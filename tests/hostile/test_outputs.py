@@ -48,15 +48,7 @@ WRITING = {
 """What writes -> a command that does, named `new` with or without an ending."""
 QUICK = ("export to CSV", "import", "noise")
 """Those that each change is tested with; the others are left to `.ci/run`."""
-HOURS = (
-    "demo",
-    "compare",
-    "experiment",
-    "suite",
-    "trace",
-    "loop",
-    "realism",
-)
+HOURS = ("demo", "compare", "experiment", "suite", "trace", "loop", "realism")
 """Those that write only when much work is done."""
 SHORT_WALK = """
 name = "quick"

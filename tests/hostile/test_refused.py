@@ -112,27 +112,23 @@ def recorded(file: str, content: str | bytes | Callable[[Path], None]) -> Callab
     return change
 
 
-def many_rows(folder: Path) -> None:
-    """A hundred million rows of forty columns, in a file of a few megabytes."""
-    about = pq.read_schema(folder / "walk.parquet").metadata
-    names = ["t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")]
-    names += [f"x_{k}" for k in range(33)]
-    schema = pa.schema([(name, pa.float64()) for name in names]).with_metadata(about)
-    column = pa.array(np.zeros(1_000_000))
-    group = pa.table([column] * len(names), schema=schema)
-    with pq.ParquetWriter(folder / "walk.parquet", schema, compression="zstd") as writer:
-        for _ in range(100):
-            writer.write_table(group)
+def zeros(groups: int, rows: int) -> Callable[[Path], None]:
+    """Row groups of forty columns, each decoded at once, in a file of a few megabytes."""
+
+    def change(folder: Path) -> None:
+        about = pq.read_schema(folder / "walk.parquet").metadata
+        names = ["t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")]
+        names += [f"x_{k}" for k in range(33)]
+        schema = pa.schema([(name, pa.float64()) for name in names]).with_metadata(about)
+        group = pa.table([pa.array(np.zeros(rows))] * len(names), schema=schema)
+        with pq.ParquetWriter(folder / "walk.parquet", schema, compression="zstd") as writer:
+            for _ in range(groups):
+                writer.write_table(group, row_group_size=rows)
+
+    return change
 
 
-def one_group(folder: Path) -> None:
-    """Thirty million rows in one row group, which would be decoded at once."""
-    about = pq.read_schema(folder / "walk.parquet").metadata
-    names = ["t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")]
-    names += [f"x_{k}" for k in range(33)]
-    schema = pa.schema([(name, pa.float64()) for name in names]).with_metadata(about)
-    group = pa.table([pa.array(np.zeros(4_000_000))] * len(names), schema=schema)
-    pq.write_table(group, folder / "walk.parquet", row_group_size=10**9)
+many_rows, one_group = zeros(100, 1_000_000), zeros(1, 4_000_000)
 
 
 def untouched(folder: Path) -> None:

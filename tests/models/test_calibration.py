@@ -1,11 +1,9 @@
 """Bounds hold as often as they say, and are those of an independent implementation."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from altered_bounds import write_bounds
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -94,12 +92,6 @@ def test_exchangeable_errors_are_covered_as_promised():
     assert low <= inside.all(axis=1).sum() <= high
 
 
-def test_too_few_samples_say_how_many_are_needed():
-    with pytest.raises(BoundsError, match=r"12 independent samples .* needs 13: 2.6 s"):
-        require_samples(calibrator("conformal", 0.8), 259, 20)
-    require_samples(calibrator("conformal", 0.8), 260, 20)
-
-
 @given(gamma=st.floats(0.05, 0.999))
 def test_the_number_needed_is_the_least_that_will_do(gamma):
     level = level_per_axis(gamma)
@@ -140,13 +132,11 @@ def test_what_the_observer_has_seen_cannot_calibrate_it(mse_observer, walks):
         calibrate(mse_observer, renamed, robot=Body())
 
 
-def test_a_short_log_and_another_method_are_refused(mse_observer):
+def test_a_short_log_is_refused(mse_observer):
     with pytest.raises(BoundsError, match="needs 13"):
         calibrate(mse_observer, synthetic_walk(8, 2.0), CalibrateSettings(K=20), Body())
     with pytest.raises(BoundsError, match="needs 13"):
         calibrate(mse_observer, synthetic_walk(8, 0.1), robot=Body())
-    with pytest.raises(BoundsError, match="unknown method 'magic'"):
-        calibrate(mse_observer, synthetic_walk(8, 2.0), CalibrateSettings(method="magic"), Body())
 
 
 def test_bounds_come_back_whole(mse_observer, walks, tmp_path):
@@ -160,56 +150,6 @@ def test_bounds_come_back_whole(mse_observer, walks, tmp_path):
     assert np.array_equal(loaded.mixing.beta, bounds.mixing.beta)
     assert (loaded.gamma, loaded.K, loaded.n) == (bounds.gamma, bounds.K, bounds.n)
     assert loaded.observer == mse_observer.hash
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"epsilon": [0.1, 0.2]},
-        {"epsilon": [0.1, 0.2, -0.1]},
-        {"epsilon": "wide"},
-        {"gamma": 1.2},
-        {"gamma": None},
-        {"K": 0},
-        {"n": "many"},
-        {"observer": 7},
-        {"R_BI": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]},
-        {"mixing": {"lags": [1]}},
-        {"format": "other"},
-        {"schema": 3},
-        {"extra": 1},
-    ],
-)
-def test_bounds_that_are_none_are_refused(change, mse_observer, walks, tmp_path):
-    path = tmp_path / "bounds.json"
-    calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body()).save(path)
-    write_bounds(path, json.loads(path.read_text()) | change)
-    with pytest.raises(BoundsError) as refusal:
-        Bounds.load(path)
-    assert str(path) in str(refusal.value)
-    assert "\n" not in str(refusal.value)
-    assert "were changed" not in str(refusal.value)
-
-
-@pytest.mark.parametrize("change", [{"epsilon": [9.0, 9.0, 9.0]}, {"digest": None}])
-def test_bounds_edited_by_hand_are_refused(change, mse_observer, walks, tmp_path):
-    path = tmp_path / "bounds.json"
-    calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body()).save(path)
-    values = json.loads(path.read_text())
-    write_bounds(path, values)
-    assert Bounds.load(path).K == 20
-    path.write_text(json.dumps(values | change))
-    with pytest.raises(BoundsError, match="were changed since they were calibrated"):
-        Bounds.load(path)
-
-
-@pytest.mark.parametrize("text", [None, "", "[1, 2]", '{"format": "surefoot bo'])
-def test_files_that_are_no_bounds_are_refused(text, tmp_path):
-    path = tmp_path / "bounds.json"
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(BoundsError, match=r"bounds\.json"):
-        Bounds.load(path)
 
 
 def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):

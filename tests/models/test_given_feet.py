@@ -159,10 +159,7 @@ def test_only_heights_need_level_ground(level):
 def test_derived_velocities_are_no_reference_of_an_accelerometer_by_feet_alone():
     t, readings = np.arange(9.0), [*GROUPS["imu"], *GROUPS["reference"]]
     log, accel = Log(pd.DataFrame({"t": t}), Meta(rate=1.0), "any"), channels()["imu_accel"]
-    for known, lacks in (
-        (readings, ("ref_v",)),
-        ([*readings, *GROUPS["ref_v"]], ()),
-    ):
+    for known, lacks in ((readings, ("ref_v",)), ([*readings, *GROUPS["ref_v"]], ())):
         log = Log(pd.DataFrame({"t": t, **dict.fromkeys(known, 1.0)}), Meta(rate=1.0), "any")
         assert accel.missing_groups(log, fixed=False, by_feet=True) == lacks
         assert accel.missing_groups(log, fixed=False) == ()

@@ -1,10 +1,8 @@
 """The table of residuals is made from the channels there are, for any number of legs and joints."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from synthetic import synthetic_walk
+from synthetic import synthetic_walk, without
 
 from surefoot.models.residuals.binning import reference_motion
 from surefoot.models.residuals.channel import Channel, ResidualInputs
@@ -63,15 +61,10 @@ def walk_with_contacts() -> Log:
     return log.with_columns({f"contact_{leg}": np.ones(len(log.t)) for leg in LEGS})
 
 
-def less(log: Log, *begin: str) -> Log:
-    kept = [name for name in log.frame if not str(name).startswith(begin)]
-    return replace(log, frame=log.frame[kept])
-
-
 def test_feet_that_stand_tell_nothing_where_the_log_does_not_show_them():
     """Contacts alone are no feet: they are at the ends of legs whose angles are not known."""
     robot, log = Robot.load("spot_class"), walk_with_contacts()
-    for seen, shown in ((log, True), (less(log, "q_", "dq_", "tau_"), False)):
+    for seen, shown in ((log, True), (without(log, "q_", "dq_", "tau_"), False)):
         inputs = ResidualInputs(seen, robot, reference_motion(seen, robot.limbs))
         assert (inputs.feet is not None) == shown
         assert (inputs.leg_velocities is not None) == shown
@@ -92,8 +85,8 @@ def test_a_walk_lacks_its_contacts_and_its_reference_and_an_arm_neither():
     torques = channels()["joint_torque"]
     log = walk_with_contacts()
     assert torques.missing_groups(log, fixed=False) == ()
-    assert torques.missing_groups(less(log, "contact", "tau"), fixed=False) == ("tau", "contact")
-    assert torques.missing_groups(less(log, "contact", "ref", "tau"), fixed=True) == ("tau",)
+    assert torques.missing_groups(without(log, "contact", "tau"), fixed=False) == ("tau", "contact")
+    assert torques.missing_groups(without(log, "contact", "ref", "tau"), fixed=True) == ("tau",)
 
 
 def test_a_channel_of_ones_own_is_a_subclass_that_has_its_name():

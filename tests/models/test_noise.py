@@ -3,12 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 from surefoot.models.noise.allan import allan_curve, axis_noise
 from surefoot.models.noise.rest import _stance_noise, encoder_noise, rest_noise, rest_of
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.settings import read_settings
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log, Meta
 
 RATE = 200.0
@@ -73,8 +73,7 @@ def test_the_rest_is_found_and_its_noise():
         assert one.white.value == pytest.approx(GYRO, rel=0.1)
     assert found.encoder == pytest.approx(1e-4, rel=0.05)
     walking = log.rows(log.t < 4.5)
-    with pytest.raises(SurefootError, match="nowhere at rest"):
-        rest_noise(walking)
+    refused("nowhere at rest", rest_noise, walking)
 
 
 def test_reading_noise_ignores_smooth_motion():
@@ -109,5 +108,4 @@ def test_the_command_writes_settings_that_filters_take(tmp_path, capsys):
     assert settings.noise.gyro == pytest.approx(GYRO, rel=0.15)
     assert settings.noise.accel == pytest.approx(0.01, rel=0.15)
     assert out.with_suffix(".png").stat().st_size > 10_000
-    with pytest.raises(SystemExit, match=r"noise\.toml"):
-        main(f"noise {path} -o {out}".split())
+    refused(r"noise\.toml", main, f"noise {path} -o {out}".split(), error=SystemExit)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from refusals import refusal
 from synthetic import Body, synthetic_walk, without
 
 from surefoot.models.observer.observer import Observer, ObserverError, check_inputs
@@ -54,27 +55,11 @@ def test_the_hash_sees_one_weight(mse_observer):
     assert replace(mse_observer, weights=weights).hash != mse_observer.hash
 
 
-@pytest.mark.parametrize("what", ["absent", "text", "pickle", "other", "cut", "altered", "newer"])
-def test_what_is_no_observer_is_refused_in_one_line(what, mse_observer, tmp_path):
+@pytest.mark.parametrize("content", [Body(), {"weights": torch.zeros(3)}])
+def test_what_is_no_observer_is_refused_in_one_line(content, tmp_path):
     path = tmp_path / "file.pt"
-    if what == "text":
-        path.write_text("hello")
-    elif what == "pickle":
-        torch.save(Body(), path)
-    elif what == "other":
-        torch.save({"weights": torch.zeros(3)}, path)
-    elif what != "absent":
-        mse_observer.save(path)
-    if what == "cut":
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    elif what in ("altered", "newer"):
-        values = torch.load(path, weights_only=True)
-        values |= {"seed": 12} if what == "altered" else {"schema": 99}
-        torch.save(values, path)
-    with pytest.raises(ObserverError) as refusal:
-        Observer.load(path)
-    assert str(path) in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    torch.save(content, path)
+    assert str(path) in refusal(Observer.load, path, error=ObserverError)
 
 
 def test_a_field_of_the_wrong_kind_is_refused(mse_observer, tmp_path):
@@ -96,7 +81,7 @@ def test_other_inputs_are_refused(inputs):
 
 def test_missing_inputs_are_named_and_never_filled(mse_observer, walks):
     with pytest.raises(ObserverError, match=r"lacks dq \(dq_FL_hip.*reads q,dq; .* derives"):
-        predict(mse_observer, without(walks["test"], "dq"), Body())
+        predict(mse_observer, without(walks["test"], "dq_"), Body())
 
 
 def test_another_robot_is_refused(mse_observer, walks):

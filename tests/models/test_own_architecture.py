@@ -1,13 +1,9 @@
 """A network in a package of a user's own is one like ours: in help, files, training and loops."""
 
-from pathlib import Path
-
 import pytest
 from own_package import lines_of_script, run_with
 
 from surefoot.models.observer.observer import Observer, ObserverError
-from surefoot.models.registry import ARCHITECTURES
-from surefoot.sim.common.sources import imported_sources
 
 USE = """
 import sys
@@ -53,11 +49,3 @@ def test_an_own_network_is_offered_trained_and_run(tmp_path):
 def test_the_command_offers_it():
     done = run_with("own_architecture", "-m", "surefoot", "train", "--help")
     assert "--model {gru,mlp,rnn,lstm,bigru,tcn,averages}" in done.stdout
-
-
-@pytest.mark.parametrize("name", ARCHITECTURES)
-def test_a_training_is_made_of_every_bundled_one(name):
-    """Products are kept under a digest of what training imports."""
-    sources = imported_sources("surefoot.models.observer.training")
-    assert ARCHITECTURES[name].__module__ in sources
-    assert Path(sources[ARCHITECTURES[name].__module__]).is_file()

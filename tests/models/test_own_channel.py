@@ -84,22 +84,10 @@ def test_without_the_package_there_are_the_bundled_channels_alone():
     assert list(channels()) == [kind.name for kind in BUNDLED_CHANNELS]
 
 
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [
-        (
-            "class Mine:\n    name = unit = 'mine'\n    needs = ()\n",
-            "must be a subclass of Channel",
-        ),
-        (
-            "from surefoot.models.residuals.channel import Channel\n"
-            "class Mine(Channel):\n    name, unit, needs = 'other', 'm', ()\n",
-            "its class calls itself other",
-        ),
-    ],
-)
-def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch, source, words):
-    (tmp_path / "own_thing.py").write_text(source)
+def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch):
+    (tmp_path / "own_thing.py").write_text(
+        "class Mine:\n    name = unit = 'mine'\n    needs = ()\n"
+    )
     info = tmp_path / "own-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own\nVersion: 1.0\n")
@@ -108,7 +96,7 @@ def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch, source, 
     monkeypatch.delitem(sys.modules, "own_thing", raising=False)
     plugins.cache_clear()
     try:
-        with pytest.raises(SurefootError, match=f"plugin mine .*{words}"):
+        with pytest.raises(SurefootError, match=r"plugin mine .*must be a subclass of Channel"):
             CHANNELS["mine"]
         assert list(channels.__wrapped__()) == [kind.name for kind in BUNDLED_CHANNELS]
         robot = Robot.load("spot_class")

@@ -5,6 +5,8 @@ from typing import cast
 
 import numpy as np
 import pytest
+from refusals import refused
+from synthetic import without
 
 from surefoot.models.realism.card import DRAWS, estimate, realism_card, tolerances
 from surefoot.models.realism.quantities import (
@@ -20,17 +22,11 @@ from surefoot.models.realism.quantities import (
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import strides
 
 BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")
@@ -133,15 +129,13 @@ def test_a_walk_is_like_itself_and_unlike_one_of_another_gait(robot, log):
 
 
 def test_what_a_log_lacks_is_named(robot, log):
-    bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("force_")])
-    view = WalkView(replace(log, frame=bare), robot)
+    view = WalkView(without(log, "force_"), robot)
     card = realism_card(view, [view], rng())
     assert all(why.startswith("log: the log lacks force") for why in card.missing.values())
     assert set(card.missing) == {n for n in BY_NAME if n.startswith("foot force")}
-    with pytest.raises(SurefootError, match=r"the log lacks contact \(contact_FL"):
-        WalkView(replace(log, frame=log.frame.drop(columns=["contact_FL"])), robot)
-    with pytest.raises(SurefootError, match="no foot makes more than"):
-        WalkView(log.rows(slice(0, 1500)), robot)
+    one_less = without(log, "contact_FL")
+    refused(r"the log lacks contact \(contact_FL", WalkView, one_less, robot)
+    refused("no foot makes more than", WalkView, log.rows(slice(0, 1500)), robot)
 
 
 def test_each_quantity_has_a_tolerance_with_its_reason():

@@ -10,16 +10,6 @@ from surefoot.models.attribution.sensor_noise import (
     reference_sampling,
     resample_reference,
 )
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
-
-
-@pytest.fixture(scope="module")
-def log():
-    course = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5))
-    return walk(Scenario("seen", course, Ground(0.8)), Robot.load("spot_class"), 4)
 
 
 def test_a_reference_with_a_sample_a_row_is_not_coarse(log):

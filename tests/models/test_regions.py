@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mapie_quantile import mapie_quantile
+from refusals import refused
 from scipy.optimize import linprog
 from scipy.signal import lfilter
 from scipy.stats import binom
@@ -216,15 +217,12 @@ def test_one_sample_less_than_needed_is_refused(method, gamma, confidence):
     needed = how.samples_needed()
     errors = np.random.default_rng(0).standard_normal((needed, 3))
     assert np.all(region_of(how, np.eye(3), errors).epsilon > 0)
-    with pytest.raises(BoundsError, match=f"needs {needed}"):
-        how.conformalize(errors[1:])
+    refused(f"needs {needed}", how.conformalize, errors[1:], error=BoundsError)
 
 
 def test_what_is_no_method_level_or_confidence_is_refused():
     errors = np.ones((100, 3))
-    with pytest.raises(BoundsError, match="unknown method 'magic'; known: conformal"):
-        calibrator("magic", 0.8)
-    with pytest.raises(BoundsError, match="gamma 1"):
-        calibrator("maxnorm", 1.0)
+    refused("unknown method 'magic'; known: conformal", calibrator, "magic", 0.8, error=BoundsError)
+    refused("gamma 1", calibrator, "maxnorm", 1.0, error=BoundsError)
     with pytest.raises(BoundsError, match="confidence 0"):
         calibrator("scenario", 0.8, 0.0).conformalize(errors)

@@ -23,11 +23,7 @@ from surefoot.models.residuals.soft_ground import (
     foot_loads,
     foot_stances,
 )
-from surefoot.models.residuals.torques import (
-    DynamicsInputs,
-    InverseDynamics,
-    unbalanced_wrench,
-)
+from surefoot.models.residuals.torques import DynamicsInputs, InverseDynamics, unbalanced_wrench
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns

@@ -9,23 +9,11 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.weights import correlated_entries
 from surefoot.models.residuals.binning import BIN, at_rows, reference_motion
-from surefoot.models.residuals.feet import (
-    FEWEST_STANCE_BINS,
-    stance_displacement,
-    stance_means,
-)
-from surefoot.sim.ground.terrain import Ground
+from surefoot.models.residuals.feet import FEWEST_STANCE_BINS, stance_displacement, stance_means
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import stances
-from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
-
-
-@pytest.fixture(scope="module")
-def log():
-    return walk(Scenario("turn", (Segment(3.0, 0.5, turn=0.4),), Ground(0.8)), ROBOT, seed=4)
 
 
 def test_a_mean_stands_in_the_middle_of_its_stance():

@@ -79,10 +79,7 @@ def test_an_early_end_stays_an_early_end(tmp_path):
     assert told == []
 
 
-@pytest.mark.parametrize(
-    "other",
-    [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"steps": 22}],
-)
+@pytest.mark.parametrize("other", [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"steps": 22}])
 def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
     partial = tmp_path / "o.pt.partial"
     fit(partial)

@@ -71,11 +71,7 @@ def test_a_held_out_run_may_say_otherwise():
 
 @pytest.mark.parametrize(
     ("found", "away", "name"),
-    [
-        ([], [], "not_identifiable"),
-        ([], [CALF], "not_identifiable"),
-        ([CALF], [], "attributed"),
-    ],
+    [([], [], "not_identifiable"), ([], [CALF], "not_identifiable"), ([CALF], [], "attributed")],
 )
 def test_outside_forces_are_no_effect_of_the_robot(found, away, name):
     said, reasons = verdict(found, 2.0, 1.0, pushes=[PUSH], pushed_away=away)

@@ -81,12 +81,7 @@ def read(path: Path, key: str) -> dict[str, dict]:
 
 
 def test_a_method_short_of_errors_says_how_many_it_needs(files, tmp_path):
-    calibration(
-        files,
-        tmp_path / "bounds.json",
-        K=60,
-        report=tmp_path / "r",
-    ).run()
+    calibration(files, tmp_path / "bounds.json", K=60, report=tmp_path / "r").run()
     methods = read(tmp_path / "r" / "methods.csv", "method")
     assert "needs" in methods["scenario"]["note"]
     assert not (tmp_path / "r" / "cases.csv").exists()

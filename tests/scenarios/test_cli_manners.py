@@ -38,6 +38,11 @@ def ended(arguments: str) -> str | int | None:
     return stop.value.code
 
 
+def command(folder: Path | None, *arguments: str, **variables: str) -> subprocess.CompletedProcess:
+    line, env = [sys.executable, "-m", "surefoot", *arguments], os.environ | variables
+    return subprocess.run(line, capture_output=True, text=True, cwd=folder, env=env, check=False)
+
+
 def test_without_a_command_the_commands_are_listed(capsys):
     assert not ended("")
     assert "Begin with `surefoot demo`" in capsys.readouterr().out
@@ -52,9 +57,7 @@ def test_version(capsys):
     ("arguments", "suggestion"),
     [
         ("simulat demo/walk -o new", "did you mean 'simulate'?"),
-        ("simulate demo/wlak -o new", "did you mean 'demo/walk'?"),
-        ("simulate demo/walk --robot spotclass -o new", "did you mean 'spot_class'?"),
-        ("robots spot_clas", "did you mean 'spot_class'?"),
+        ("suite spott -o new", "did you mean 'spot'?"),
         ("simulate demo/walk --robt spot_class -o new", "--robot"),
     ],
 )
@@ -81,10 +84,7 @@ def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, 
         ("estimate here.csv --filter lag", "; did you mean 'leg'?"),
         ("plan --robot spot_class gyro_scal", "; did you mean 'gyro_scale'?"),
         ("noise here.csv", "here.csv: not a log, which is a Parquet file; `surefoot import`"),
-        (
-            "trace here.csv -o new",
-            "here.csv: not a log, which is a Parquet file; `surefoot import`",
-        ),
+        ("trace here.csv -o new", "here.csv: not a log, which is a Parquet file"),
         ("experiment gone.toml -o new", "experiment gone.toml: no such file"),
     ],
 )
@@ -103,20 +103,9 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, tm
     assert message in said
 
 
-@pytest.mark.parametrize(
-    "variable", ["OMP_NUM_THREADS=banana", "OMP_NUM_THREADS=2,1", "NUMBA_NUM_THREADS=0"]
-)
-def test_a_number_of_threads_that_is_none_is_one_line(variable):
-    """numba and numexpr would each end the process by a traceback of their own."""
-    name, _, value = variable.partition("=")
-    done = version_with(name, value)
-    assert done.returncode == 1
-    assert done.stderr == f"surefoot: {name} must be a whole number above zero, is '{value}'\n"
-
-
 @pytest.mark.parametrize("name", ["OMP_NUM_THREADS", "NUMBA_NUM_THREADS"])
 def test_an_empty_number_of_threads_is_as_if_it_were_not_set(name):
-    done = version_with(name, "")
+    done = command(None, "--version", **{name: ""})
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -129,23 +118,29 @@ def test_numpy_has_one_thread_unless_the_user_says_otherwise(given, used):
         "finally: print(os.environ['OPENBLAS_NUM_THREADS'])"
     )
     without = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
-    run = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        env=without | given,
-        check=False,
-    )
+    line, env = [sys.executable, "-c", script], without | given
+    run = subprocess.run(line, capture_output=True, text=True, env=env, check=False)
     assert (run.returncode, run.stdout.split()[-1]) == (0, used)
 
 
-@pytest.mark.parametrize("name", ["MUJOCO_GL", "MPLBACKEND", "SOURCE_DATE_EPOCH"])
-def test_nonsense_in_a_variable_that_libraries_read_is_one_line(name):
-    done = version_with(name, "banana")
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("OMP_NUM_THREADS", "banana"),
+        ("OMP_NUM_THREADS", "2,1"),
+        ("NUMBA_NUM_THREADS", "0"),
+        ("MUJOCO_GL", "banana"),
+        ("MPLBACKEND", "banana"),
+        ("SOURCE_DATE_EPOCH", "banana"),
+    ],
+)
+def test_nonsense_in_a_variable_that_libraries_read_is_one_line(name, value):
+    """numba and numexpr would each end the process by a traceback of their own."""
+    done = command(None, "--version", **{name: value})
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"surefoot: {name}")
-    assert "'banana'" in line
+    assert f"'{value}'" in line
 
 
 @pytest.mark.parametrize(
@@ -153,29 +148,9 @@ def test_nonsense_in_a_variable_that_libraries_read_is_one_line(name):
     [("SOURCE_DATE_EPOCH", "0"), ("SOURCE_DATE_EPOCH", ""), ("MPLBACKEND", "svg")],
 )
 def test_what_libraries_accept_in_a_variable_is_accepted(name, value):
-    environment = os.environ | {name: value}
-    arguments = [sys.executable, "-m", "surefoot", "robots", "spot_class"]
-    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
+    done = command(None, "robots", "spot_class", **{name: value})
     assert done.returncode == 0
     assert name not in done.stderr  # which may say that kernels are compiled
-
-
-def test_a_mistyped_suite_is_corrected(tmp_path):
-    with pytest.raises(SystemExit) as stopped:
-        main(["suite", "spott", "-o", str(tmp_path / "out")])
-    assert "unknown suite 'spott'; known: spot, vision60; did you mean 'spot'?" in str(
-        stopped.value.code
-    )
-
-
-def version_with(name: str, value: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "surefoot", "--version"],
-        env=os.environ | {name: value},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
 
 
 def test_the_effects_that_are_known_early_are_those_of_the_catalogue():
@@ -223,11 +198,6 @@ def test_a_quick_work_says_nothing_to_a_pipe(monkeypatch):
     assert pipe.getvalue() == ""
 
 
-def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
-    line = [sys.executable, "-m", "surefoot", *arguments]
-    return subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
-
-
 def test_a_file_of_one_s_own_is_a_plugin_for_one_run(tmp_path):
     (tmp_path / "mine.py").write_text(PLUGIN)
     with_it = command(tmp_path, "estimate", "--help", "--plugin", "mine.py")
@@ -236,13 +206,7 @@ def test_a_file_of_one_s_own_is_a_plugin_for_one_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (None, "no such Python file"),
-        ("1 / 0", "ZeroDivisionError"),
-        ("PLUGINS = {}", "needs PLUGINS"),
-        ("PLUGINS = {'surefoot.filters': {}}", "no group 'surefoot.filters'"),
-    ],
+    ("text", "message"), [(None, "no such Python file"), ("1 / 0", "ZeroDivisionError")]
 )
 def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
     if text is not None:
@@ -253,9 +217,8 @@ def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
     assert len(run.stderr.splitlines()) == 1
 
 
-def test_a_plugin_of_the_environment_that_is_none_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setenv("SUREFOOT_PLUGINS", "gone.py")
-    run = command(tmp_path, "robots")
+def test_a_plugin_of_the_environment_that_is_none_is_one_line(tmp_path):
+    run = command(tmp_path, "robots", SUREFOOT_PLUGINS="gone.py")
     assert (run.returncode, run.stderr.count("\n")) == (1, 1), run.stderr
     assert "gone.py: no such Python file" in run.stderr
 
@@ -269,18 +232,13 @@ def test_help_names_what_it_takes(capsys):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_is_in_words_and_not_in_pythons(command, capsys):
-    """Left to itself, tyro prints `{None}|PATH`, `(default: None)` and `(default: )`."""
+def test_help_has_a_sentence_for_each_option_in_words_and_not_in_pythons(command, capsys):
+    """What tyro adds in brackets follows a full stop, and each flag has a text. Left to itself,
+    tyro prints `{None}|PATH`, `(default: None)` and `(default: )`, and the defaults of flags."""
     assert not ended(f"{command} --help")
-    text = capsys.readouterr().out
-    assert [word for word in ("None", "default: )", "default: '')") if word in text] == []
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_has_a_sentence_for_each_option(command, capsys):
-    """What tyro adds in brackets follows a full stop, and each flag has a text."""
-    assert not ended(f"{command} --help")
-    text = " ".join(re.sub("[─│╭╮╰╯]", " ", capsys.readouterr().out.partition("╭")[2]).split())
+    help_ = capsys.readouterr().out
+    assert not re.findall(r"None|default: (?:''|False|True|)\)", help_)
+    text = " ".join(re.sub("[─│╭╮╰╯]", " ", help_.partition("╭")[2]).split())
     bare = r"\S*[^.\s] \((?:required|optional|repeatable|default: [^)]*)\)"
     assert re.findall(rf"{bare}|--[\w-]+(?= -|$)", text) == []
 
@@ -290,13 +248,6 @@ def test_help_of_train_lists_the_inputs_apart(capsys):
     assert not ended("train --help")
     text = "".join(capsys.readouterr().out.replace("│", "").split())
     assert ":q|q,dq|q,dq,tau|feet|tau,feet|q,dq,tau,feet." in text
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_flag_is_shown_without_its_default(command, capsys):
-    assert not ended(f"{command} --help")
-    text = capsys.readouterr().out
-    assert [word for word in ("default: False", "default: True") if word in text] == []
 
 
 @pytest.mark.parametrize(("options", "seen"), [((), False), (("-W", "default"), True)])

@@ -3,64 +3,51 @@
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from rosbags.highlevel import AnyReader
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.export import export
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.recording import import_log
+from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory):
+def files(log, tmp_path_factory):
     """A log of a second, at 100 Hz, and an estimate of it."""
-    folder, robot = tmp_path_factory.mktemp("export"), Robot.load("spot_class")
-    log = walk(Scenario("short", (Segment(1.0, 0.3),), Ground(0.8)), robot, 0)
-    log = log.rows(slice(0, 500, 5))
+    folder, log = tmp_path_factory.mktemp("export"), log.rows(slice(0, 500, 5))
     log.write(folder / "log.parquet")
-    run_filter("imu", log, robot).trajectory.write(folder / "imu.parquet")
+    run_filter("imu", log, Robot.load("spot_class")).trajectory.write(folder / "imu.parquet")
     return folder
 
 
-MAP = """[columns]
-t = "/imu:header.stamp"
-gyro_x = "/imu:angular_velocity.x"
-gyro_y = "/imu:angular_velocity.y"
-gyro_z = "/imu:angular_velocity.z"
-accel_x = "/imu:linear_acceleration.x"
-accel_y = "/imu:linear_acceleration.y"
-accel_z = "/imu:linear_acceleration.z"
-q_FL_hip = "/joint_states:position[FL_hip]"
-tau_FL_hip = "/joint_states:effort[FL_hip]"
-contact_FL = "/contact/FL:data"
-contact_FR = "/contact/FR:data"
-contact_RL = "/contact/RL:data"
-contact_RR = "/contact/RR:data"
-[reference.columns]
-t = "/reference:timestamp"
-ref_p_x = "/reference:pose.position.x"
-ref_p_y = "/reference:pose.position.y"
-ref_p_z = "/reference:pose.position.z"
-ref_q_w = "/reference:pose.orientation.w"
-ref_q_x = "/reference:pose.orientation.x"
-ref_q_y = "/reference:pose.orientation.y"
-ref_q_z = "/reference:pose.orientation.z"
-"""
+READINGS = {
+    "t": "/imu:header.stamp",
+    **{f"gyro_{a}": f"/imu:angular_velocity.{a}" for a in "xyz"},
+    **{f"accel_{a}": f"/imu:linear_acceleration.{a}" for a in "xyz"},
+    "q_FL_hip": "/joint_states:position[FL_hip]",
+    "tau_FL_hip": "/joint_states:effort[FL_hip]",
+    **{f"contact_{leg}": f"/contact/{leg}:data" for leg in LEGS},
+}
+POSES = {
+    "t": "/reference:timestamp",
+    **{f"ref_p_{a}": f"/reference:pose.position.{a}" for a in "xyz"},
+    **{f"ref_q_{a}": f"/reference:pose.orientation.{a}" for a in "wxyz"},
+}
+
+
+def entries(columns: dict[str, str]) -> str:
+    return "".join(f'{ours} = "{theirs}"\n' for ours, theirs in columns.items())
 
 
 def test_a_log_comes_back_from_mcap_by_a_map(files, capsys):
     main(f"export {files / 'log.parquet'} -o {files / 'log.mcap'}".split())
     assert "messages" in capsys.readouterr().out
-    text = MAP.split("[reference.columns]")
-    (files / "map.toml").write_text(f"{text[0]}[reference]\n[reference.columns]{text[1]}")
-    from surefoot.sim.log import Log
-
+    text = f"[columns]\n{entries(READINGS)}[reference]\n[reference.columns]\n{entries(POSES)}"
+    (files / "map.toml").write_text(text)
     log, back = Log.read(files / "log.parquet"), import_log(files / "log.mcap", files / "map.toml")
     np.testing.assert_allclose(back.gyro, log.gyro[-len(back.t) :], atol=1e-12)
     np.testing.assert_allclose(back.q[:, 0], log.q[-len(back.t) :, 0], atol=1e-12)
@@ -99,8 +86,6 @@ def test_poses_have_foxgloves_published_fields_in_the_file_itself(files):
 
 
 def test_text_keeps_every_digit_and_nothing_is_overwritten(files):
-    from surefoot.sim.log import Log
-
     log = Log.read(files / "log.parquet")
     export(files / "log.parquet", files / "log.csv")
     pd.testing.assert_frame_equal(
@@ -111,9 +96,6 @@ def test_text_keeps_every_digit_and_nothing_is_overwritten(files):
     np.testing.assert_allclose(table[:, 1:4], reference(log).p_GI, atol=1e-12)
     export(files / "imu.parquet", files / "imu.csv")
     assert "cov_0_0" in pd.read_csv(files / "imu.csv")
-    with pytest.raises(SurefootError, match="exists already"):
-        export(files / "log.parquet", files / "log.csv")
-    with pytest.raises(SurefootError, match=r"give a file ending in \.tum or \.csv or \.mcap"):
-        export(files / "log.parquet", files / "log.txt")
-    with pytest.raises(SurefootError, match="not a log, which is a Parquet file"):
-        export(files / "log.csv", files / "other.csv")
+    refused("exists already", export, files / "log.parquet", files / "log.csv")
+    refused(r"\.tum or \.csv or \.mcap", export, files / "log.parquet", files / "log.txt")
+    refused("not a log, which is a Parquet file", export, files / "log.csv", files / "other.csv")

@@ -78,8 +78,7 @@ def peaks(folder, minutes: int) -> dict[str, dict[str, float]]:
 
 
 @pytest.mark.parametrize(
-    "minutes",
-    [pytest.param(20, marks=pytest.mark.long), pytest.param(480, marks=pytest.mark.slow)],
+    "minutes", [pytest.param(20, marks=pytest.mark.long), pytest.param(480, marks=pytest.mark.slow)]
 )
 def test_memory_is_flat_and_time_linear(tmp_path, minutes):
     short, long = peaks(tmp_path / "short", 2), peaks(tmp_path / "long", minutes)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.settings import CalibrateSettings
@@ -12,22 +13,15 @@ from surefoot.models.observer.training import train
 from surefoot.scenarios.compare import compare_log, table, write_comparison
 from surefoot.scenarios.demo import demo
 from surefoot.scenarios.estimate.run import ESTIMATORS, Learnt, run_filter
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 
 SEGMENTS = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5), Segment(3.0, 0.5, turn=-0.5))
 SHORT = TrainSettings(steps=60, batch=4, every=20)
 TIMING = "step [us]"
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")
@@ -80,20 +74,17 @@ def test_outputs_are_whole_and_never_overwritten(compared, tmp_path):
     for name in ("table.md", "table.csv", "report.html", "walk2.rrd"):
         assert (tmp_path / name).stat().st_size > 100
     assert len(list((tmp_path / "figures").glob("*.png"))) == 4
-    with pytest.raises(SurefootError, match="force=True"):
-        write_comparison([compared], tmp_path, "title")
+    refused("force=True", write_comparison, [compared], tmp_path, "title")
 
 
 def test_an_mse_observer_is_refused_where_a_covariance_is_needed(walks, robot, learnt):
     mse = Learnt(learnt.observers[:1], learnt.bounds[:1])
-    with pytest.raises(SurefootError, match=r"loss gml, .*covariance; given: mse"):
-        run_filter("velocity", walks[2], robot, mse)
+    refused(r"loss gml, .*covariance; given: mse", run_filter, "velocity", walks[2], robot, mse)
 
 
 def test_bounds_of_another_observer_are_refused(walks, robot, learnt):
     mixed = Learnt(learnt.observers[:1], learnt.bounds[1:])
-    with pytest.raises(SurefootError, match="another observer"):
-        run_filter("coverage", walks[2], robot, mixed)
+    refused("another observer", run_filter, "coverage", walks[2], robot, mixed)
 
 
 def test_coverage_holds_exactly_the_bounds_it_was_given(compared, learnt):

@@ -4,10 +4,6 @@ import pytest
 from rerun.chunk import RrdReader
 
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 def entities(path) -> set[str]:
@@ -31,9 +27,8 @@ def test_a_course_is_shown_on_its_ground_before_it_is_walked(tmp_path, capsys):
     assert not any(absent in text for absent in ("Dots", "observer", "**Feet**"))
 
 
-def test_a_log_is_shown_as_it_is(tmp_path):
-    flat = Scenario("flat", (Segment(1.0, 0.5),), Ground(0.8))
-    walk(flat, Robot.load("spot_class"), 0).write(tmp_path / "log.parquet")
+def test_a_log_is_shown_as_it_is(log, tmp_path):
+    log.rows(slice(0, 1000)).write(tmp_path / "log.parquet")
     main(["view", str(tmp_path / "log.parquet"), "-o", str(tmp_path / "log.rrd")])
     assert {"/world/truth/path", "/feet/contact/FL"} <= entities(tmp_path / "log.rrd")
     text = explanation(tmp_path / "log.rrd")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from figure_numbers import assert_numbers_apart
+from written import written
 
 from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.robot_card import portrait, robot_card
@@ -25,28 +26,22 @@ def two_legs(links: list[float]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("links", "length"),
-    [([0.4], 0.4), ([0.3, 0.4], 0.7), ([0.0, 0.0, 0.3, 0.4, 0.0, 0.05], 0.75)],
+    ("links", "length"), [([0.4], 0.4), ([0.3, 0.4], 0.7), ([0.0, 0.0, 0.3, 0.4, 0.0, 0.05], 0.75)]
 )
 def test_a_leg_of_any_number_of_hinges_has_its_length(tmp_path, links, length):
-    file = tmp_path / "robot.xml"
-    file.write_text(two_legs(links))
-    card = robot_card(str(file), None)
+    card = robot_card(str(written(tmp_path / "robot.xml", two_legs(links))), None)
     assert card.values["leg_length"] == pytest.approx(length)
     assert f"legs of {length:.3f} m" in card.text
 
 
 @pytest.mark.parametrize("link", [0.1, 0.4, 1.0])
 def test_numbers_below_a_tall_robot_do_not_touch(tmp_path, link):
-    file = tmp_path / "robot.xml"
-    file.write_text(two_legs([link, link]))
+    file = written(tmp_path / "robot.xml", two_legs([link, link]))
     assert_numbers_apart(portrait(Robot.load(str(file))))
 
 
 def test_both_views_of_a_robot_are_at_one_scale_and_height(tmp_path):
-    file = tmp_path / "robot.xml"
-    file.write_text(two_legs([0.2, 0.2]))
-    figure = portrait(Robot.load(str(file)))
+    figure = portrait(Robot.load(str(written(tmp_path / "robot.xml", two_legs([0.2, 0.2])))))
     png(figure)
     left, front = figure.axes
     assert left.get_ylim() == pytest.approx(front.get_ylim())
@@ -60,9 +55,7 @@ def test_a_mesh_is_drawn_by_its_outline(tmp_path):
     asset = f'<asset><mesh name="lens" vertex="{lens}"/></asset><worldbody>'
     shape = '<freejoint/><geom type="mesh" mesh="lens" pos="0 0 2" euler="0 45 0"/>'
     text = two_legs([0.2, 0.2]).replace("<worldbody>", asset).replace("<freejoint/>", shape)
-    file = tmp_path / "robot.xml"
-    file.write_text(text)
-    side = portrait(Robot.load(str(file))).axes[0]
+    side = portrait(Robot.load(str(written(tmp_path / "robot.xml", text)))).axes[0]
     highest = np.asarray(side.patches[0].get_path().vertices)[:, 1].max()
     assert highest == pytest.approx(2.0 + 0.3 * np.sqrt(0.5), abs=1e-6)
 
@@ -71,8 +64,7 @@ def test_an_imu_above_the_waist_is_named(tmp_path):
     torso = """<body name="torso"><joint name="waist" axis="0 0 1"/><site name="imu"/>
         <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody>
         <sensor><gyro site="imu"/></sensor>"""
-    file = tmp_path / "robot.xml"
-    file.write_text(two_legs([0.3, 0.4]))
+    file = written(tmp_path / "robot.xml", two_legs([0.3, 0.4]))
     assert "IMU: none in the model: the base frame" in robot_card(str(file), None).text
     file.write_text(two_legs([0.3, 0.4]).replace("</body></worldbody>", torso))
     text = robot_card(str(file), None).text

@@ -8,10 +8,6 @@ import pytest
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Estimator
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.fixture
@@ -43,9 +39,8 @@ def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
     assert "failed" in run(folder, *pytest_).stdout
 
 
-def test_it_runs_as_a_plugin_and_as_a_package(folder):
-    flat = Scenario("flat", (Segment(2.0, 0.5),), Ground(0.8))
-    walk(flat, Robot.load("spot_class"), 0).write(folder / "log.parquet")
+def test_it_runs_as_a_plugin_and_as_a_package(log, folder):
+    log.write(folder / "log.parquet")
     line = ("-m", "surefoot", "estimate", "log.parquet", "--filter", "two_feet")
     ran = run(folder, *line, "--plugin", "two_feet.py")
     assert "APE_trans" in ran.stdout, ran.stderr

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pandas as pd
 import pytest
+from driven import driven
 
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.residuals.layout import layout_for
@@ -20,50 +20,21 @@ from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.machine import load_machine, machine_for_log
 
 PENDULUM = load_machine("ak80_pendulum")
-RATE = 500.0
-SUBSTEPS = 5
-"""Of each row."""
 
 
-def swung(seconds=12.0, viscous=0.0, dry=0.0, rotor=0.0, scale=0.0, load=0.0, seed=0):
-    """The pendulum driven through sines; friction and rotor are put into its MjSpec."""
-    spec = mujoco.MjSpec.from_file(str(PENDULUM.file))
-    joint = spec.joint("shoulder")
-    joint.damping[0], joint.frictionloss, joint.armature = viscous, dry, rotor
-    motor = spec.add_actuator(target="shoulder", trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.set_to_motor()
-    spec.option.timestep = 1.0 / RATE / SUBSTEPS
-    # A first-order integrator's rates are half a step behind its angles: a delay of 0.1 ms.
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    rng = np.random.default_rng(seed)
-    rows = []
-    for k in range(int(seconds * RATE)):
-        t = k / RATE
-        goal = 1.2 * np.sin(2.0 * t) + 0.6 * np.sin(5.1 * t + 1.0)
-        before = data.ctrl[0]
-        data.ctrl[0] = 20.0 * (goal - data.qpos[0]) - 1.0 * data.qvel[0]
-        if load:
-            model.dof_frictionloss[0] = dry + load * abs(data.ctrl[0])
-        # At the row's own time the torque is between those of the steps around it.
-        torque = 0.5 * (before + data.ctrl[0]) * (1.0 + scale)
-        rows.append((t, data.qpos[0], data.qvel[0], torque))
-        mujoco.mj_step(model, data, SUBSTEPS)
-    frame = pd.DataFrame(np.array(rows), columns=["t", "q_shoulder", "dq_shoulder", "tau_shoulder"])
-    frame["tau_shoulder"] += rng.normal(0, 0.02, len(frame))
-    frame["dq_shoulder"] += rng.normal(0, 0.01, len(frame))
-    frame["q_shoulder"] = np.round(frame["q_shoulder"] / 3.8e-4) * 3.8e-4
-    return Log(frame, Meta(rate=RATE, robot="ak80_pendulum"), "swing")
+def swung(seconds=12.0, name="", size=0.0, **read) -> Log:
+    """The pendulum, with an effect of this name in its MjSpec."""
+    effects = [effect(name, "shoulder", size)] if name else []
+    return driven(PENDULUM, effects, seconds, **read)
 
 
 @pytest.mark.parametrize(
     ("made", "name", "size"),
     [
-        ({"viscous": 0.1}, "viscous_friction", 0.1),
-        ({"dry": 0.2}, "coulomb_friction", 0.2),
+        ({"name": "viscous_friction", "size": 0.1}, "viscous_friction", 0.1),
+        ({"name": "coulomb_friction", "size": 0.2}, "coulomb_friction", 0.2),
         ({"load": 0.15}, "load_friction", 0.15),
-        ({"rotor": 0.02}, "armature", 0.02),
+        ({"name": "armature", "size": 0.02}, "armature", 0.02),
         ({"scale": 0.1}, "torque_scale", 0.1),
     ],
 )
@@ -86,7 +57,7 @@ def test_a_drive_as_declared_lacks_nothing(seconds):
 
 
 def test_a_few_seconds_of_one_drive_are_enough():
-    found = trace_logs([swung(4.0, rotor=0.02)], PENDULUM)
+    found = trace_logs([swung(4.0, name="armature", size=0.02)], PENDULUM)
     assert found.verdict == "attributed"
     assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
     assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
@@ -94,7 +65,7 @@ def test_a_few_seconds_of_one_drive_are_enough():
 
 def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
     """A brake that was left on."""
-    log = swung(dry=0.0)
+    log = swung()
     rubbing = log.tau[:, 0] + 3000.0 * np.tanh(log.dq[:, 0] / 0.03)
     found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
     assert found.verdict == "none_of_these"
@@ -105,7 +76,7 @@ def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
 
 def test_the_dry_friction_of_a_large_gear_is_named():
     """Far beyond what drives of legs have."""
-    log = swung(dry=0.0)
+    log = swung()
     rubbing = log.tau[:, 0] + 15.0 * np.tanh(log.dq[:, 0] / 0.03)
     found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
     (one,) = (one for one in found.effects if one.name == "coulomb_friction")
@@ -145,7 +116,9 @@ def test_too_short_a_log_is_not_identifiable():
 
 
 def test_logs_of_one_drive_that_are_short_each_add_up():
-    found = trace_logs([swung(2.6, rotor=0.02), swung(2.4, rotor=0.02)], PENDULUM)
+    found = trace_logs(
+        [swung(2.6, name="armature", size=0.02), swung(2.4, name="armature", size=0.02)], PENDULUM
+    )
     assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
     assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
 

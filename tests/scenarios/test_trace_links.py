@@ -1,15 +1,11 @@
 """Links that weigh something else than their file says, on fixed bases: named, not stood in for."""
 
-import mujoco
-import numpy as np
-import pandas as pd
 import pytest
+from driven import driven
 
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.sim.effects import effect
-from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.fixed_base import FixedBase
-from surefoot.sim.robot.machine import load_machine
+from surefoot.sim.robot.machine import Modelled, load_machine
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1">
 <joint name="shoulder" axis="0 1 0"/>
@@ -17,43 +13,13 @@ ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="up
 <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.025" mass="0.8"/></body></body>
 </worldbody></mujoco>"""
-DT, SUBSTEPS = 0.002, 5
 
 
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory) -> FixedBase:
+def arm(tmp_path_factory) -> Modelled:
     file = tmp_path_factory.mktemp("arm") / "arm.xml"
     file.write_text(ARM)
-    machine = load_machine(file)
-    assert isinstance(machine, FixedBase)
-    return machine
-
-
-def swung(machine: FixedBase, effects, seconds: float = 10.0) -> Log:
-    """The machine driven through sines, with effects in its MjSpec, read by noisy sensors."""
-    spec = mujoco.MjSpec.from_file(str(machine.file))
-    for joint in machine.joint_names:
-        spec.add_actuator(target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
-    for one in effects:
-        one.edit_spec(spec, machine)
-    spec.option.timestep = DT / SUBSTEPS
-    # Of a higher order: its rates are as late as its angles.
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    model, n = spec.compile(), len(machine.joint_names)
-    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
-    for k in range(round(seconds / DT)):
-        turn = np.arange(n)
-        goal = 1.2 * np.sin(2.0 * k * DT + turn) + 0.6 * np.sin((5.1 + 1.3 * turn) * k * DT + 1.0)
-        before = data.ctrl.copy()
-        data.ctrl[:] = 20.0 * (goal - data.qpos) - data.qvel
-        rows.append((k * DT, *data.qpos, *data.qvel, *0.5 * (before + data.ctrl)))
-        mujoco.mj_step(model, data, SUBSTEPS)
-    t, q, dq, tau = np.split(np.array(rows), [1, 1 + n, 1 + 2 * n], axis=1)
-    tau, dq = tau + rng.normal(0, 0.02, tau.shape), dq + rng.normal(0, 0.01, dq.shape)
-    q = np.round(q / 3.8e-4) * 3.8e-4
-    names = ["t", *(f"{group}_{j}" for group in ("q", "dq", "tau") for j in machine.joint_names)]
-    frame = pd.DataFrame(np.hstack([t, q, dq, tau]), columns=names)
-    return Log(frame, Meta(rate=1 / DT, robot=machine.name), "swung")
+    return load_machine(file)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +32,7 @@ def swung(machine: FixedBase, effects, seconds: float = 10.0) -> Log:
     ],
 )
 def test_a_wrong_link_of_an_arm_is_named_with_its_size(arm, name, target, value):
-    found = trace_logs([swung(arm, [effect(name, target, value)])], arm)
+    found = trace_logs([driven(arm, [effect(name, target, value)])], arm)
     assert found.verdict == "attributed"
     assert [(e.name, e.target) for e in found.effects] == [(name, target)]
     assert found.effects[0].value == pytest.approx(value, rel=0.05)
@@ -74,7 +40,7 @@ def test_a_wrong_link_of_an_arm_is_named_with_its_size(arm, name, target, value)
 
 def test_mass_and_place_of_one_link_are_told_apart_where_it_moves_fast(arm):
     put_in = [effect("link_mass", "elbow", 0.2), effect("link_com", "elbow_z", -0.03)]
-    found = trace_logs([swung(arm, put_in)], arm)
+    found = trace_logs([driven(arm, put_in)], arm)
     sizes = {(e.name, e.target): e.value for e in found.effects}
     assert sizes.keys() == {("link_mass", "elbow"), ("link_com", "elbow_z")}
     for one in put_in:
@@ -84,12 +50,11 @@ def test_mass_and_place_of_one_link_are_told_apart_where_it_moves_fast(arm):
 def test_a_heavier_pendulum_is_named_and_no_encoder_scale_stands_in_for_it():
     """A torque scale nearly can: what a pendulum's mass weighs and what it resists grow alike."""
     pendulum = load_machine("ak80_pendulum")
-    assert isinstance(pendulum, FixedBase)
-    found = trace_logs([swung(pendulum, [effect("link_mass", "shoulder", 0.1)])], pendulum)
+    found = trace_logs([driven(pendulum, [effect("link_mass", "shoulder", 0.1)])], pendulum)
     assert [e.name for e in found.effects] == ["link_mass"]
     assert found.effects[0].value == pytest.approx(0.1, rel=0.02)
     assert {name for (name, _), _ in found.rivals} <= {"torque_scale"}
 
 
 def test_an_arm_as_declared_lacks_nothing(arm):
-    assert trace_logs([swung(arm, [])], arm).effects == ()
+    assert trace_logs([driven(arm, [])], arm).effects == ()

@@ -184,11 +184,6 @@ def test_a_log_is_given_once(tmp_path):
         trace([run(0), run(1), run(0)], PENDULUM, tmp_path)
 
 
-def test_a_held_out_log_is_no_log_to_fit_on(tmp_path):
-    with pytest.raises(SurefootError, match="is also a log to fit on"):
-        trace([run(0)], PENDULUM, tmp_path, TraceOptions(holdout=[run(0)]))
-
-
 def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path, capsys):
     """A rotor seems another in each run: one more such run is no change, friction is one."""
     logs = [run(k, armature=x) for k, x in ((0, 0.01), (1, 0.03), (2, 0.05), (5, 0.02))]

@@ -47,32 +47,12 @@ def test_no_list_of_filters_is_written_by_hand(module):
 
 def test_findings_rank_an_own_estimator_and_say_why_legs_win(monkeypatch):
     monkeypatch.setitem(ESTIMATORS.bundled, "mine", Mine)
-    errors = {
-        "coverage": 0.4,
-        "coverage_persistent": 0.3,
-        "mine": 0.1,
-        "imu": 9.0,
-        "radar_leg": 0.01,
-    }
-    rows = pd.DataFrame(
-        [
-            {
-                "condition": "plain",
-                "filter": name,
-                "role": "test",
-                "sequence": "walk",
-                "seed": 0,
-                "APE_trans [m]": error,
-                "NEES_pos": 3.0,
-                "APE [% of path]": error,
-                "creep [mm/s]": 1.0,
-                "slip [%]": 1.0,
-                "fed_mean_x [m/s]": float("nan"),
-                "duration [s]": 10.0,
-            }
-            for name, error in errors.items()
-        ]
-    )
+    names = ["coverage", "coverage_persistent", "mine", "imu", "radar_leg"]
+    columns = {"condition": "plain", "role": "test", "sequence": "walk", "seed": 0}
+    columns |= {"NEES_pos": 3.0, "creep [mm/s]": 1.0, "slip [%]": 1.0, "duration [s]": 10.0}
+    rows = pd.DataFrame({"filter": names, "APE_trans [m]": [0.4, 0.3, 0.1, 9.0, 0.01]})
+    rows = rows.assign(**columns, **{"APE [% of path]": rows["APE_trans [m]"]})
+    rows["fed_mean_x [m/s]"] = float("nan")
     ((_, text),) = findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
     assert "lowest first: My own 0.100 m" in text
     assert "My own has a lower position error than Coverage, persistent error on 1 of 1" in text

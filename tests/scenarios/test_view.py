@@ -3,9 +3,10 @@
 import subprocess
 
 import pytest
+from refusals import refused
+from written import written
 
 from surefoot.scenarios.viewer.view import recording_file, view
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import command_run, whole_file
 
 
@@ -22,21 +23,16 @@ def test_what_is_no_recording_is_one_clear_line(tmp_path, name, content, said):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(SurefootError, match=said) as caught:
-        view(path)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert str(path) in refused(said, view, path)
 
 
 def test_a_folder_is_no_recording(tmp_path):
-    with pytest.raises(SurefootError, match="is a folder"):
-        recording_file(tmp_path)
+    refused("is a folder", recording_file, tmp_path)
 
 
 @pytest.mark.parametrize("web", [False, True])
 def test_the_server_listens_on_this_machine_alone(tmp_path, monkeypatch, web):
-    path = tmp_path / "walk.rrd"
-    path.write_bytes(b"RRF2....")
+    path = written(tmp_path / "walk.rrd", b"RRF2....")
     commands = []
 
     def run(command, check):
@@ -57,13 +53,10 @@ def test_a_recording_that_was_altered_is_not_shown(tmp_path, monkeypatch):
     with command_run("trace", ()), whole_file(path) as temporary:
         temporary.write_bytes(b"RRF2....")
     path.write_bytes(b"RRF2...,")
-    with pytest.raises(SurefootError, match="was changed or damaged"):
-        view(path)
+    refused("was changed or damaged", view, path)
 
 
 def test_a_viewer_that_fails_is_an_error(tmp_path, monkeypatch):
-    path = tmp_path / "walk.rrd"
-    path.write_bytes(b"RRF2....")
+    path = written(tmp_path / "walk.rrd", b"RRF2....")
     monkeypatch.setattr(subprocess, "run", lambda c, check: subprocess.CompletedProcess(c, 3))
-    with pytest.raises(SurefootError, match=r"exit code 3; without a screen, try web"):
-        view(path)
+    refused(r"exit code 3; without a screen, try web", view, path)

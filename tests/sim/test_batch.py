@@ -114,7 +114,3 @@ def test_a_walk_that_goes_wrong_numerically_is_a_fall(tmp_path, monkeypatch):
     made.world.start[7] = 1e11
     with pytest.raises(Fallen, match=r"fell at 0\.\d+ s"):
         simulate_motion(made.world, made.robot, made.gait, made.course)
-
-
-def test_one_job_alone():
-    assert isinstance(walk_job(Job(ROUGH, "spot_class", 0)).log, Log)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from written import written
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.clock import brought_forward
 from surefoot.sim.importing.contacts import feet_that_stand, legs_in_phase, up_by_feet, up_in_imu
 from surefoot.sim.importing.recording import import_log
@@ -15,18 +15,14 @@ from surefoot.sim.importing.sections import ContactTable
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 GAIT = ContactTable(on=0.0, off=0.0, of="gait")
 
 
 @pytest.fixture(scope="module")
-def trot() -> Log:
+def trot(log) -> Log:
     """A trot as a robot logs it that knows where its feet are and not which of them stand."""
-    robot = Robot.load("spot_class")
-    log = walk(Scenario("short", (Segment(5.0, 0.5, turn=0.2),), Ground(0.8)), robot, 1)
-    feet = robot.feet_I(log.q)
+    feet = Robot.load("spot_class").feet_I(log.q)
     kept = [c for c in log.frame if c == "t" or c.startswith(("gyro", "accel", "contact"))]
     columns = {
         f"foot_{leg}_{axis}": feet[:, k, i]
@@ -103,8 +99,7 @@ def test_import_says_how_to_mend_rates_that_come_late_and_its_line_mends_them(tm
     dq = 9.0 * np.cos(9.0 * late) + 6.9 * np.cos(23.0 * late)
     pd.DataFrame({"t": t, "q": q, "dq": dq}).to_csv(tmp_path / "log.csv", index=False)
     text = '[columns]\nt = "t"\nq_a = "q"\ndq_a = "dq"\n'
-    (tmp_path / "map.toml").write_text(text)
-    (found,) = check_log(import_log(tmp_path / "log.csv", tmp_path / "map.toml"))
+    (found,) = check_log(import_log(tmp_path / "log.csv", written(tmp_path / "map.toml", text)))
     late = found.changes["even"]["late"]["dq"]
     assert late == pytest.approx(0.012, abs=1e-3)
     line, _, section = found.map_line.partition(" in ")

@@ -60,12 +60,7 @@ def spiking(x, t):
         ("tau_shoulder", spiking, "readings garbled on their way (leaps by up to", ""),
         ("q_des_shoulder", frozen, "a command that was not logged (no change from 2.00 to", ""),
         ("q_des_shoulder", turned, "its sign, or its angle's, changes on the way", ""),
-        (
-            "q_des_shoulder",
-            lambda x, t: -x,
-            "wrong sign",
-            "sign = -1 in the entry of q_des_",
-        ),
+        ("q_des_shoulder", lambda x, t: -x, "wrong sign", "sign = -1 in the entry of q_des_"),
         ("q_des_shoulder", lambda x, t: 3.0 * x, "another unit than its angle's (3", "gain = 0.3"),
     ],
 )

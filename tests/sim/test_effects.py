@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.base import with_columns
-from surefoot.sim.effects.file import load_effects, save_effects, to_toml
+from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.effects.timing import reference_lag, reference_lag_drift
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import TIMESTEP, robot_spec
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
-from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
+from surefoot.sim.robot.legs import LEGS, find_legs
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Streams
@@ -27,12 +27,8 @@ from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
-
-
-@pytest.fixture(scope="module")
 def log(robot):
+    """A short walk: lags are sought in it often."""
     segments = (Segment(2.0, 0.5, turn=0.4),)
     return walk(Scenario("short", segments, Ground(0.8), stand=0.3), robot, seed=3)
 
@@ -89,61 +85,6 @@ def test_foot_rolling_leaves_every_foot_a_radius(robot):
         edited(robot, effect("foot_rolling", "all", -0.04))
 
 
-def test_encoder_offset_is_on_one_joint(robot, streams):
-    altered = effect("encoder_offset", "RL_thigh", 0.02).alter_streams(streams, robot)
-    shift = altered.q - streams.q
-    j = JOINTS.index("RL_thigh")
-    assert_allclose(shift[:, j], 0.02)
-    assert not np.delete(shift, j, axis=1).any()
-    assert_array_equal(altered.dq, streams.dq)
-
-
-def test_imu_rotation_turns_the_sensor(robot, streams):
-    """A sensor turned by +90 degrees about z reads what lies along x as lying along its -y."""
-    still = replace(streams, accel=np.tile([1.0, 0.0, 0.0], (500, 1)))
-    # Bounds keep the effect to half a radian, so the quarter turn is made of smaller ones.
-    for _ in range(4):
-        still = effect("imu_rotation", "z", np.pi / 8).alter_streams(still, robot)
-    assert_allclose(still.accel, np.tile([0.0, -1.0, 0.0], (500, 1)), atol=1e-12)
-
-
-def test_gyro_scale_is_on_one_axis(robot, streams):
-    altered = effect("gyro_scale", "y", 0.02).alter_streams(streams, robot)
-    assert_allclose(altered.gyro, streams.gyro * [1, 1.02, 1])
-
-
-def test_joint_delay_is_a_delay(robot, streams):
-    altered = effect("joint_delay", "all", 0.006).alter_streams(streams, robot)
-    for name in ("q", "dq", "tau"):
-        assert_allclose(getattr(altered, name)[3:], getattr(streams, name)[:-3], atol=1e-12)
-    assert_array_equal(altered.gyro, streams.gyro)
-
-
-@pytest.mark.parametrize(
-    ("name", "target", "value"),
-    [
-        ("encoder_offset", "FR_calf", 0.03),
-        ("imu_rotation", "x", -0.04),
-        ("gyro_scale", "z", 0.02),
-        ("joint_delay", "all", 0.005),
-    ],
-)
-def test_explain_undoes_what_was_done_to_the_streams(robot, log, name, target, value):
-    one = effect(name, target, value)
-    ideal = Streams(log.t, log.gyro, log.accel, log.q, log.dq, log.tau, log.tau_ff, log.force)
-    altered = one.alter_streams(ideal, robot)
-    frame = log.frame.copy()
-    for kind, names in (("gyro", "xyz"), ("accel", "xyz"), ("q", JOINTS), ("dq", JOINTS)):
-        frame[[f"{kind}_{n}" for n in names]] = getattr(altered, kind)
-    known, same = one.compensate(replace(log, frame=frame), robot)
-    inside = slice(10, -10)
-    assert same is robot
-    assert_allclose(known.gyro, log.gyro, atol=1e-12)
-    assert_allclose(known.accel, log.accel, atol=1e-12)
-    # The delay is no whole number of samples: what two interpolations of a walk lose.
-    assert np.abs(known.q - log.q)[inside].max() < (2e-3 if name == "joint_delay" else 1e-12)
-
-
 def test_a_walk_keeps_its_effects_to_itself_when_undeclared(robot):
     scenario = Scenario("tiny", (Segment(0.5, 0.2),), Ground(0.8), stand=0.2)
     one = effect("encoder_offset", "FL_hip", 0.02)
@@ -183,8 +124,7 @@ def test_bounds_are_those_of_either_sign_and_leave_room_for_a_step(name):
 def test_a_file_of_no_effects(tmp_path):
     save_effects(tmp_path / "none.toml", [])
     assert load_effects(tmp_path / "none.toml") == ()
-    with pytest.raises(SurefootError, match="exists already"):
-        save_effects(tmp_path / "none.toml", [])
+    refused("exists already", save_effects, tmp_path / "none.toml", [])
 
 
 GOOD = 'name = "encoder_offset"\ntarget = "FL_hip"\nvalue = 0.02\nunit = "rad"\n'
@@ -194,7 +134,6 @@ GOOD = 'name = "encoder_offset"\ntarget = "FL_hip"\nvalue = 0.02\nunit = "rad"\n
     ("text", "said"),
     [
         ("[[effect]\n", "not valid TOML"),
-        ("[effect]\n" + GOOD, "effect must be an array of tables"),
         ("colour = 1\n", "unknown key 'colour'"),
         ("[[effect]]\n" + GOOD + "size = 1\n", r"\[\[effect\]\] 1 unknown key 'size'"),
         ("[[effect]]\n" + GOOD.replace("unit", "#"), "1 unit is missing"),
@@ -203,34 +142,17 @@ GOOD = 'name = "encoder_offset"\ntarget = "FL_hip"\nvalue = 0.02\nunit = "rad"\n
             "[[effect]]\n" + GOOD.replace("encoder_offset", "gyro_bias").replace("rad", "rad/s"),
             "unknown target 'FL_hip'; known: x, y, z",
         ),
-        ("[[effect]]\n" + GOOD.replace("encoder_offset", "gremlin"), "unknown effect 'gremlin'"),
-        ("[[effect]]\n" + GOOD.replace("0.02", "20.0"), "lie between -0.2 and 0.2 rad, is 20"),
-        ("[[effect]]\n" + GOOD.replace("0.02", "nan"), "value must be a number"),
-        ("[[effect]]\n" + GOOD.replace("0.02", '"0.02"'), "value must be a number"),
-        ("[[effect]]\n" + GOOD.replace('"FL_hip"', "3"), "target must be a string"),
         ("[[effect]]\n" + GOOD + "[[effect]]\n" + GOOD, r"\[\[effect\]\] 2 .* twice"),
     ],
 )
 def test_a_bad_file_is_one_clear_line(tmp_path, text, said):
     path = tmp_path / "effects.toml"
     path.write_text(text)
-    with pytest.raises(SurefootError, match=said) as caught:
-        load_effects(path)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert str(path) in refused(said, load_effects, path)
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(SurefootError, match="No such file"):
-        load_effects(tmp_path / "missing.toml")
-
-
-def test_text_of_a_file():
-    one = effect("gyro_scale", "x", 0.01)
-    assert (
-        to_toml([one])
-        == '[[effect]]\nname = "gyro_scale"\ntarget = "x"\nvalue = 0.01\nunit = "ratio"\n'
-    )
+    refused("No such file", load_effects, tmp_path / "missing.toml")
 
 
 @pytest.mark.parametrize("target", ["touchdown", "liftoff"])

@@ -8,14 +8,15 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 from synthetic import synthetic_walk
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.body import FootRolling
 from surefoot.sim.effects.contact import Armature, CoulombFriction, FootSlip, ViscousFriction
-from surefoot.sim.effects.imu import AccelScale, GyroBias, GyroScale
-from surefoot.sim.effects.joint import Backlash, TorqueScale
+from surefoot.sim.effects.imu import AccelScale, GyroBias, GyroScale, ImuRotation
+from surefoot.sim.effects.joint import Backlash, EncoderOffset, TorqueScale
 from surefoot.sim.effects.timing import ContactDelay, ImuDelay, JointDelay, TorqueDelay
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import JOINTS, LEGS, Log, MemoisedLog, Meta
@@ -40,19 +41,10 @@ def streams_of(log: Log) -> Streams:
     )
 
 
-def scaled(name: str, place: int, factor: float):
+def changed(name: str, place: int, factor: float = 1.0, by: float = 0.0):
     def readings(before: Streams) -> dict[str, np.ndarray]:
         after = getattr(before, name).copy()
-        after[:, place] *= factor
-        return {name: after}
-
-    return readings
-
-
-def shifted(name: str, place: int, by: float):
-    def readings(before: Streams) -> dict[str, np.ndarray]:
-        after = getattr(before, name).copy()
-        after[:, place] += by
+        after[:, place] = factor * after[:, place] + by
         return {name: after}
 
     return readings
@@ -66,16 +58,23 @@ def late(seconds: float, *names: str):
     return readings
 
 
+def turned(angle: float):
+    R = Rotation.from_euler("x", angle)
+    return lambda before: {n: R.inv().apply(getattr(before, n)) for n in ("gyro", "accel")}
+
+
 @pytest.mark.parametrize(
     ("kind", "target", "value", "readings"),
     [
-        (AccelScale, "z", 0.05, scaled("accel", 2, 1.05)),
-        (GyroScale, "z", -0.02, scaled("gyro", 2, 0.98)),
-        (GyroBias, "y", 0.03, shifted("gyro", 1, 0.03)),
-        (TorqueScale, "FL_calf", 0.1, scaled("tau", 2, 1.1)),
+        (AccelScale, "z", 0.05, changed("accel", 2, factor=1.05)),
+        (GyroScale, "z", -0.02, changed("gyro", 2, factor=0.98)),
+        (GyroBias, "y", 0.03, changed("gyro", 1, by=0.03)),
+        (TorqueScale, "FL_calf", 0.1, changed("tau", 2, factor=1.1)),
         (TorqueDelay, "all", 0.006, late(0.006, "tau")),
         (JointDelay, "all", 0.004, late(0.004, "q", "dq", "tau")),
         (ImuDelay, "all", -0.01, late(-0.01, "gyro", "accel")),
+        (EncoderOffset, "FR_calf", 0.03, changed("q", 5, by=0.03)),
+        (ImuRotation, "x", -0.04, turned(-0.04)),
     ],
 )
 def test_readings_change_by_the_formula_and_a_model_that_knows_takes_it_back(

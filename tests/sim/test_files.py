@@ -7,6 +7,7 @@ import os
 from contextlib import suppress
 
 import pytest
+from refusals import refused
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
@@ -38,10 +39,8 @@ def fill(folder, texts, command="make", force=True):
 def test_force_is_named_as_the_caller_would_give_it(tmp_path):
     path = tmp_path / "a.txt"
     write(path, "one")
-    with pytest.raises(SurefootError, match="give --force to overwrite it"):
-        write(path, "two", force=False)
-    with pytest.raises(SurefootError, match="give force=True to overwrite it"):
-        refuse_overwrite(path, force=False)
+    refused("give --force to overwrite it", write, path, "two", force=False)
+    refused("give force=True to overwrite it", refuse_overwrite, path, force=False)
 
 
 def test_force_replaces_what_the_same_command_made(tmp_path):
@@ -49,21 +48,17 @@ def test_force_replaces_what_the_same_command_made(tmp_path):
     write(path, "one")
     write(path, "two")
     assert path.read_text() == "two"
-    with pytest.raises(SurefootError, match="give --force"):
-        write(path, "three", force=False)
-    with pytest.raises(SurefootError, match="surefoot make made it"):
-        write(path, "three", command="other")
+    refused("give --force", write, path, "three", force=False)
+    refused("surefoot make made it", write, path, "three", command="other")
     path.write_text("edited")
-    with pytest.raises(SurefootError, match="was changed since it was made"):
-        write(path, "three")
+    refused("was changed since it was made", write, path, "three")
     assert path.read_text() == "edited"
     assert sorted(p.name for p in tmp_path.iterdir()) == [MANIFEST, "a.txt"]
 
 
 def test_force_leaves_what_nobody_listed(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(SurefootError, match="no command of surefoot made it"):
-        write(tmp_path / "mine.txt", "theirs")
+    refused("no command of surefoot made it", write, tmp_path / "mine.txt", "theirs")
     assert (tmp_path / "mine.txt").read_text() == "mine"
     # From Python, outside of any command, force is what it says.
     with whole_file(tmp_path / "mine.txt", force=True) as temporary:
@@ -88,8 +83,7 @@ def test_what_a_program_puts_in_its_place_stays_the_commands(tmp_path):
     assert path.read_text() == "two"
     assert (out / "report.html").read_text() == "2"
     assert not (out / "figures" / "a.png").exists()
-    with pytest.raises(SurefootError, match="surefoot make made it"):
-        write(path, "three", command="other")
+    refused("surefoot make made it", write, path, "three", command="other")
 
 
 def test_folders_that_were_made_in_vain_go(tmp_path):
@@ -108,8 +102,7 @@ def test_an_output_is_no_input_by_whatever_name(tmp_path, name):
     os.link(log, tmp_path / "hard")
     (tmp_path / "folder").symlink_to(tmp_path)
     (tmp_path / "sub").mkdir()
-    with pytest.raises(SurefootError, match="is an input of this command"):
-        write(tmp_path / name, "new", inputs=[log])
+    refused("is an input of this command", write, tmp_path / name, "new", inputs=[log])
     assert log.read_text() == "log"
 
 
@@ -124,8 +117,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path):
     (out / "figures" / "a.png").write_text("mine now")
     with command_run("make"), pytest.raises(SurefootError, match=r"a\.png: not overwritten"):
         refuse_full(out, force=True)
-    with pytest.raises(SurefootError, match=r"a\.png: not overwritten"):
-        fill(out, {"report.html": "3", "figures/a.png": "3"})
+    refused(r"a\.png: not overwritten", fill, out, {"report.html": "3", "figures/a.png": "3"})
     assert (out / "report.html").read_text() == "2"
     with command_run("other"), pytest.raises(SurefootError, match="made nothing here"):
         refuse_full(out, force=True)
@@ -135,8 +127,7 @@ def test_a_folder_that_a_link_leads_out_of_is_not_filled(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out" / "figures").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(SurefootError, match="by a link"):
-        fill(tmp_path / "out", {"figures/a.png": "1"})
+    refused("by a link", fill, tmp_path / "out", {"figures/a.png": "1"})
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
@@ -196,16 +187,14 @@ def test_a_flipped_byte_is_noticed(tmp_path):
     write(path, "recording")
     check_unchanged(path)
     path.write_text("recorder.")
-    with pytest.raises(SurefootError, match="changed or damaged"):
-        check_unchanged(path)
+    refused("changed or damaged", check_unchanged, path)
 
 
 def test_a_cache_that_others_can_write_to_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path / "cache"))
     assert cache_folder() == tmp_path / "cache"
     (tmp_path / "cache").chmod(0o777)
-    with pytest.raises(SurefootError, match="others can write to this cache"):
-        cache_folder()
+    refused("others can write to this cache", cache_folder)
 
 
 def test_a_manifest_of_brackets_lists_nothing(tmp_path):

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic import without
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import (
@@ -21,11 +21,6 @@ from surefoot.sim.walking.imitation import (
 )
 
 FORWARD, TURN = 0.6, 0.4
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +76,7 @@ def test_a_replica_walks_from_the_first_step_to_the_last(robot):
 
 
 def test_without_contacts_the_gait_is_the_controllers_own(robot, shown):
-    log = shown[0]
-    bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("contact_")])
-    read = walking_style(replace(log, frame=bare), robot)
+    read = walking_style(without(shown[0], "contact_"), robot)
     assert (read.period, read.clearance) == (1.0, 1.0)
     np.testing.assert_array_equal(read.q_stance, robot.q_home)
 

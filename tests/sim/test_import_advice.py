@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.advice import advice_words, advised_lines, entries
+from surefoot.sim.importing.advice import advised_lines, entries
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log.schema import JOINTS, LEGS
@@ -231,12 +231,3 @@ def test_advice_is_added_to_what_the_map_says(tmp_path):
         "even": {"late": {"dq": pytest.approx(0.015)}, "held": ["q", "dq"]},
         "robot": {"joint_sign": {"knee": 1.0}},
     }
-
-
-def test_advice_on_a_map_that_is_not_known_is_given_in_words():
-    words = advice_words(entries(("accel_x", "accel_y"), unit="g"))
-    assert words == 'unit = "g" in the entry of accel_x, accel_y'
-    words = advice_words(entries(("gyro_x",), of="gyro_y", sign=-1.0))
-    assert words == "the column of gyro_y, sign = -1 in the entry of gyro_x"
-    words = advice_words({"robot": {"joint_sign": {"FL_hip": -1.0}}, "even": {"held": ("q",)}})
-    assert words == 'joint_sign = { FL_hip = -1 } in [robot]; held = ["q"] in [even]'

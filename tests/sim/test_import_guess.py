@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from written import written
 
 from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
@@ -29,7 +30,6 @@ MEASURED = measured_folder()
 Truth = dict[str, tuple[str, float, float]]
 """Their column, scale and offset of each column of the log."""
 ENOUGH = 0.9
-PARTS = "hip", "thigh", "calf"
 
 
 def truth_of(name: str, **more: str) -> Truth:
@@ -78,14 +78,8 @@ def judged(draft: Draft, truth: Truth) -> tuple[int, int, list[str]]:
 
 def theirs_of_so101(column: str) -> str:
     """A column of the bundled map as a draft calls it, by the joints' names in the log."""
-    names = {
-        "shoulder_pan": "Rotation",
-        "shoulder_lift": "Pitch",
-        "elbow_flex": "Elbow",
-        "wrist_flex": "Wrist_Pitch",
-        "wrist_roll": "Wrist_Roll",
-        "gripper": "Jaw",
-    }
+    names = {"shoulder_pan": "Rotation", "shoulder_lift": "Pitch", "elbow_flex": "Elbow"}
+    names |= {"wrist_flex": "Wrist_Pitch", "wrist_roll": "Wrist_Roll", "gripper": "Jaw"}
     column = column.replace("x_effort", "x_tau")
     joint = next((name for name in names if column.endswith(name)), None)
     return column.replace(joint, names[joint]) if joint else column
@@ -175,12 +169,8 @@ MANNERS: dict[str, dict[str, str | tuple[str, float]]] = {
     "right first": {"t": ("lcm_timestamp", 1e6), "gyro": "omegaBody[{n}]", "accel": "aBody[{n}]"}
     | {"q": "q[{mit}]", "dq": "qd[{mit}]", "tau": "tauEst[{mit}]", "contact": "contact[{foot}]"}
     | {"ref_p": "mocap_position[{n}]", "ref_q": "mocap_orientation[{n}]"},
-    "from one": {
-        "t": "t",
-        "gyro": ("gyr_{a}", DEGREES),
-        "accel": "acc_{a}",
-        "q": "leg{l}_joint{j}_q",
-    }
+    "from one": {"t": "t", "gyro": ("gyr_{a}", DEGREES), "accel": "acc_{a}"}
+    | {"q": "leg{l}_joint{j}_q"}
     | {"dq": "leg{l}_joint{j}_dq", "tau": "leg{l}_joint{j}_tau", "contact": "contact{l}"}
     | {"ref_p": "pos_ref_{a}", "ref_q": "quat_ref_{a}"},
     "prefixed": {"t": "go.header.stamp", "gyro": "go.imu.angularVelocity.{a}"}
@@ -245,8 +235,7 @@ def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, 
     assert not silent
     assert right >= ENOUGH * total, draft.text
     # The draft is a map that works as it is.
-    (tmp_path / "map.toml").write_text(draft.text)
-    log = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+    log = import_log(tmp_path / "run.csv", written(tmp_path / "map.toml", draft.text))
     np.testing.assert_allclose(log.q, walked.q[::5], atol=1e-6)
     np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-6)
     np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
@@ -274,8 +263,7 @@ def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     }
     assert not [e for e in draft.main if e.doubt]
     assert ["contacts" in note for note in draft.notes] == [True]
-    (tmp_path / "map.toml").write_text(draft.text)
-    log = import_log(run, tmp_path / "map.toml")
+    log = import_log(run, written(tmp_path / "map.toml", draft.text))
     np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-9)
     np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
 
@@ -293,8 +281,7 @@ def test_the_joints_of_an_arm_are_those_of_its_file(tmp_path):
             f'<joint name="{joint}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
             '<limit lower="-1" upper="1" effort="9" velocity="9"/><axis xyz="0 1 0"/></joint>'
         ) + link.format(k + 1)
-    arm = tmp_path / "arm.urdf"
-    arm.write_text(f'<robot name="arm">{text}</robot>')
+    arm = written(tmp_path / "arm.urdf", f'<robot name="arm">{text}</robot>')
     t = 0.01 * np.arange(1000)
     files = []
     for kind, wave in (("position", np.sin), ("velocity", np.cos), ("effort", np.cos)):
@@ -363,12 +350,11 @@ def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
     start = replace(walked, frame=walked.frame[:1000])
     start.write(tmp_path / "log.parquet")
     for ending in ("mcap", "csv"):
-        written = tmp_path / f"out.{ending}"
-        export(tmp_path / "log.parquet", written)
-        draft = guess_map([written])
+        out = tmp_path / f"out.{ending}"
+        export(tmp_path / "log.parquet", out)
+        draft = guess_map([out])
         assert not [e.name for e in (*draft.main, *draft.reference) if e.doubt]
-        (tmp_path / "map.toml").write_text(draft.text)
-        back = import_log(written, tmp_path / "map.toml")
+        back = import_log(out, written(tmp_path / "map.toml", draft.text))
         for stream in ("gyro", "accel", "q", "dq", "tau", "contact", "ref_p"):
             np.testing.assert_allclose(getattr(back, stream), getattr(start, stream), atol=1e-6)
 
@@ -461,8 +447,7 @@ def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):
     pd.concat(read, axis=1).sort_index().to_csv(path)
     draft = guess_map([path])
     assert not [e.name for e in (*draft.main, *draft.reference) if e.doubt]
-    (tmp_path / "map.toml").write_text(draft.text)
-    log = import_log(path, tmp_path / "map.toml")
+    log = import_log(path, written(tmp_path / "map.toml", draft.text))
     assert log.rate == pytest.approx(walked.rate, rel=1e-3)
     first = round((log.t[0] - walked.t[0]) * walked.rate)
     rows = first + np.arange(len(log.t))
@@ -498,8 +483,7 @@ def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path
         *(f"{kind}_{joint}" for kind in ("q", "dq", "tau") for joint in walked.joints),
     }
     assert not [e.name for e in draft.reference if e.doubt]
-    (tmp_path / "map.toml").write_text(draft.text)
-    log = import_log(tmp_path / "run.h5", tmp_path / "map.toml")
+    log = import_log(tmp_path / "run.h5", written(tmp_path / "map.toml", draft.text))
     assert log.rate == pytest.approx(250.0, rel=1e-4)
     rows = 2 * np.arange(len(log.t))  # all begin at the same time
     assert len(rows) > 3000

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from backports import zstd
+from refusals import refusal
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from written import written
 
 from surefoot.models.observer.observer import Observer
 from surefoot.sim.common import limits
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guess import guess_map
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import read_recording
@@ -35,13 +36,6 @@ MAP = '[columns]\nt = "/imu:header.stamp"\n' + "".join(
 )
 
 
-def line_of(function, *arguments) -> str:
-    with pytest.raises(SurefootError) as caught:
-        function(*arguments)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
 @pytest.mark.parametrize(
     "name",
     ["a.csv", "a.txt", "a.json", "a.jsonl", "a.npz", "a.npy", "a.mat", "a.h5", "a.parquet", "a.bag",
@@ -51,8 +45,8 @@ def test_a_pointer_to_a_recording_is_named(tmp_path, name):
     (tmp_path / name).write_text(POINTER)
     (tmp_path / "map.toml").write_text(MAP if name[-3:] in ("bag", "cap", "db3") else
                                        '[columns]\nt = "t"\n')  # fmt: skip
-    for line in (line_of(guess_map, [tmp_path / name]),
-                 line_of(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
+    for line in (refusal(guess_map, [tmp_path / name]),
+                 refusal(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
         assert all(word in line for word in (name, "Git LFS", "git lfs pull"))
 
 
@@ -76,7 +70,7 @@ def test_every_reader_names_a_pointer(tmp_path, name, read):
     (tmp_path / "bag").mkdir()
     (tmp_path / "robot.xml").write_text(MODEL)
     (tmp_path / name).write_text(POINTER)
-    line = line_of(read, tmp_path)
+    line = refusal(read, tmp_path)
     assert all(word in line for word in (Path(name).name, "git lfs pull")), line
 
 
@@ -99,9 +93,7 @@ TEXTS = {
 @pytest.mark.parametrize("case", TEXTS)
 def test_a_text_that_is_no_table_is_said_to_be_what_it_is(tmp_path, case):
     text, said = TEXTS[case]
-    path = tmp_path / "log.txt"
-    path.write_text(text)
-    line = line_of(guess_map, [path])
+    line = refusal(guess_map, [written(tmp_path / "log.txt", text)])
     assert all(word in line for word in ("log.txt", said))
 
 
@@ -131,8 +123,8 @@ def test_a_file_of_another_kind_is_named_with_the_next_step(tmp_path, case):
     name, content, words = OTHERS[case]
     (tmp_path / name).write_bytes(content)
     (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
-    for line in (line_of(guess_map, [tmp_path / name]),
-                 line_of(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
+    for line in (refusal(guess_map, [tmp_path / name]),
+                 refusal(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
         assert all(word in line for word in (name, *words)), line
 
 
@@ -160,7 +152,7 @@ def test_a_text_that_is_mostly_empty_is_refused_before_it_is_read(tmp_path, monk
     name, text = EMPTY[case]
     (tmp_path / name).write_bytes(text.encode())
     (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
-    line = line_of(read_recording, tmp_path / name, tmp_path / "map.toml")
+    line = refusal(read_recording, tmp_path / name, tmp_path / "map.toml")
     assert all(word in line for word in (name, "times its size")), line
 
 
@@ -173,10 +165,9 @@ def test_cells_of_numbers_are_within_the_limits_of_memory(tmp_path, monkeypatch)
 
 
 def test_the_first_word_among_numbers_is_named(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("t\n1\n" + "no\n" * 5)
+    path = written(tmp_path / "a.csv", "t\n1\n" + "no\n" * 5)
     (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
-    assert "line 3: 'no' is not a number" in line_of(read_recording, path, tmp_path / "map.toml")
+    assert "line 3: 'no' is not a number" in refusal(read_recording, path, tmp_path / "map.toml")
 
 
 @pytest.mark.parametrize(
@@ -185,9 +176,7 @@ def test_the_first_word_among_numbers_is_named(tmp_path):
      "signal,value\n" + "gyro,0.1\nknee,0.2\n" * 20],
 )  # fmt: skip
 def test_a_table_with_words_is_a_table(tmp_path, text):
-    path = tmp_path / "log.csv"
-    path.write_text(text)
-    guess_map([path])
+    guess_map([written(tmp_path / "log.csv", text)])
 
 
 @pytest.fixture(scope="module")
@@ -226,15 +215,14 @@ def test_a_folder_of_a_bag_is_read_without_its_metadata(tmp_path, bags, kind, me
     (tmp_path / "run" / "metadata.yaml").unlink()
     if metadata is not None:
         (tmp_path / "run" / "metadata.yaml").write_text(metadata)
-    (tmp_path / "map.toml").write_text(MAP)
-    assert len(read_recording(tmp_path / "run", tmp_path / "map.toml").log().t) == 200
+    assert len(read_recording(tmp_path / "run", written(tmp_path / "map.toml", MAP)).log().t) == 200
     assert "/imu:header.stamp" in guess_map([tmp_path / "run"]).text
 
 
 def test_a_folder_of_several_bags_names_them(tmp_path, bags):
     for name in ("first", "second"):
         shutil.copy(next((bags / "mcap").glob("*.mcap")), tmp_path / f"{name}.mcap")
-    line = line_of(guess_map, [tmp_path])
+    line = refusal(guess_map, [tmp_path])
     assert all(word in line for word in ("first.mcap", "second.mcap"))
 
 
@@ -244,6 +232,6 @@ def test_a_bag_that_was_cut_is_said_to_be(tmp_path, bags, kind, share):
     path = tmp_path / Path(kind).name
     shutil.copy(bags / kind, path)
     os.truncate(path, int(share * path.stat().st_size))
-    line = line_of(guess_map, [path])
+    line = refusal(guess_map, [path])
     tool = {".db3": "reindex", ".mcap": "mcap recover", ".bag": "rosbag reindex"}[path.suffix]
     assert all(word in line for word in (path.name, tool))

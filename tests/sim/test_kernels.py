@@ -24,11 +24,7 @@ SAID = f"compiling once, up to {COMPILE_TIME:.0f} s\n"
 
 @pytest.mark.parametrize(
     ("terminal", "seconds", "said"),
-    [
-        (True, 0.0, SAID),
-        (False, QUIET_TIME / 2, ""),
-        (False, QUIET_TIME * 2, SAID),
-    ],
+    [(True, 0.0, SAID), (False, QUIET_TIME / 2, ""), (False, QUIET_TIME * 2, SAID)],
 )
 def test_compiling_is_said_once_to_a_terminal_or_if_it_takes_long(
     monkeypatch, capsys, terminal, seconds, said

@@ -4,6 +4,7 @@ import struct
 
 import mujoco
 import pytest
+from written import written
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.model_gate import POINTS, check_compiled, check_model_file
@@ -27,9 +28,7 @@ def refusal(path):
 
 
 def model(folder, inside, name="robot.xml"):
-    path = folder / name
-    path.write_text(f"<mujoco><worldbody>{BASE.format(inside)}</worldbody></mujoco>")
-    return path
+    return written(folder / name, f"<mujoco><worldbody>{BASE.format(inside)}</worldbody></mujoco>")
 
 
 @pytest.mark.parametrize("name", ["part.urdf", "part.xml", "part.txt", "part"])
@@ -56,8 +55,7 @@ def test_an_attached_urdf_reads_no_shape_outside(tmp_path):
 
 def test_an_attached_model_that_is_harmless_is_compiled(tmp_path):
     (tmp_path / "part.xml").write_text(PART.format('<geom size="0.1" mass="2"/>'))
-    path = tmp_path / "robot.xml"
-    path.write_text(ATTACHED.format("part.xml"))
+    path = written(tmp_path / "robot.xml", ATTACHED.format("part.xml"))
     check_model_file(path)
     compiled = mujoco.MjModel.from_xml_path(str(path))
     check_compiled(path, compiled)
@@ -163,9 +161,7 @@ def test_a_picture_is_measured_before_it_is_unpacked(tmp_path, element):
     ],
 )
 def test_what_an_element_asks_for_is_bounded(tmp_path, element, said):
-    path = tmp_path / "robot.xml"
-    path.write_text(f"<mujoco>{element}</mujoco>")
-    assert said in refusal(path)
+    assert said in refusal(written(tmp_path / "robot.xml", f"<mujoco>{element}</mujoco>"))
 
 
 def test_a_model_counts_as_often_as_it_is_attached(tmp_path):
@@ -184,8 +180,7 @@ def test_the_scanned_file_is_the_one_that_is_included(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "part.xml").write_text("<mujoco/>")
     (tmp_path / "sub" / "first.xml").write_text('<mujoco><include file="part.xml"/></mujoco>')
-    path = tmp_path / "robot.xml"
-    path.write_text('<mujoco><include file="sub/first.xml"/></mujoco>')
+    path = written(tmp_path / "robot.xml", '<mujoco><include file="sub/first.xml"/></mujoco>')
     check_model_file(path)
     (tmp_path / "part.xml").write_text('<mujoco><include file="/etc/passwd"/></mujoco>')
     assert "outside" in refusal(path)

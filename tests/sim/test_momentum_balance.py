@@ -1,14 +1,12 @@
 """Joint torques and foot forces from the momentum of a walk, against those of its motors."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from synthetic import without
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.physics.momentum_balance import momentum_balance
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.walk import walk
@@ -23,11 +21,6 @@ duration = 4.0
 forward = 0.5
 turn = 0.3
 """
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +47,7 @@ def test_torques_are_those_of_the_motors(log, robot):
 def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):
     force = momentum_balance(log, robot).force
     assert_allclose(force[log.force == 0.0], 0.0)
-    assert_allclose(momentum_balance(without_forces(log), robot).force[~log.contact], 0.0)
+    assert_allclose(momentum_balance(without(log, "force_"), robot).force[~log.contact], 0.0)
     carried = force[log.t - log.t[0] > 1.0].sum(axis=1).mean(axis=0)
     assert_allclose(carried[2], -GRAVITY_G[2] * robot.mass, rtol=0.05)
     assert np.all(np.abs(carried[:2]) < 0.1 * carried[2])
@@ -73,11 +66,6 @@ def test_feet_share_the_load_by_their_sensors_in_any_unit_before_they_count_as_s
         found = np.einsum("nli,ni->nl", momentum_balance(one, robot).force, up_B)
         return np.sqrt(np.mean((found - log.force)[walks] ** 2))
 
-    assert error(seen) < 0.9 * error(without_forces(seen))
+    assert error(seen) < 0.9 * error(without(seen, "force_"))
     in_counts = momentum_balance(seen.with_columns(by_counts), robot).force
     assert_allclose(in_counts, momentum_balance(seen, robot).force, atol=1e-6)
-
-
-def without_forces(log):
-    lacking = [c for c in log.frame if str(c).startswith("force_")]
-    return replace(log, frame=log.frame.drop(columns=lacking))

@@ -3,9 +3,7 @@
 import pytest
 from own_package import run_with
 
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import plugins
-from surefoot.sim.effects import CATALOGUE, effect, known_effects
+from surefoot.sim.effects import CATALOGUE
 
 WALK = """
 robot = "spot_class"
@@ -59,49 +57,3 @@ def test_an_effect_of_a_package_is_listed_simulated_and_a_candidate(tmp_path):
     there, apart = slope.split()
     assert there == "True"
     assert float(apart) < 1e-9
-
-
-def test_without_the_package_its_name_is_unknown_and_the_known_are_listed(tmp_path):
-    (tmp_path / "walk.toml").write_text(WALK)
-    (tmp_path / "boots.toml").write_text(EFFECTS)
-    command = ("simulate", "walk.toml", "--effects", "boots.toml", "-o", "logs")
-    run = run_with("", "-m", "surefoot", *command, cwd=tmp_path)
-    assert run.returncode != 0
-    assert "unknown effect 'rubber_boots'; known: encoder_offset" in run.stderr
-    assert "Traceback" not in run.stderr
-
-
-@pytest.mark.parametrize(
-    ("source", "said"),
-    [
-        ("Mine = 3", "lacks name, unit"),
-        ("class Mine(Effect):\n    name = 'mine'", "lacks unit, bounds"),
-        (
-            "from surefoot.sim.effects.imu import GyroBias as Mine",
-            "its class calls itself gyro_bias",
-        ),
-        ("import nowhere", "cannot be imported"),
-    ],
-)
-def test_a_package_at_fault_is_named_in_one_line(tmp_path, monkeypatch, source, said):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    text = f"from surefoot.sim.effects.base import Effect\n{source}\n"
-    module = f"mine_{abs(hash(source))}"
-    (tmp_path / f"{module}.py").write_text(text)
-    info = tmp_path / "mine-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[surefoot.effects]\nmine = {module}:Mine\n")
-    plugins.cache_clear()
-    try:
-        with pytest.raises(SurefootError, match=r"plugin mine .*surefoot\.effects") as caught:
-            known_effects()["mine"]
-        assert said in str(caught.value)
-        assert "\n" not in str(caught.value)
-        # Nothing but its own use is stopped by it.
-        assert list(known_effects()) == [*CATALOGUE, "mine"]
-        assert effect("gyro_bias", "x", 0.01).value == 0.01
-        assert list(known_effects().usable()[0]) == list(CATALOGUE)
-    finally:
-        monkeypatch.undo()
-        plugins.cache_clear()

@@ -6,13 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walking.radar import Radar, RadarSensor, mounting, radar, radar_over
 
@@ -21,11 +20,6 @@ EXACT = RadarSensor(
     ghosts=0.0,
 )  # fmt: skip
 FLAT = Ground(0.8)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return Robot.load("spot_class")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +106,5 @@ def test_it_looks_forward_and_down_from_the_front_hips(robot):
 
 def test_without_a_world_it_says_so(log, robot):
     other = Scenario("other", (Segment(1.0),), FLAT)
-    with pytest.raises(SurefootError, match="radar: the log is of scenario flat and seed 4"):
-        radar(log, other, robot)
-    with pytest.raises(SurefootError, match="radar: ghosts must not be negative"):
-        RadarSensor(ghosts=-0.1)
+    refused("radar: the log is of scenario flat and seed 4", radar, log, other, robot)
+    refused("radar: ghosts must not be negative", RadarSensor, ghosts=-0.1)

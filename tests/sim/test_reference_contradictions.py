@@ -8,7 +8,7 @@ from studies.measured import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.importing.reference_contradictions import _closed, contradicted
-from surefoot.sim.importing.report import _contradictions, import_lines
+from surefoot.sim.importing.report import import_lines
 from surefoot.sim.log.reference import Poses
 
 RECORDING = measured_folder() / "go1_square"
@@ -62,16 +62,6 @@ def test_a_last_sample_between_the_last_two_rows_of_the_imu_counts_too():
     gone = t[found(these)]
     assert gone[-1] == 11.999
     assert gone[0] > 11.85
-
-
-def test_sections_that_are_left_out_are_told_from_their_first_to_their_last_sample():
-    """From the first of all to the last of all, where these are among them."""
-    these = poses(0.5 + 0.01 * np.arange(10))
-    wrong = np.array([1, 1, 1, 0, 0, 1, 1, 0, 0, 1], dtype=bool)
-    (line,) = _contradictions(these, wrong)
-    assert line.startswith("reference: 6 samples left out")
-    assert line.endswith(": 0.50 to 0.52 s, 0.55 to 0.56 s, 0.59 to 0.59 s")
-    assert _contradictions(these, wrong & False) == ()
 
 
 @pytest.mark.skipif(not RECORDING.is_dir(), reason=f"no measured logs at {RECORDING}")

@@ -1,14 +1,11 @@
 """Scenario files: what they mean, what a seed may change, and one clear line for every mistake."""
 
-from contextlib import suppress
-
 import numpy as np
 import pytest
 from ground_course import surfaces, whole_course
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from refusals import refusal, refused
+from written import written
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled
 from surefoot.sim.scenario import Scenario, drawn
 from surefoot.sim.scenario_catalog import bundled_scenarios
@@ -42,9 +39,7 @@ patch_shift = 0.1
 
 
 def load(tmp_path, text: str) -> Scenario:
-    path = tmp_path / "walk.toml"
-    path.write_text(text)
-    return Scenario.load(path)
+    return Scenario.load(written(tmp_path / "walk.toml", text))
 
 
 def test_segments_by_length_angle_and_rounds(tmp_path):
@@ -118,45 +113,31 @@ SEGMENT = "segment = [{duration = 2.0, forward = 0.5}]\n"
         ("segment = [{duration = 1.0, distance = 1.0}]", "[[segment]] 1 needs one of duration"),
         ("segment = [{distance = 1.0}]", "distance needs a speed"),
         ("segment = [{angle = 1.0, forward = 1.0}]", "angle needs a speed"),
-        ("segment = [{duration = -1.0}]", "[[segment]] 1 duration must be a number > 0.0"),
-        ("segment = [{duration = true}]", "duration must be a number"),
-        ("segment = [{duration = nan}]", "duration must be a number"),
-        ("segment = [{repeat = 0, segment = []}]", "repeat must be"),
         (SEGMENT + "speed = 1", "unknown key 'speed'"),
         ("segment = [{duration = 1.0, speed = 1.0}]", "; did you mean forward?"),
         (SEGMENT + "[ground]\nfriction = 1", "; did you mean mu?"),
         (SEGMENT + "[friction]\nmu = 1", "; did you mean [ground] mu?"),
         (SEGMENT + "[[patch]]\nmu = 1", "; did you mean [[ground.patch]]?"),
         (SEGMENT + "[grond]\nmu = 1", "; did you mean 'ground'?"),
-        (SEGMENT + "laps = 0", "laps"),
         (SEGMENT + "role = 'exam'", "role"),
-        (SEGMENT + "robot = 3", "robot must be a string"),
         (SEGMENT + "[ground]\nmu = 9.0", "[ground] mu must be a number <= 3.0"),
-        (SEGMENT + "[ground]\nhalf_size = 0.0", "half_size"),
         (SEGMENT + "[[ground.patch]]\ncenter = [1.0]\nsize = [1, 1]\nmu = 1", "center must be an"),
         (SEGMENT + "[[ground.patch]]\ncenter = [1, 1]\nmu = 1", "patch]] 1 size is"),
-        (SEGMENT + "[[ground.patch]]\ncenter = [1, 1]\nsize = [0, 1]\nmu = 1", "size"),
         (SEGMENT + "[[ground.strip]]\nstart = [0, 0]\nend = [1, 1]\nwidth = 1", "strip]] 1 start"),
         (SEGMENT + "[[ground.strip]]\nstart = [0, 0]\nend = [1, 0]", "strip]] 1 width is"),
-        (SEGMENT + "[ranges]\nmu = [1.1, 0.9]", "[ranges] mu must be [low, high]"),
         (SEGMENT + "[ranges]\nmu = 1.0", "[ranges] mu must be an array"),
         (SEGMENT + "[sensors]\nnoise = 1.0", "[sensors] unknown key 'noise'"),
         (SEGMENT + "ground = 1", "ground must be a table"),
-        ("= 3", "not valid TOML"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_file_and_key(tmp_path, text, words):
-    with pytest.raises(SurefootError) as error:
-        load(tmp_path, text)
-    message = str(error.value)
+    message = refusal(load, tmp_path, text)
     assert words in message
     assert "walk.toml" in message
-    assert "\n" not in message
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SurefootError, match=r"nowhere\.toml: No such file.*demo/walk"):
-        Scenario.load(tmp_path / "nowhere.toml")
+    refused(r"nowhere\.toml: No such file.*demo/walk", Scenario.load, tmp_path / "nowhere.toml")
 
 
 def test_bundled_scenarios_have_names_and_a_file_of_that_name_goes_first(tmp_path, monkeypatch):
@@ -166,23 +147,3 @@ def test_bundled_scenarios_have_names_and_a_file_of_that_name_goes_first(tmp_pat
     (tmp_path / "demo").mkdir()
     (tmp_path / "demo" / "walk").write_text('name = "mine"\nsegment = [{duration = 1.0}]\n')
     assert Scenario.load("demo/walk").name == "mine"
-
-
-VALUES = st.one_of(
-    st.none(), st.booleans(), st.integers(-3, 3), st.floats(), st.text(max_size=3), st.just([1, 2])
-)
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    key=st.sampled_from(["laps", "stand", "name", "robot", "role", "segment", "ground", "ranges"]),
-    value=VALUES,
-)
-def test_no_value_of_any_key_ends_in_another_error(tmp_path_factory, key, value):
-    if value is None:
-        return
-    text = f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}\n"
-    path = tmp_path_factory.mktemp("s") / "walk.toml"
-    path.write_text(text if key == "segment" else SEGMENT + text, encoding="utf-8")
-    with suppress(SurefootError):
-        Scenario.load(path)

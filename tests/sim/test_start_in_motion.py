@@ -3,6 +3,7 @@ reference: filters then start at rest."""
 
 import numpy as np
 import pytest
+from synthetic import without
 
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.ground.terrain import Ground
@@ -21,12 +22,6 @@ def walked(request) -> tuple[Log, Robot]:
     robot = Robot.load(request.param)
     course = Scenario("start", (Segment(2.0, 0.6, 0.0, 0.0),), Ground(0.8))
     return walk(course, robot, 0), robot
-
-
-def without(log: Log, *starts: str) -> Log:
-    """The log without the columns that start so."""
-    names = [n for n in log.frame if not str(n).startswith(starts)]
-    return Log(log.frame.filter(items=names), log.meta, log.name)
 
 
 CUTS = {

@@ -78,27 +78,19 @@ def test_rounded_readings_of_a_slower_sensor_are_found():
     assert found["q"]["q_knee"] == pytest.approx(100.0, rel=0.1)
 
 
-def test_an_hour_without_rows_is_not_filled_with_them():
-    """A grid at their rate would have 1.4 million rows, all but 3200 of them between two."""
+@pytest.mark.parametrize(
+    ("stamps", "close"),
+    [(T + 3600.0 * (T > 4.0), 2e-4), (T + 30.0 * np.floor(2.0 * T), 1e-3)],
+    ids=["an hour", "sixteen times half a minute"],
+)
+def test_pauses_without_rows_are_not_filled_with_them(stamps, close):
+    """A grid at their rate would have 1.4 million rows and 190 000, all but 3200 between two."""
     early, now = angle(T), angle(T - 8e-3)
-    stamps = T + 3600.0 * (T > 4.0)
     tracemalloc.start()
     delay = delay_between(stamps, now[:, None], early[:, None], 0.05)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert delay == pytest.approx(8e-3, abs=2e-4)
-    assert most < 5e6
-
-
-def test_pauses_of_half_a_minute_are_not_filled_either():
-    """Sixteen of them, which would be 190 000 rows."""
-    early, now = angle(T), angle(T - 8e-3)
-    stamps = T + 30.0 * np.floor(2.0 * T)
-    tracemalloc.start()
-    delay = delay_between(stamps, now[:, None], early[:, None], 0.05)
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert delay == pytest.approx(8e-3, abs=1e-3)
+    assert delay == pytest.approx(8e-3, abs=close)
     assert most < 5e6
 
 

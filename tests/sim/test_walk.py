@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from ground_course import whole_course
+from perfect import PERFECT
 from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
@@ -15,16 +16,10 @@ from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.physics.scene import TIMESTEP, build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
-from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion
-from surefoot.sim.walk import STEPS_PER_TICK, Fallen, plan, simulate_motion, walk
+from surefoot.sim.sensors.streams import ideal_streams, imu_motion
+from surefoot.sim.walk import STEPS_PER_TICK, plan, simulate_motion, walk
 
 SPOT = Robot.load("spot_class")
-# Nothing between the simulation and the log but the rounding of the IMU.
-PERFECT = Sensors(
-    gyro_noise=0.0, accel_noise=0.0, gyro_instability=0.0, accel_instability=0.0,
-    gyro_turn_on=0.0, accel_turn_on=0.0, encoder_step=0.0,
-    velocity_noise=0.0, torque_noise=0.0, force_noise=0.0,
-)  # fmt: skip
 TERRAIN = Ground(
     0.8,
     (Patch(2.0, 0.0, 0.8, 3.0, 0.2),),
@@ -149,30 +144,17 @@ def test_the_robot_starts_standing_still_and_follows_its_course(log):
     assert 0.5 < forward[1000:2000].mean() < 0.9
 
 
-def test_a_fall_says_when():
-    cliff = Ground(0.8, (), 30.0, (Strip((-2.0, 0.0), (0.7, 0.0), 3.0, (1.5, 1.5)),))
-    with pytest.raises(Fallen, match=r"fell at \d+\.\d+ s"):
-        walk(Scenario("cliff", (Segment(6.0, 0.8),), cliff), SPOT, 0)
-
-
 def test_a_course_that_leaves_the_floor_is_refused():
     with pytest.raises(SurefootError, match="half_size"):
         walk(Scenario("far", (Segment(9.0, 1.0),), Ground(0.8, half_size=5.0)), SPOT, 0)
 
 
 def test_payload_presses_harder_on_the_ground():
-    still = (Segment(1.0),)
-    weights = [
-        walk(
-            Scenario("s", still, Ground(0.8), ranges=Ranges(payload=(m, m)), sensors=PERFECT),
-            SPOT,
-            0,
-        )
-        .force[200:450]
-        .sum(axis=1)
-        .mean()
-        for m in (0.0, 5.0)
-    ]
+    weights = []
+    for m in (0.0, 5.0):
+        ranges = Ranges(payload=(m, m))
+        still = Scenario("s", (Segment(1.0),), Ground(0.8), ranges=ranges, sensors=PERFECT)
+        weights.append(walk(still, SPOT, 0).force[200:450].sum(axis=1).mean())
     assert weights[1] - weights[0] == pytest.approx(5.0 * 9.81, rel=0.1)
 
 

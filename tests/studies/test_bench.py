@@ -9,13 +9,7 @@ from whole_runs import run_coverage
 
 from studies.bench import walking
 from studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
-from studies.bench.filter import (
-    BENCH_GAMMA,
-    gtsam_filter,
-    run_updates,
-    trial,
-    velocity_filter,
-)
+from studies.bench.filter import BENCH_GAMMA, gtsam_filter, run_updates, trial, velocity_filter
 from studies.bench.ratio import Ratio, in_turn
 from studies.bench.run import Bench, bench
 from studies.command import run_study

@@ -9,14 +9,7 @@ from pendulum import swung
 
 from studies.hardware import traces
 from studies.hardware.go1 import ladder, rolling_table
-from studies.hardware.study import (
-    MEASURED,
-    RUNS,
-    STUDIES,
-    Chapter,
-    HardwareStudy,
-    run_hardware,
-)
+from studies.hardware.study import MEASURED, RUNS, STUDIES, Chapter, HardwareStudy, run_hardware
 from studies.measured import measured_folder
 from surefoot.scenarios.reporting.pages import read_origin
 from surefoot.scenarios.reporting.plotting import new_figure

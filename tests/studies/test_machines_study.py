@@ -20,12 +20,9 @@ from studies.hardware.creeping_feet import (
 )
 from studies.hardware.walks_by_feet import end_error
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 def test_a_log_stands_once_beside_what_was_found_in_it_twice(monkeypatch):
@@ -35,10 +32,8 @@ def test_a_log_stands_once_beside_what_was_found_in_it_twice(monkeypatch):
     assert walks_by_feet.findings_table(logs)["logs"].tolist() == ["walk, sway"]
 
 
-def test_the_share_of_the_way_that_feet_do_not_give_is_found_and_taken_off():
-    robot = Robot.load("spot_class")
-    log = walk(Scenario("short", (Segment(6.0, 0.5, turn=0.1),), Ground(0.8)), robot, 3)
-    points = replace(robot, foot_radius=np.zeros(4))
+def test_the_share_of_the_way_that_feet_do_not_give_is_found_and_taken_off(log):
+    points = replace(Robot.load("spot_class"), foot_radius=np.zeros(4))
     columns = {
         f"foot_{leg}_{axis}": points.feet_I(log.q)[:, k, i]
         for k, leg in enumerate(log.legs)
