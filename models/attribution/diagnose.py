@@ -31,6 +31,7 @@ from surefoot.models.attribution.explain import (
     FittedRun,
     Problem,
     explain,
+    moving,
     problem_of,
     zeros_beside,
 )
@@ -45,6 +46,8 @@ from surefoot.models.attribution.forces import (
 from surefoot.models.attribution.levels import ChannelLevel, block_gains, channel_levels
 from surefoot.models.attribution.metric import Metric
 from surefoot.models.attribution.model_error import (
+    MEAN_WINDOW,
+    OF_MEAN,
     ModelError,
     model_error,
     model_error_as_dict,
@@ -59,9 +62,9 @@ from surefoot.models.attribution.noise_floor import (
 )
 from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
-from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights, sticks
+from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights
 from surefoot.models.bootstrap import block_bootstrap_counts
-from surefoot.models.residuals.binning import inner_bins
+from surefoot.models.residuals.binning import BIN, inner_bins
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, compensate_all, in_order
 from surefoot.sim.log import Log
@@ -84,6 +87,7 @@ class Diagnosis:
         found: effects common to all logs, strongest first.
         runs: per-log effects, such as encoder zeros and the reference's clock.
         channels: residual of each channel on data that no fit has seen.
+        averaged_over: time over which each residual is averaged [s].
         held_out: the same on held-out logs.
         masked_share: share of the stance that was masked as slipping.
         friction: of the feet; None where the logs lack the columns for it.
@@ -112,6 +116,7 @@ class Diagnosis:
     unexplained: tuple[Unexplained, ...] = ()
     model_error: ModelError | None = None
     least: dict[Key, float] = field(default_factory=dict)
+    averaged_over: float = BIN
 
     @property
     def rejected(self) -> tuple[tuple[Effect, str], ...]:
@@ -134,6 +139,7 @@ class Diagnosis:
             "effects": [_with_interval(one) for one in self.found],
             "runs": [_run_as_dict(run) for run in self.runs],
             "channels": _levels(self.channels),
+            "averaged_over": self.averaged_over,
             "masked_share": self.masked_share,
             "friction": asdict(self.friction) if self.friction else None,
             "floor": self.floor,
@@ -228,7 +234,7 @@ def diagnose(
     friction = estimate_friction(cases, np.random.default_rng(seed))
     slip = slip_effect(friction)
     unseen = logs_under_model(options.holdout, robot, model)
-    problem = problem_of(cases, split.fit, several)
+    problem = problem_of(cases, split.fit, several, model)
 
     def explained(slip: Sequence[Found]) -> tuple[Explanation, _Floors]:
         """The search, and the floors that it was based on."""
@@ -237,7 +243,7 @@ def diagnose(
 
         def harmful(metric: Metric, now: Problem, effects: Sequence[Effect]):
             floor = floors.of(effects)
-            by_channel = find_harmful_effect(now.cases, effects, metric, floor, split)
+            by_channel = find_harmful_effect(now, effects, metric, floor, split)
             return by_channel or (
                 options.harmful(unseen or now.cases, effects) if effects else None
             )
@@ -246,7 +252,7 @@ def diagnose(
             metric: Metric, now: Problem, effects: Sequence[Effect], others: Sequence[Effect]
         ) -> bool:
             floor = floors.of(others)
-            return are_needed(now.cases, effects, others, metric, floor, split)
+            return are_needed(now, effects, others, metric, floor, split)
 
         found = explain(
             problem,
@@ -273,19 +279,19 @@ def diagnose(
     effects = in_order([one.effect for one in found])
     runs = _with_lags(result.runs, lags)
     # Residuals before and after, and where outside forces act, which is left out of the verdict.
-    sides = _residuals([run.case for run in runs], effects, result.metric, floors.last, split.fit)
-    pushes = outside_forces(sides.cases, sides.after, sides.evidence)
-    pushed = pushed_bins(sides.cases, sides.evidence, pushes)
+    problem = replace(problem, cases=[run.case for run in runs])
+    sides = _residuals(problem, effects, result.metric, floors.last, split.fit)
+    pushes = outside_forces(problem.cases, sides.after, sides.evidence)
+    pushed = pushed_bins(problem.cases, sides.evidence, pushes)
     gone = [f for f in found if pushes and not _still_explains(f.effect, effects, sides, pushed)]
     found = tuple(f for f in found if f not in gone)
-    sides = sides.without(sticks(sides.cases, [*model, *effects], sides.evidence.layout))
     # The verdict, on the part that no fit has seen and on held-out logs.
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if options.holdout:
         held_out = _held_out(unseen, effects, lags, floors.last, several, model)
     progress(0.95)
-    curves = curved_angles(result, sides.cases)
+    curves = curved_angles(result, problem.cases)
     verdict, reasons = verdict_of(
         Findings(
             found=found,
@@ -307,7 +313,7 @@ def diagnose(
     if verdict == "none_of_these":
         above = _above_floor(channels)
         unexplained = curves + sparse_regression(
-            sides.cases, sides.after, sides.weights, above, split.fit, split.report
+            problem.cases, sides.after, sides.weights, above, split.fit, split.report
         )
     if declared is not None and verdict == "not_identifiable":
         # Without a significant effect, no change is reported; the reasons say so.
@@ -340,6 +346,7 @@ def diagnose(
         ),
         unexplained=unexplained,
         model_error=_error_of(cases, effects) if several else None,
+        averaged_over=MEAN_WINDOW if problem.by_windows else BIN,
     )
 
 
@@ -360,7 +367,7 @@ class Residuals:
     """Residuals of logs before and after effects are compensated.
 
     Attributes:
-        cases: the logs, with their own zeros and clocks compensated.
+        problem: the logs, with their own zeros and clocks compensated.
         evidence: with the effects compensated.
         before: residual (M, W) without them and without nuisance parameters; NaN where masked.
         after: the same with them.
@@ -368,45 +375,44 @@ class Residuals:
         floor: noise floor of the model with the effects.
     """
 
-    cases: Sequence[LogUnderModel]
+    problem: Problem
     evidence: Evidence
     before: np.ndarray
     after: np.ndarray
     weights: RobustWeights
     floor: NoiseFloor
 
-    def without(self, masked: np.ndarray) -> "Residuals":
-        """The residuals without the entries of a mask (M, W)."""
-        before, after = (np.where(masked, np.nan, one) for one in (self.before, self.after))
-        return replace(self, before=before, after=after)
-
     def levels(self, judge: np.ndarray) -> dict[str, ChannelLevel]:
         """Level of each channel over the bins of a mask (M,)."""
         known = self.evidence
         judged = replace(known, t=known.t[judge], log=known.log[judge])
-        level = all(c.fixed or c.motion.level or not c.motion.by_reference for c in self.cases)
+        level = all(
+            c.fixed or c.motion.level or not c.motion.by_reference for c in self.problem.cases
+        )
         return channel_levels(
             self.before[judge], self.after[judge], judged, self.floor, on_like_ground=level
         )
 
 
 def _residuals(
-    cases: Sequence[LogUnderModel],
+    problem: Problem,
     effects: Sequence[Effect],
     metric: Metric,
     floor: NoiseFloor,
     use: np.ndarray,
 ) -> Residuals:
-    """Residuals before and after these effects.
+    """Residuals before and after these effects, as the search sees them (`moving`).
 
     Args:
-        cases: the logs.
+        problem: the logs.
         effects: to compensate.
         metric: with its weights.
         floor: noise floor of the model with the effects.
         use: mask (M,) of the bins that nuisance parameters are fitted on.
     """
-    before, after = linearise(cases, (), ()), linearise(cases, effects, ())
+    before, after = (
+        moving(problem, effects, linearise(problem.cases, these, ())) for these in ((), effects)
+    )
     weights = metric.robust
     there = np.isfinite(after.table)
     # No fit uses the channels that are only evaluated.
@@ -419,11 +425,13 @@ def _residuals(
     left, plain = (
         without_nuisance(one, weights.sigma, weights.weight, use) for one in (after, before)
     )
-    return Residuals(cases, after, plain, left, weights, floor)
+    if problem.by_windows:
+        floor = replace(floor, sigma=OF_MEAN * floor.sigma)
+    return Residuals(problem, after, plain, left, weights, floor)
 
 
 def find_harmful_effect(
-    cases: Sequence[LogUnderModel],
+    problem: Problem,
     effects: Sequence[Effect],
     metric: Metric,
     floor: NoiseFloor,
@@ -435,7 +443,7 @@ def find_harmful_effect(
     the effects (`ChannelLevel.worse`), and best without this one.
 
     Args:
-        cases: the logs, with their own zeros and clocks compensated.
+        problem: the logs, with their own zeros and clocks compensated.
         effects: found.
         metric: with them compensated.
         floor: noise floor of the model with them.
@@ -443,7 +451,7 @@ def find_harmful_effect(
     """
     if not effects:
         return None
-    sides = _residuals(cases, effects, metric, floor, split.fit)
+    sides = _residuals(problem, effects, metric, floor, split.fit)
     for one in effects:
         if type(one).is_compensated() and np.sum(_own_gains(one, effects, sides, split.report)) < 0:
             return one, "it makes its own channels no better on bins that no fit has seen"
@@ -454,14 +462,14 @@ def find_harmful_effect(
 
     def without(one: Effect) -> float:
         others = [e for e in effects if e != one]
-        left = _residuals(cases, others, metric, floor, split.fit).after[split.report]
+        left = _residuals(problem, others, metric, floor, split.fit).after[split.report]
         return float(np.nanmean(left[:, sides.evidence.layout.of(worse)] ** 2))
 
     return min(effects, key=without), f"it makes {worse} worse"
 
 
 def are_needed(
-    cases: Sequence[LogUnderModel],
+    problem: Problem,
     effects: Sequence[Effect],
     others: Sequence[Effect],
     metric: Metric,
@@ -472,14 +480,14 @@ def are_needed(
     that no fit has seen.
 
     Args:
-        cases: the logs, with their own zeros and clocks compensated.
+        problem: the logs, with their own zeros and clocks compensated.
         effects: found.
         others: found without some of them.
         metric: with its weights.
         floor: noise floor of the model with the others.
         split: of the logs.
     """
-    more, less = (_residuals(cases, e, metric, floor, split.fit) for e in (effects, others))
+    more, less = (_residuals(problem, e, metric, floor, split.fit) for e in (effects, others))
     levels = replace(less, before=more.after).levels(split.report)
     return any(level.worse for level in levels.values())
 
@@ -505,11 +513,11 @@ def _held_out(
     runs, worsened, sides = [], [], []
     for number, case in enumerate(cases, 1):
         every = inner_bins(case.motion.t)
-        fitted, metric = zeros_beside(problem_of([case], every, several), floor.error, effects)
+        problem = problem_of([case], every, several, declared)
+        fitted, metric = zeros_beside(problem, floor.error, effects)
         run = _with_lags(fitted, lags)[0]
         runs.append(run)
-        one = _residuals([run.case], effects, metric, floor, every)
-        one = one.without(sticks([run.case], [*declared, *effects], one.evidence.layout))
+        one = _residuals(replace(problem, cases=[run.case]), effects, metric, floor, every)
         sides.append(one)
         for this in effects:
             gains = _gains(this, effects, one, every)
@@ -524,7 +532,8 @@ def _held_out(
     bins = [one.evidence.t for one in sides]
     log = np.repeat(np.arange(len(bins)), [len(t) for t in bins])
     evidence = replace(sides[-1].evidence, t=np.concatenate(bins), log=log)
-    whole = Residuals([run.case for run in runs], evidence, before, after, sides[-1].weights, floor)
+    problem = replace(sides[-1].problem, cases=[run.case for run in runs])
+    whole = replace(sides[-1], problem=problem, evidence=evidence, before=before, after=after)
     levels = whole.levels(np.ones(len(log), dtype=bool))
     return HeldOutRuns(levels, tuple(runs), tuple(worsened))
 
@@ -536,7 +545,8 @@ def _gains(
     `used` (M,).
     """
     weights = sides.weights
-    others = linearise(sides.cases, [e for e in effects if e != one], ())
+    less = [e for e in effects if e != one]
+    others = moving(sides.problem, effects, linearise(sides.problem.cases, less, ()))
     less = without_nuisance(others, weights.sigma, weights.weight, used)
     weight = np.where(used[:, None], weights.weight, 0.0)
     return block_gains(less, sides.after, sides.evidence, weights.sigma, weight)
@@ -661,6 +671,7 @@ def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
         found=change.found,
         runs=tuple(FittedRun(c, zeros, ()) for c, zeros in zip(cases, change.zeros, strict=True)),
         channels=change.channels,
+        averaged_over=MEAN_WINDOW if cases[0].fixed else BIN,
         floor=f"what no effect explains of {since.runs} runs of the unchanged machine",
         rivals=tuple(
             {"name": name, "target": target, "overlap": one.overlap}

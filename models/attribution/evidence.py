@@ -417,9 +417,9 @@ class _Linear:
             change = self._by_chain_rule(log, robot, step)
         else:
             change = self._by_difference(key, log, robot, names) / step
-        if key[0] in _SCALED:
-            by_scale = (_reading_scale(self.layout, [effect(*key, step)]) - 1.0) / step
-            change = change + by_scale * self.parts.table
+        # On the scale of the readings.
+        factor = _reading_scale(self.layout, [effect(*key, step)])
+        change = factor * change + (factor - 1.0) / step * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 

@@ -167,6 +167,7 @@ class Problem:
         unknown: standard deviation of the size that it seems to have, beyond what walks of the
             model show (C,).
         shift: mean time by which it shifts noisy streams [s per unit] (C,).
+        declared: effects that belong to the model.
     """
 
     cases: Sequence[LogUnderModel]
@@ -178,6 +179,7 @@ class Problem:
     certain: np.ndarray
     unknown: np.ndarray
     shift: np.ndarray
+    declared: Sequence[Effect] = ()
 
     @property
     def machine(self) -> Machine:
@@ -277,13 +279,19 @@ class Chosen:
         return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
 
 
-def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -> Problem:
+def problem_of(
+    cases: Sequence[LogUnderModel],
+    use: np.ndarray,
+    several: bool,
+    declared: Sequence[Effect] = (),
+) -> Problem:
     """Logs to explain.
 
     Args:
         cases: the logs under the declared model.
         use: mask (M,) of the bins that may be used.
         several: whether zeros, biases and clocks belong to each log.
+        declared: effects that belong to the model.
     """
     machine, kinds = cases[0].robot, known_effects()
     limbs = machine.limbs
@@ -316,6 +324,7 @@ def problem_of(cases: Sequence[LogUnderModel], use: np.ndarray, several: bool) -
         shift=np.array(
             [0.25 * span if name == "clock_scale" else float(name in SHIFTS) for name, _ in keys]
         ),
+        declared=declared,
     )
 
 
@@ -512,7 +521,7 @@ def _metric(
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
     before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    return _metric_of(problem, _moving(problem, effects, known), error)
+    return _metric_of(problem, moving(problem, effects, known), error)
 
 
 def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
@@ -522,12 +531,12 @@ def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
     return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 
 
-def _moving(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
+def moving(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
     """The evidence without the entries in which a joint of a fixed base may stick at effects, over
     windows if the problem is.
     """
-    there = np.where(sticks(problem.cases, effects, known.layout), np.nan, known.table)
-    known = replace(known, table=there)
+    still = sticks(problem.cases, [*problem.declared, *effects], known.layout)
+    known = replace(known, table=np.where(still, np.nan, known.table))
     return at_middles(known) if problem.by_windows else known
 
 
@@ -535,10 +544,10 @@ def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) ->
     """The table (M, W) with effects compensated, as of `_moving` at other effects."""
     if problem.by_windows:
         known = linearise(problem.cases, effects, (), evaluation_channels=False)
-        return _moving(problem, at, known).table
+        return moving(problem, at, known).table
     tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
-    layout = layout_for(problem.limbs)
-    return np.where(sticks(problem.cases, at, layout), np.nan, np.concatenate(tables))
+    still = sticks(problem.cases, [*problem.declared, *at], layout_for(problem.limbs))
+    return np.where(still, np.nan, np.concatenate(tables))
 
 
 def _settled(
@@ -665,7 +674,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         ]
         if stale or best is None:
             evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
-            evidence = _moving(problem, state.effects, evidence)
+            evidence = moving(problem, state.effects, evidence)
             table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
             derived |= {
                 key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new

@@ -64,6 +64,13 @@ class ChannelLevel:
         return self.low_share * self.after <= limit
 
     @property
+    def may_be_above(self) -> bool:
+        """Whether the remaining residual is above the noise, though its interval reaches down to
+        it.
+        """
+        return not self.evaluation_only and self.after > self.of_noise
+
+    @property
     def below_floor(self) -> bool:
         """Whether the residual lies below the noise floor by more than the spread of its walks."""
         if self.noise_floor is None:

@@ -74,7 +74,13 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
         explained = [f"{name}: explains nothing but outside forces" for name in names]
         return "not_identifiable", (*explained, *(one.in_words() for one in pushes))
     if not found:
-        return "no_residual", ()
+        unsure = [
+            f"{name}: {c.after:.3g} {c.unit} is left over a noise floor of {c.noise_floor:.3g}, "
+            "but parts of the log differ too much to tell it from noise; longer or more logs would"
+            for name, c in channels.items()
+            if c.may_be_above
+        ]
+        return ("not_identifiable" if unsure else "no_residual"), tuple(unsure)
     below = [why for one in found if (why := _below_floor(one.effect, channels))]
     if below:
         return "not_identifiable", tuple(below)

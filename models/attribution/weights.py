@@ -11,7 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.attribution.design import Design, add_block
+from surefoot.models.attribution.design import (
+    Design,
+    add_block,
+    nuisance_precision,
+    scaled_inverse,
+)
+from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.layout import Layout
@@ -180,12 +186,14 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
         A = X * root[:, None]
         add_block(normal, which, A.T @ A)
         right[which] += A.T @ (root * data.y[rows, column])
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    # A ridge far below the data makes collinear candidates solvable without affecting others.
-    normal = normal / scale / scale[:, None] + 1e-9 * np.eye(size)
+    # Without a prior, sizes that no machine has explain anything: a torque scale of -1 and a robot
+    # without masses.
+    known, limbs = data.evidence, data.evidence.layout.limbs
+    deviations = np.array([plausible_size(*key, limbs) / 1.96 for key in known.keys])
+    normal += np.diag(np.append(deviations**-2.0, nuisance_precision(known)))
     sizes = np.zeros(size)
-    sizes[single] = np.linalg.solve(normal[np.ix_(single, single)], (right / scale)[single])
-    return data.explained(sizes / scale)
+    sizes[single] = scaled_inverse(normal[np.ix_(single, single)]) @ right[single]
+    return data.explained(sizes)
 
 
 def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:

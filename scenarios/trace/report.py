@@ -63,15 +63,16 @@ def sections(found: Trace) -> list[Section]:
     if found.channels:
         picture = Picture(
             residuals(found.channels),
-            "Root mean square residual of each channel on the end of the log, which was used "
+            "Root mean square residual of each channel on the parts of the logs that were used "
             "neither to fit nor to choose. The dashed line is the noise floor: the residual of a "
             "robot that matches its model exactly.",
         )
         masked = f"Masked as slipping: {100 * found.masked_share:.1f} % of stance time. "
         masked = masked if "leg_velocity" in found.channels else ""
         words = (
-            "Residuals are means over 20 ms. Turn-on biases of the IMU belong to the declared "
-            f"sensors and are subtracted. {masked}Noise floor: {found.floor}."
+            f"Residuals are means over {1e3 * found.averaged_over:.0f} ms. Turn-on biases of the "
+            "IMU belong to the declared sensors and are subtracted. "
+            f"{masked}Noise floor: {found.floor}."
         )
         table = _levels(found.channels)
         parts.append(Section("Residual before and after", words, table, (picture,)))

@@ -117,7 +117,10 @@ def summary(found: Trace) -> str:
     lines += unexplained_in_words(found)
     lines += least_changes(found)
     if found.channels:
-        lines.append("residual on the part used by no fit (root mean square of means over 20 ms):")
+        over = f"{1e3 * found.averaged_over:.0f} ms"
+        lines.append(
+            f"residual on the part used by no fit (root mean square of means over {over}):"
+        )
         lines += _channel_lines(found.channels) + _filter_lines(found.filters)
         for one in found.stretches:
             sides = zip(("before", "after"), one.lost, strict=True)

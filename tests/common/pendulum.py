@@ -1,5 +1,7 @@
 """A pendulum that is driven about, with what its drive hides."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 import pandas as pd
@@ -16,11 +18,11 @@ def swung(
     armature: float = 0.0,
     seed: int = 0,
     seconds: float = 12.0,
-    push: float | None = None,
+    pushes: Sequence[float] = (),
 ) -> Log:
     """The bundled pendulum driven about, with what its drive hides; read as coarsely as real ones.
 
-    push [s]: when a hand turns it back with 3 N m that the drive does not report.
+    pushes [s]: when a hand turns it back with 3 N m that the drive does not report.
     """
     machine = load_machine("ak80_pendulum")
     spec = mujoco.MjSpec.from_file(str(machine.file))
@@ -33,7 +35,7 @@ def swung(
     rows = []
     for k in range(round(seconds / DT)):
         torque = 0.9 * np.sin(rates * k * DT + phases).sum()
-        hand = -3.0 if push is not None and 0.0 <= k * DT - push < 0.15 else 0.0
+        hand = -3.0 if any(0.0 <= k * DT - one < 0.15 for one in pushes) else 0.0
         data.qfrc_applied[0] = torque + hand
         rows.append((k * DT, data.qpos[0], data.qvel[0], torque * scale))
         mujoco.mj_step(model, data, 4)

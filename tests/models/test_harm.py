@@ -7,6 +7,7 @@ from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.design import design, without_nuisance
 from surefoot.models.attribution.diagnose import are_needed, find_harmful_effect
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
+from surefoot.models.attribution.explain import problem_of
 from surefoot.models.attribution.levels import channel_levels
 from surefoot.models.attribution.metric import metric_of
 from surefoot.models.attribution.noise_floor import noise_floor
@@ -35,7 +36,7 @@ def floor(case):
 def found(case, floor, *effects):
     known, split = linearise([case], effects, all_keys(case)), split_of([case])
     metric = metric_of([case], known, floor.error, split.fit)
-    return find_harmful_effect([case], effects, metric, floor, split)
+    return find_harmful_effect(problem_of([case], split.fit, False), effects, metric, floor, split)
 
 
 def test_what_is_there_harms_nothing(case, floor):
@@ -55,8 +56,9 @@ def test_what_is_there_is_needed_and_what_is_not_there_is_not(case, floor):
     wrong = effect("encoder_offset", "FL_thigh", 0.02)
     known, split = linearise([case], (), all_keys(case)), split_of([case])
     metric = metric_of([case], known, floor.error, split.fit)
-    assert are_needed([case], (TRUTH,), (), metric, floor, split)
-    assert not are_needed([case], (TRUTH, wrong), (TRUTH,), metric, floor, split)
+    problem = problem_of([case], split.fit, False)
+    assert are_needed(problem, (TRUTH,), (), metric, floor, split)
+    assert not are_needed(problem, (TRUTH, wrong), (TRUTH,), metric, floor, split)
 
 
 def test_bins_that_were_not_there_before_do_no_harm(case, floor):

@@ -5,8 +5,17 @@ import pandas as pd
 import pytest
 from pendulum import swung
 
-from surefoot.models.attribution.evidence import _Linear, all_keys, log_under_model, table_of
+from surefoot.models.attribution.design import design
+from surefoot.models.attribution.evidence import (
+    _Linear,
+    all_keys,
+    linearise,
+    log_under_model,
+    table_of,
+)
+from surefoot.models.attribution.model_error import OF_MEAN, at_middles
 from surefoot.models.attribution.sensor_noise import reading_noise
+from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log, Meta
@@ -58,3 +67,16 @@ def test_the_floor_of_readings_is_what_their_noise_leaves():
     left = table_of(case, ())[:, layout_for(PENDULUM.limbs).of("joint_torque", "joint_rate")]
     floor = reading_noise([case])[layout_for(PENDULUM.limbs).of("joint_torque", "joint_rate")]
     np.testing.assert_allclose(floor, np.nanstd(left, axis=0), rtol=0.15)
+
+
+def test_pushes_have_no_weight_though_all_sizes_together_could_explain_them():
+    """A scale of the torques and the masses at -100 % leave nothing of any reading."""
+    pushes = (1.0, 3.5, 6.0, 8.5)
+    case = log_under_model(swung(scale=1.1, pushes=pushes), PENDULUM)
+    known = at_middles(linearise([case], (), all_keys(case), evaluation_channels=False))
+    weights = robust_weights(design(known), OF_MEAN * reading_noise([case]))
+    weight = weights.weight[:, known.layout.of("joint_torque")[0]]
+    weight, t = weight[weight > 0.0], known.t[weight > 0.0]
+    nearest = [weight[np.argmin(np.abs(t - one - 0.075))] for one in pushes]
+    assert max(nearest) < 0.1
+    assert np.median(weight) == 1.0
