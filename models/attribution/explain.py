@@ -408,7 +408,10 @@ def explain(
         state, chosen = _settled(state, better)
     if problem.several:
         # Residuals are reported with the zeros that are compensated.
-        state, chosen = _settled(state, chosen.effects, moved=ZERO_SETTLED)
+        before = chosen.effects
+        state, chosen = _settled(state, before, moved=ZERO_SETTLED)
+        why = "the logs' own zeros explain it, once they are fitted closely"
+        dropped += [(e, why) for e in before if (e.name, e.target) not in chosen.keys]
     return Explanation(
         found=_with_intervals(state, chosen, left(chosen.effects, chosen.keys)),
         imitated=imitated & frozenset(chosen.keys),

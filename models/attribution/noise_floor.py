@@ -6,7 +6,7 @@ what remains when the model lacks nothing.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +53,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log.schema import group_columns
-from surefoot.sim.robot.limbs import QUADRUPED, Limbs
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
@@ -192,13 +192,22 @@ class NoiseFloor:
         """Variances (k,) of the sizes that candidates seem to have in the walks beyond those which
         these have, as far as noise hardly explains them; zeros without walks.
         """
+        known = self._variances.get(tuple(keys))
+        if known is not None:
+            return known
         if not self.walks or not keys:
             return np.zeros(len(keys))
         sigma = noise_of(self.error, layout_for(self.walks[0].case.robot.limbs))
         sizes, noise = zip(*(one.apparent_sizes(keys, sigma) for one in self.walks), strict=True)
         n = len(self.walks)
         by_chance = chi2.ppf(0.95, n) / n * np.mean(noise, axis=0)
-        return np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0)
+        found = np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0)
+        return self._variances.setdefault(tuple(keys), found)
+
+    @cached_property
+    def _variances(self) -> dict[tuple[Key, ...], np.ndarray]:
+        """Results of `apparent_variances`, which a search asks for again and again."""
+        return {}
 
 
 def left_deviations(plain: NoiseFloor, floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
@@ -244,7 +253,7 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     )
     layout = layout_for(first.robot.limbs)
     if walks := _floor_walks(plan):
-        error = _error_of(walks, layout.limbs) or _no_error(_noise_of(walks), layout)
+        error = _error_of(plan) or _no_error(_noise_of(walks), layout)
         return _floor_of_walks(walks, error, plan)
     sigma = data_sheet_noise(first.log.rate, layout, plan.evenness)
     source = "data sheets of the declared sensors"
@@ -327,9 +336,10 @@ def _noise_of(walks: Sequence[FloorWalk]) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _error_of(walks: tuple[FloorWalk, ...], limbs: Limbs) -> ModelError | None:
-    """Error of the declared model, as these walks of it show it; None if they are too few."""
-    return model_error([one.sums() for one in walks], limbs)
+def _error_of(plan: FloorPlan) -> ModelError | None:
+    """Error of the declared model, as the walks of a plan show it; None if they are too few."""
+    walks = _floor_walks(plan)
+    return model_error([one.sums() for one in walks], walks[0].case.robot.limbs)
 
 
 def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
