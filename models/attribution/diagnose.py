@@ -281,7 +281,8 @@ def diagnose(
     # Residuals before and after, and where outside forces act, which is left out of the verdict.
     problem = replace(problem, cases=[run.case for run in runs])
     sides = _residuals(problem, effects, result.metric, floors.last, split.fit)
-    pushes = outside_forces(problem.cases, sides.after, sides.evidence)
+    averaged_over = MEAN_WINDOW if problem.by_windows else BIN
+    pushes = outside_forces(problem.cases, sides.after, sides.evidence, averaged_over)
     pushed = pushed_bins(problem.cases, sides.evidence, pushes)
     gone = [f for f in found if pushes and not _still_explains(f.effect, effects, sides, pushed)]
     found = tuple(f for f in found if f not in gone)
@@ -346,7 +347,7 @@ def diagnose(
         ),
         unexplained=unexplained,
         model_error=_error_of(cases, effects) if several else None,
-        averaged_over=MEAN_WINDOW if problem.by_windows else BIN,
+        averaged_over=averaged_over,
     )
 
 

@@ -6,8 +6,8 @@ measured torque, and the velocity from kinematics and the reference. A foot that
 lower bound of mu.
 
 Where a hand, a cable or a wall pushes the robot, the feet's forces differ from what the base's
-motion requires (`base_wrench`), for a while and not at every stride; an error of the robot's model
-recurs with its gait or motion.
+motion requires (`base_wrench`), on a fixed base the torques from what the joints' motion requires,
+for a while and not at every stride; an error of the robot's model recurs with its gait or motion.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,8 @@ from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.evidence import Evidence, LogUnderModel
 from surefoot.models.attribution.weights import SLOWEST_SLIP
 from surefoot.models.bootstrap import BLOCK_SECONDS, block_bootstrap_counts
-from surefoot.models.residuals.binning import at_rows, base_motion
+from surefoot.models.residuals.binning import BIN, at_rows, base_motion
+from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import effect
@@ -61,7 +62,9 @@ ground, 0.12 on soft ground and more on compliant legs (walks of the models of f
 PUSH_OUTLIER = 6.0
 """Robust deviations above its median from which the residual force on the base is external."""
 PUSH_SHARE = 0.03
-"""Smallest outside force, as a share of the weight: 9 N for 32 kg."""
+"""Smallest outside force, as a share of the weight: 9 N for 32 kg; on a fixed base, smallest torque,
+as a share of the joint's largest.
+"""
 PUSH_GAP = 0.5
 """Gap from which two outside forces are separate, and margin around one in which it may act [s]."""
 SHORTEST_PUSH = 0.1
@@ -242,22 +245,25 @@ class Push:
         log: index of the log, from 0.
         begin: start [s since the log's first row].
         end: end [s since the log's first row].
-        force: its maximum [N].
+        force: its maximum [unit]; of a machine on a fixed base, the torque at a joint.
+        unit: N or N m.
     """
 
     log: int
     begin: float
     end: float
     force: float
+    unit: str
 
     def in_words(self) -> str:
         """A phrase such as 'outside forces of up to 21 N from 4.0 to 5.1 s of run 1'."""
         when = f"from {self.begin:.1f} to {self.end:.1f} s of run {self.log + 1}"
-        return f"outside forces of up to {self.force:.2g} N {when}"
+        size = f"{self.force:.2g} N" if self.unit == "N" else f"{self.force:.2g} N m at a joint"
+        return f"outside forces of up to {size} {when}"
 
 
 def outside_forces(
-    cases: Sequence[LogUnderModel], left: np.ndarray, known: Evidence
+    cases: Sequence[LogUnderModel], left: np.ndarray, known: Evidence, averaged_over: float
 ) -> tuple[Push, ...]:
     """Find outside forces in the residual of logs.
 
@@ -267,35 +273,64 @@ def outside_forces(
         cases: the logs under the model.
         left: residual (M, W) with the effects found compensated; NaN where there is none.
         known: evidence whose columns and bins these are.
+        averaged_over: time over which a residual is averaged [s].
     """
     pushes: list[Push] = []
-    if "base_wrench" not in known.layout:
-        return ()
-    columns, feet = known.layout.of("base_wrench")[:3], known.layout.by_leg("leg_velocity")
     for number, case in enumerate(cases):
         own = known.log == number
-        force = np.linalg.norm(left[own][:, columns], axis=1)
-        # In standing, the feet share the load differently; judge whichever of the two is more
-        # common.
-        stands = np.isfinite(known.table[own][:, feet]).all(axis=(1, 2))
-        walks = ~stands if stands.mean() < 0.5 else stands
-        there = np.flatnonzero(np.isfinite(force) & walks)
-        if case.robot.legged is None or len(there) == 0:
+        of_kind = _torques_beyond if case.fixed else _force_on_base
+        force, share, unit = of_kind(case, left[own], known.layout, known.table[own])
+        there = np.flatnonzero(np.isfinite(share))
+        if len(there) == 0:
             continue
-        t, force = known.t[own][there] - case.log.t[0], force[there]
-        middle = np.median(force)
-        spread = 1.4826 * np.median(np.abs(force - middle))
-        least = PUSH_SHARE * case.robot.legged.mass * GRAVITY
-        rows = np.flatnonzero(force > max(middle + PUSH_OUTLIER * spread, least))
-        apart = np.flatnonzero(np.diff(t[rows]) > PUSH_GAP) + 1
+        t, force, share = known.t[own][there] - case.log.t[0], force[there], share[there]
+        middle = np.median(share)
+        spread = 1.4826 * np.median(np.abs(share - middle))
+        rows = np.flatnonzero(share > max(middle + PUSH_OUTLIER * spread, PUSH_SHARE))
+        apart, half = np.flatnonzero(np.diff(t[rows]) > PUSH_GAP) + 1, 0.5 * (averaged_over - BIN)
         found = [
-            Push(number, float(t[one[0]]), float(t[one[-1]]), float(force[one].max()))
-            for one in (np.split(rows, apart) if len(rows) else ())
-            if t[one[-1]] - t[one[0]] >= SHORTEST_PUSH
+            Push(
+                number, float(t[i] - half), float(t[j] + half), float(force[i : j + 1].max()), unit
+            )
+            for i, j in ((one[0], one[-1]) for one in np.split(rows, apart) if len(one))
+            if t[j] - t[i] + 2.0 * half >= SHORTEST_PUSH
         ]
         if sum(one.end - one.begin for one in found) < PUSHED_SHARE * np.ptp(t):
             pushes += found
     return tuple(pushes)
+
+
+def _force_on_base(
+    case: LogUnderModel, left: np.ndarray, layout: Layout, table: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Residual force on the base of a walking robot: its magnitude (M,), share of the weight (M,),
+    and unit.
+    """
+    none = np.full(len(left), np.nan)
+    if case.robot.legged is None or "base_wrench" not in layout:
+        return none, none, "N"
+    force = np.linalg.norm(left[:, layout.of("base_wrench")[:3]], axis=1)
+    # In standing, the feet share the load differently; judge whichever of the two is more common.
+    stands = np.isfinite(table[:, layout.by_leg("leg_velocity")]).all(axis=(1, 2))
+    walks = ~stands if stands.mean() < 0.5 else stands
+    weight = case.robot.legged.mass * GRAVITY
+    return force, np.where(walks, force, np.nan) / weight, "N"
+
+
+def _torques_beyond(
+    case: LogUnderModel, left: np.ndarray, layout: Layout, table: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """The same of a machine on a fixed base: residual torque (M,) of the joint where it is the
+    largest share (M,) of the joint's peak torque.
+    """
+    none = np.full(len(left), np.nan)
+    if not case.log.has("tau"):
+        return none, none, "N m"
+    torque = np.abs(left[:, layout.of("joint_torque")])
+    peak = np.maximum(np.abs(case.log.tau).max(axis=0), 1e-9)
+    share = torque / peak
+    worst = np.argmax(np.nan_to_num(share), axis=1)[:, None]
+    return *(np.take_along_axis(one, worst, 1)[:, 0] for one in (torque, share)), "N m"
 
 
 def pushed_bins(

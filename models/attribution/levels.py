@@ -71,13 +71,6 @@ class ChannelLevel:
         return not self.evaluation_only and self.after > self.of_noise
 
     @property
-    def below_floor(self) -> bool:
-        """Whether the residual lies below the noise floor by more than the spread of its walks."""
-        if self.noise_floor is None:
-            return False
-        return self.before < self.noise_floor - (self.highest - self.noise_floor)
-
-    @property
     def worse(self) -> bool:
         """Whether compensation increases the residual on unseen data.
 

@@ -81,9 +81,6 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
             if c.may_be_above
         ]
         return ("not_identifiable" if unsure else "no_residual"), tuple(unsure)
-    below = [why for one in found if (why := _below_floor(one.effect, channels))]
-    if below:
-        return "not_identifiable", tuple(below)
     if not _gains(found, channels):
         why = "the effects found do not reduce the residual on unseen data"
         return "not_identifiable", (why,)
@@ -118,17 +115,3 @@ def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
     shown = {name for one in found for name in one.effect.channels_of(one.effect.target)}
     own = [channels[name] for name in shown if name in channels]
     return not own or any(c.after < c.before for c in own)
-
-
-def _below_floor(one: Effect, channels: dict[str, ChannelLevel]) -> str:
-    """Why an effect cannot be distinguished from noise, if all its channels are below their floors;
-    else "".
-    """
-    own = {name: channels[name] for name in one.channels_of(one.target) if name in channels}
-    if not type(one).is_compensated() or not own or not all(c.below_floor for c in own.values()):
-        return ""
-    name, c = max(own.items(), key=lambda item: item[1].before / (item[1].noise_floor or 1.0))
-    return (
-        f"{one.name} {one.target}: the residual of {name}, {c.before:.3g} {c.unit}, is below its "
-        f"noise floor of {c.noise_floor:.3g}"
-    )

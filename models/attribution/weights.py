@@ -78,13 +78,13 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     legged = len(feet) > 0
     masked = np.zeros((len(there), len(feet)), dtype=bool)
     spoiled = np.zeros(there.shape, dtype=bool)
-    sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
-    left = data.y
+    # From what stands out of the whole residual: beside it, sizes could explain a strong push.
+    left = np.where(there, data.y, np.nan)
+    sigma, weight = _noise_and_weights(layout, left, floor, there)
     for last in (False, True) if legged else (True,):
         for _ in range(ROUNDS):
             left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
-            sigma = np.maximum(floor, _pooled(layout, np.where(spoiled, np.nan, left)))
-            weight = (there & ~spoiled) * _outlier_weights(layout, left / sigma)
+            sigma, weight = _noise_and_weights(layout, left, floor, there & ~spoiled)
         if not last:
             slid, elsewhere = slips(data, left)
             masked, spoiled = slid | elsewhere, _invalidated(layout, slid, elsewhere)
@@ -194,6 +194,16 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
     sizes = np.zeros(size)
     sizes[single] = scaled_inverse(normal[np.ix_(single, single)]) @ right[single]
     return data.explained(sizes)
+
+
+def _noise_and_weights(
+    layout: Layout, left: np.ndarray, floor: np.ndarray, used: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Noise of the columns (W,), at least `floor`, and weights (M, W) of the entries of a mask
+    `used` (M, W), by what is left of them.
+    """
+    sigma = np.maximum(floor, _pooled(layout, np.where(used, left, np.nan)))
+    return sigma, used * _outlier_weights(layout, left / sigma)
 
 
 def _pooled(layout: Layout, left: np.ndarray) -> np.ndarray:

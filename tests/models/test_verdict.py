@@ -1,5 +1,7 @@
 """The verdict's rules, on made-up levels."""
 
+from dataclasses import replace
+
 import pytest
 
 from surefoot.models.attribution.effect_sizes import Found
@@ -9,7 +11,7 @@ from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_o
 from surefoot.sim.effects import effect
 
 CALF = Found(effect("link_length", "FL_calf", 0.004), (0.003, 0.005))
-PUSH = Push(log=0, begin=4.0, end=5.0, force=21.0)
+PUSH = Push(log=0, begin=4.0, end=5.0, force=21.0, unit="N")
 
 
 def level(before, after, floor=1.0, highest=1.1):
@@ -32,20 +34,17 @@ def test_what_is_left_above_the_floor_is_a_reason():
     assert why == "leg_velocity: 2 m/s is left, above its noise floor of 1"
 
 
-def test_nothing_is_attributed_below_the_floor():
-    name, (why,) = verdict([CALF], 0.6, 0.5)
-    assert name == "not_identifiable"
-    assert why.startswith("link_length FL_calf: the residual of leg_velocity")
-    # By no more than the floor's walks differ it does not; nor where one channel is above it.
-    assert verdict([CALF], 0.95, 0.9)[0] == "attributed"
-    levels = {"leg_velocity": level(0.6, 0.5), "base_wrench": level(1.5, 1.0)}
-    assert verdict_of(Findings([CALF], levels))[0] == "attributed"
-
-
 def test_nothing_is_attributed_that_takes_nothing_off_what_no_fit_has_seen():
     name, (why,) = verdict([CALF], 0.95, 0.96)
     assert name == "not_identifiable"
     assert why == "the effects found do not reduce the residual on unseen data"
+
+
+def test_what_parts_of_a_log_disagree_on_is_no_noise():
+    unsure = replace(level(4.0, 4.0), low_share=0.2, of_noise=1.5)
+    name, (why,) = verdict_of(Findings([], {"leg_velocity": unsure}))
+    assert name == "not_identifiable"
+    assert why.startswith("leg_velocity: 4 m/s is left")
 
 
 def test_a_size_at_its_bound_fails():

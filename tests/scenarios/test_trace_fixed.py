@@ -1,11 +1,13 @@
 """One drive on a bench: what its rigid model lacks is found from torque, angle and rate alone."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from driven import driven
+from pendulum import swung as pushed_pendulum
 
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.residuals.layout import layout_for
@@ -61,6 +63,20 @@ def test_a_few_seconds_of_one_drive_are_enough():
     assert found.verdict == "attributed"
     assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
     assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("hidden", [{}, {"friction": 0.3}])
+def test_pushes_are_said_with_their_times_and_make_no_effect(hidden):
+    pushes = (2.0, 5.0, 9.0)
+    found = trace_logs([pushed_pendulum(pushes=pushes, **hidden)], PENDULUM)
+    assert [one.name for one in found.effects] == ["coulomb_friction"] * len(hidden)
+    assert found.verdict == ("attributed" if hidden else "not_identifiable")
+    said = [*found.reasons, *found.notes]
+    named = [line for line in said if "outside forces" in line]
+    assert len(named) == len(pushes)
+    for line, begin in zip(named, pushes, strict=True):
+        first, last = re.findall(r"(\d+\.\d) ", line.partition("from")[2].replace(" to ", " "))[:2]
+        assert float(first) - 0.3 < begin < float(last) + 0.3
 
 
 def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():

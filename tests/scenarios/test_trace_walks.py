@@ -150,7 +150,7 @@ def test_outside_forces_are_found_where_they_act(log):
             pushed(log, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else log, ROBOT
         )
         known = linearise([case], (), ())
-        found = outside_forces([case], known.table, known)
+        found = outside_forces([case], known.table, known, BIN)
         assert len(found) == there
         for push, (begin, end) in zip(found, spans, strict=True):
             assert push.force == pytest.approx(np.hypot(25.0, 15.0), rel=0.1)
@@ -167,7 +167,7 @@ def test_what_comes_with_every_stride_is_no_outside_force(log):
     case = log_under_model(strong, ROBOT)
     known = linearise([case], (), ())
     assert np.nanstd(known.table[:, known.layout.of("base_wrench")[:3]]) > 5.0
-    assert outside_forces([case], known.table, known) == ()
+    assert outside_forces([case], known.table, known, BIN) == ()
 
 
 def test_dead_reckoning_by_the_legs_is_among_the_filters(log):
