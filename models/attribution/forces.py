@@ -62,8 +62,8 @@ ground, 0.12 on soft ground and more on compliant legs (walks of the models of f
 PUSH_OUTLIER = 6.0
 """Robust deviations above its median from which the residual force on the base is external."""
 PUSH_SHARE = 0.03
-"""Smallest outside force, as a share of the weight: 9 N for 32 kg; on a fixed base, smallest torque,
-as a share of the joint's largest.
+"""Smallest outside force, as a share of the weight: 9 N for 32 kg; on a fixed base a torque, as a
+share of the joint's largest.
 """
 PUSH_GAP = 0.5
 """Gap from which two outside forces are separate, and margin around one in which it may act [s]."""
