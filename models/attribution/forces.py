@@ -330,7 +330,8 @@ def _torques_beyond(
     peak = np.maximum(np.abs(case.log.tau).max(axis=0), 1e-9)
     share = torque / peak
     worst = np.argmax(np.nan_to_num(share), axis=1)[:, None]
-    return *(np.take_along_axis(one, worst, 1)[:, 0] for one in (torque, share)), "N m"
+    torque, share = (np.take_along_axis(one, worst, 1)[:, 0] for one in (torque, share))
+    return torque, share, "N m"
 
 
 def pushed_bins(
