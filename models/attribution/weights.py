@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.attribution.design import (
+    FREE,
     Design,
     add_block,
     nuisance_precision,
@@ -22,7 +23,7 @@ from surefoot.models.attribution.evidence import Evidence, LogUnderModel
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.torques import dilate
-from surefoot.sim.effects import Effect
+from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import joint_velocity
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 
@@ -188,9 +189,12 @@ def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarra
         right[which] += A.T @ (root * data.y[rows, column])
     # Without a prior, sizes that no machine has explain anything: a torque scale of -1 and a robot
     # without masses.
-    known, limbs = data.evidence, data.evidence.layout.limbs
-    deviations = np.array([plausible_size(*key, limbs) / 1.96 for key in known.keys])
-    normal += np.diag(np.append(deviations**-2.0, nuisance_precision(known)))
+    known, kinds = data.evidence, known_effects()
+    of_sizes = [
+        (plausible_size(*key, known.layout.limbs) / 1.96) ** -2.0 if key[0] in kinds else FREE
+        for key in known.keys
+    ]
+    normal += np.diag(np.append(of_sizes, nuisance_precision(known)))
     sizes = np.zeros(size)
     sizes[single] = scaled_inverse(normal[np.ix_(single, single)]) @ right[single]
     return data.explained(sizes)
