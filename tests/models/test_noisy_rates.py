@@ -46,7 +46,10 @@ def test_angles_serve_where_rates_are_noisier_and_nowhere_else():
     assert np.nanstd(tables[0][:, rate]) > 0.1  # the rates themselves are held against the angles
 
 
-@pytest.mark.parametrize("name", ["encoder_offset", "viscous_friction", "armature", "torque_bias"])
+@pytest.mark.parametrize(
+    "name",
+    ["encoder_offset", "viscous_friction", "armature", "torque_bias", "torque_scale"],
+)
 def test_regressors_are_the_slopes_of_the_residual(name):
     case = log_under_model(swinging(1.0), PENDULUM)
     key = next(key for key in all_keys(case) if key[0] == name)
