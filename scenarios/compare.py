@@ -17,7 +17,12 @@ from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
-from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
+from surefoot.scenarios.estimate.inputs import (
+    learnt_from,
+    not_plausible,
+    read_logs,
+    with_effects,
+)
 from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
@@ -149,9 +154,11 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
             raise SurefootError(f"{path}: another log has the same name; rename one of them")
     chosen = read_settings(settings.settings, settings.set)
     warnings = not_plausible(logs, settings.robot, settings.strict)
+    robots = [robot_of(log, settings.robot) for log in logs]
     found = []
-    for log in logs:
-        one = compare_log(log, robot_of(log, settings.robot), learnt, settings=chosen)
+    for plain, robot in zip(logs, robots, strict=True):
+        log = with_effects(plain, robot, settings.effects)
+        one = compare_log(log, robot, learnt, settings=chosen)
         found.append(replace(one, warnings=warnings.get(log.name, ())))
     if not any(one.results for one in found):
         reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]
@@ -260,6 +267,9 @@ def _walk_prose(comparison: Comparison) -> str:
             "of their samples; on dry ground they creep at "
             f"{1e3 * facts['creep']:.2f} mm/s (median)"
         )
+    if log.meta.effects:
+        named = ", ".join(f"{one['name']} {one['target']}" for one in log.meta.effects)
+        text += f". Effects in the filters' model: {named}"
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon
         text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"

@@ -54,6 +54,8 @@ class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
     """One setting as in the file of settings, which it overrides, such as noise.gyro=1e-3
     [rad/s/sqrt(Hz)].
     """
+    effects: Path | None = None
+    """File of effects (TOML) that the filters' model has, such as the effects.toml of `trace`."""
 
 
 @dataclass(frozen=True)
