@@ -51,6 +51,7 @@ class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
         from surefoot.scenarios.estimate.inputs import not_plausible
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
+        from surefoot.scenarios.trace.next_steps import TraceFiles
         from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
@@ -80,7 +81,8 @@ class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
             declared=declared,
             since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
             holdout=held_out,
-            notes=(*notes, *note_on_blocks([*read, *read_holdout])),
+            warnings=(*notes, *note_on_blocks([*read, *read_holdout])),
+            files=TraceFiles(self.logs, self.out, self.robot, self.declared, self.holdout),
         )
         with percent_bar("trace") as progress:
             found = trace(logs, robot, self.out, chosen, progress, self.force)

@@ -54,10 +54,10 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     """Estimate a log with one filter and, with `out`, write the trajectory.
 
     Returns its metrics, None where it has no reference or the filter diverged, and its health. A
-    log longer than LONG is processed in pieces, using the memory of one, unless it declares or is
-    given effects, whose compensation needs the whole log. What is implausible in its start, and that it
-    starts in motion where the filter assumes rest, is printed to stderr. Raises SurefootError
-    saying what is missing or wrong.
+    log longer than LONG is processed in pieces, using the memory of one, unless there are effects
+    to compensate, which needs the whole log. What is implausible in its start, and that it starts
+    in motion where the filter assumes rest, is printed to stderr. Raises SurefootError saying what
+    is missing or wrong.
     """
     reader = LogReader(settings.log)
     if settings.out:

@@ -62,7 +62,7 @@ def warned(
 
 
 def with_effects(log: Log, robot: Robot | None, file: Path | None) -> Log:
-    """The log, declaring the effects of a file too, so that they are compensated (`declared_model`).
+    """The log, declaring the effects of a file too: `declared_model` then compensates them.
 
     Raises SurefootError, naming the file, where it is bad, where the robot has no such part, and
     where the log declares one of the effects itself.

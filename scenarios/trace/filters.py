@@ -61,6 +61,22 @@ class BeforeAfter:
     lost: tuple[str, str] = ("", "")
 
 
+@dataclass(frozen=True)
+class DriftCauses:
+    """The leg filter's drift (`drift_parts`) and its causes.
+
+    Attributes:
+        declared: drift (3,) with the declared model.
+        added: each effect, and the drift (3,) that it adds where it alone is not compensated, the
+            largest first.
+        left: drift (3,) with all effects compensated.
+    """
+
+    declared: np.ndarray
+    added: tuple[tuple[Effect, np.ndarray], ...]
+    left: np.ndarray
+
+
 def before_and_after(
     log: Log, robot: Machine, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
@@ -131,6 +147,46 @@ def drift(truth: Trajectory, estimate: Trajectory) -> float:
     off = align_first(truth, estimate).p_GI[-1] - truth.p_GI[-1]
     length = path_length(truth.t, truth.p_GI)
     return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
+
+
+def drift_parts(truth: Trajectory, estimate: Trajectory) -> np.ndarray:
+    """Drift of height [m/m], yaw [rad/m] and distance [m/m] (3,), per length of the path, after
+    aligning the first poses; of distance, the error of the path's length. NaN as of `drift`.
+    """
+    truth, estimate = matched(truth, estimate)
+    off, length = align_first(truth, estimate), path_length(truth.t, truth.p_GI)
+    turned = off.R_GI[-1] @ truth.R_GI[-1].T
+    height, yaw = off.p_GI[-1, 2] - truth.p_GI[-1, 2], np.arctan2(turned[1, 0], turned[0, 0])
+    parts = np.array([height, yaw, path_length(off.t, off.p_GI) - length])
+    return parts / (length if length >= SEGMENT else np.nan)
+
+
+def causes_of_drift(
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect]
+) -> DriftCauses | None:
+    """What the effects contribute to the leg filter's mean drift over whole logs; None where it
+    does not run, and where a log hardly moves.
+    """
+
+    def mean(compensated: Sequence[Effect]) -> np.ndarray:
+        drifts = []
+        for case in cases:
+            log, robot = compensate_all(compensated, case.log, case.robot)
+            if part := stretch(log, log.t[0], log.t[-1]):
+                drifts.append(drift_parts(reference(part), filtered("leg", part, robot, Learnt())))
+        return np.mean(drifts, axis=0)
+
+    if not effects or any(case.fixed or not case.log.has("reference") for case in cases):
+        return None
+    try:
+        declared, left = mean(()), mean(effects)
+        added = [(one, mean([e for e in effects if e != one]) - left) for one in effects]
+    except SurefootError:  # a log lacks an input of the filter
+        return None
+    if not np.isfinite([declared, left]).all():
+        return None
+    added.sort(key=lambda item: -float(np.linalg.norm(item[1])))
+    return DriftCauses(declared, tuple(added), left)
 
 
 def dead_reckoned(log: Log, feet: Feet) -> Trajectory:
