@@ -47,7 +47,9 @@ def headline(found: Trace) -> str:
     """The result in one sentence."""
     effects = [_sized(one, found.unit_of(one.name, one.target)) for one in found.effects]
     several = f"{', '.join(effects[:-1])} and {effects[-1]}" if effects[1:] else "".join(effects)
-    return VERDICTS[found.verdict].format(several)
+    words = VERDICTS[found.verdict].format(several)
+    part = found.verdict == "none_of_these" and effects
+    return f"{words}; {len(effects)} of them explain a part" if part else words
 
 
 def size_in_words(found: Found, unit: str) -> str:
@@ -196,20 +198,21 @@ def least_changes(found: Trace) -> list[str]:
 
 
 def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
-    """A line for each channel that changes or is above its floor, and one for all others."""
-    changed = {
-        name: c
-        for name, c in channels.items()
-        if not c.at_floor or c.worse or abs(c.after - c.before) > _SAME * c.before
-    }
-    width = max(map(len, changed), default=0)
-    lines = [
-        f"  {name:{width}s} {c.before:.3g} -> {c.after:.3g} {c.unit}, noise floor "
-        f"{'unknown' if c.noise_floor is None else format(c.noise_floor, '.3g')}: {state_of(c)}"
-        for name, c in changed.items()
-    ]
-    same = [name for name in channels if name not in changed]
-    return [*lines, f"  at their floor as before: {', '.join(same)}"] if same else lines
+    """A line for each channel that changes or is above its floor, and one for others in a state."""
+    shown = {name: c for name, c in channels.items() if not c.at_floor or c.worse or _moved(c)}
+    width, lines, others = max(map(len, shown), default=0), [], {}
+    for name, c in channels.items():
+        if name not in shown:
+            others.setdefault(state_of(c), []).append(name)
+            continue
+        floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
+        change = f"{c.before:.3g} -> {c.after:.3g} {c.unit}"
+        lines.append(f"  {name:{width}s} {change}, noise floor {floor}: {state_of(c)}")
+    return lines + [f"  as before, {state}: {', '.join(names)}" for state, names in others.items()]
+
+
+def _moved(level: ChannelLevel) -> bool:
+    return abs(level.after - level.before) > _SAME * level.before
 
 
 def _filter_lines(filters: Filters) -> list[str]:
