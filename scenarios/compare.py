@@ -147,18 +147,19 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
     """
     refuse_full(settings.out, settings.force)
     learnt = learnt_from(settings.observer, settings.bounds)
-    logs = read_logs(settings.logs)
+    logs = [
+        with_effects(log, robot_of(log, settings.robot), settings.effects)
+        for log in read_logs(settings.logs)
+    ]
     names = [log.name for log in logs]
     for path, name in zip(settings.logs, names, strict=True):
         if names.count(name) > 1:
             raise SurefootError(f"{path}: another log has the same name; rename one of them")
     chosen = read_settings(settings.settings, settings.set)
     warnings = not_plausible(logs, settings.robot, settings.strict)
-    robots = [robot_of(log, settings.robot) for log in logs]
     found = []
-    for plain, robot in zip(logs, robots, strict=True):
-        log = with_effects(plain, robot, settings.effects)
-        one = compare_log(log, robot, learnt, settings=chosen)
+    for log in logs:
+        one = compare_log(log, robot_of(log, settings.robot), learnt, settings=chosen)
         found.append(replace(one, warnings=warnings.get(log.name, ())))
     if not any(one.results for one in found):
         reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]

@@ -125,6 +125,29 @@ class AlignSettings(OutputSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class TraceInputs(RobotSettings):
+    """What a trace takes besides its logs."""
+
+    declared: Path | None = None
+    """File of effects (TOML, such as the effects.toml of an earlier trace) to include in the model,
+    so that only what has changed since is found. Encoder zeros, sensor biases and the reference's
+    clock are fitted to each log.
+    """
+    holdout: tuple[Path, ...] = ()
+    """Further logs of the same robot, used by no fit, on which the result is checked."""
+
+
+@dataclass(frozen=True)
+class TraceSettings(TraceInputs, CheckedSettings, OutputSettings):
+    """Files of a trace, as `scenarios.trace.next_steps` names them in commands."""
+
+    logs: tuple[Path, ...]
+    """Logs of one robot, traced together."""
+    out: Path
+    """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class WorkerSettings:
     """Parallel work."""
 

@@ -9,13 +9,14 @@ from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.scenarios.settings import (
-    CheckedSettings,
     GridSettings,
     LearntSettings,
     LoopSettings,
     OutputSettings,
     RealismSettings,
     RobotSettings,
+    TraceInputs,
+    TraceSettings,
     TuneSettings,
 )
 from surefoot.sim.common.errors import SurefootError, check_known
@@ -37,13 +38,9 @@ class Demo(OutputSettings):
 
 
 @options.command
-class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
+class TraceCommand(TraceSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
-    logs: tuple[Path, ...]
-    """Logs of one robot, traced together."""
-    out: Path
-    """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
     seed: int = 0
     """Seed of the bootstrap from which the intervals are computed."""
 
@@ -51,7 +48,6 @@ class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
         from surefoot.scenarios.estimate.inputs import not_plausible
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
-        from surefoot.scenarios.trace.next_steps import TraceFiles
         from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
@@ -82,7 +78,7 @@ class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
             since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
             holdout=held_out,
             warnings=(*notes, *note_on_blocks([*read, *read_holdout])),
-            files=TraceFiles(self.logs, self.out, self.robot, self.declared, self.holdout),
+            files=self,
         )
         with percent_bar("trace") as progress:
             found = trace(logs, robot, self.out, chosen, progress, self.force)
@@ -91,7 +87,7 @@ class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
 
 
 @options.command
-class LoopCommand(LoopSettings, options.TraceInputs):
+class LoopCommand(LoopSettings, TraceInputs):
     """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
     log: Path

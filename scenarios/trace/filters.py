@@ -165,28 +165,46 @@ def causes_of_drift(
     cases: Sequence[LogUnderModel], effects: Sequence[Effect]
 ) -> DriftCauses | None:
     """What the effects contribute to the leg filter's mean drift over whole logs; None where it
-    does not run, and where a log hardly moves.
+    does not run, and where the logs hardly move.
     """
+    judging = _judging(cases)
 
     def mean(compensated: Sequence[Effect]) -> np.ndarray:
-        drifts = []
-        for case in cases:
-            log, robot = compensate_all(compensated, case.log, case.robot)
-            if part := stretch(log, log.t[0], log.t[-1]):
-                drifts.append(drift_parts(reference(part), filtered("leg", part, robot, Learnt())))
-        return np.mean(drifts, axis=0)
+        tried = [_by_legs(case, compensated, case.log.t[0], case.log.t[-1]) for case in judging]
+        drifts = [drift_parts(truth, one["leg"]) for truth, one in tried if "leg" in one]
+        return np.mean(drifts, axis=0) if drifts else np.full(3, np.nan)
 
-    if not effects or any(case.fixed or not case.log.has("reference") for case in cases):
+    declared, left = mean(()), mean(effects)
+    if not effects or not np.isfinite([declared, left]).all():
         return None
-    try:
-        declared, left = mean(()), mean(effects)
-        added = [(one, mean([e for e in effects if e != one]) - left) for one in effects]
-    except SurefootError:  # a log lacks an input of the filter
-        return None
-    if not np.isfinite([declared, left]).all():
-        return None
+    added = [(one, mean([e for e in effects if e != one]) - left) for one in effects]
     added.sort(key=lambda item: -float(np.linalg.norm(item[1])))
     return DriftCauses(declared, tuple(added), left)
+
+
+def _judging(cases: Sequence[LogUnderModel]) -> list[LogUnderModel]:
+    """The walks on which leg odometry can be judged. How far given feet roll is not known."""
+    return [
+        case
+        for case in cases
+        if not (case.fixed or case.by_feet) and case.log.has("imu") and case.log.has("reference")
+    ]
+
+
+def _by_legs(
+    case: LogUnderModel, compensated: Sequence[Effect], begin: float, end: float
+) -> tuple[Trajectory, dict[str, Trajectory]]:
+    """Reference, and estimates by leg odometry and by the leg filter, as far as they run, on the
+    part of a log from `begin` to `end` [s] with these effects compensated.
+    """
+    log, robot = compensate_all(compensated, case.log, case.robot)
+    part, feet, tried = stretch(log, begin, end), shown_feet(log, robot.feet), {}
+    if part is None or feet is None or not (part.has("contact") and part.contact.any()):
+        return reference(log), tried
+    tried[DEAD_RECKONING] = dead_reckoned(part, feet)
+    with suppress(SurefootError):  # the log lacks an input of the filter
+        tried["leg"] = filtered("leg", part, robot, Learnt())
+    return reference(part), tried
 
 
 def dead_reckoned(log: Log, feet: Feet) -> Trajectory:
@@ -247,9 +265,7 @@ def harmful_to_filters(
     """
     parts = [
         (case, *ends)
-        for case in cases
-        # How far given feet roll is not known, so they do not judge.
-        if not (case.fixed or case.by_feet) and case.log.has("imu") and case.log.has("reference")
+        for case in _judging(cases)
         for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], LOG_PARTS + 1))
     ]
 
@@ -257,13 +273,7 @@ def harmful_to_filters(
         """Logarithm of the RPE of each part (n,), by filter."""
         found: dict[str, list[float]] = {}
         for case, begin, end in parts:
-            log, robot = compensate_all(compensated, case.log, case.robot)
-            part, feet = stretch(log, begin, end), shown_feet(log, robot.feet)
-            if part is None or feet is None or not (part.has("contact") and part.contact.any()):
-                continue
-            truth, tried = reference(part), {DEAD_RECKONING: dead_reckoned(part, feet)}
-            with suppress(SurefootError):  # the log lacks an input of the filter
-                tried["leg"] = filtered("leg", part, robot, Learnt())
+            truth, tried = _by_legs(case, compensated, begin, end)
             for name, estimate in tried.items():
                 error = evaluate(truth, estimate).rpe_trans
                 found.setdefault(name, []).append(np.log(max(error, 1e-12)))

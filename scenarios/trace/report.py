@@ -1,7 +1,7 @@
 """Output files of `surefoot trace`: trace.json, effects.toml, a report and a recording."""
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,14 @@ from surefoot.models.residuals.channels import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
 from surefoot.scenarios.reporting.plotting import label_decades, legend_below, single_axes
-from surefoot.scenarios.reporting.tables import Table, cell
-from surefoot.scenarios.trace.filters import DEAD_RECKONING, HARM, REPORTED
-from surefoot.scenarios.trace.result import Filters, Trace
+from surefoot.scenarios.reporting.tables import Table
+from surefoot.scenarios.trace.filters import REPORTED
+from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.words import (
     DRIFT_PARTS,
+    FIRST,
     beyond_bounds,
+    filter_rows,
     headline,
     ranked_notes,
     state_of,
@@ -32,10 +34,6 @@ from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot.machine import Machine
 
-_OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
-"""Metrics of dead reckoning, which takes its attitude from the reference and has no covariance."""
-_FIRST = ("drift", "ape_trans", "rpe_trans", "nees_position")
-"""Metrics of a filter that are shown at once."""
 _CANDIDATES = 8
 """Number of candidates shown of each round."""
 
@@ -115,7 +113,7 @@ def _of_filters(found: Trace) -> list[Section]:
         else "Over the end of each log, which is partly fitted; --holdout LOG checks on other logs"
     )
     words = f"{where}. Before: the declared model. After: with the effects found."
-    rows = _filter_rows(found.judged_filters, _FIRST)
+    rows = filter_rows(found.judged_filters, FIRST)
     parts = _given("Filters before and after", [words], rows)
     if found.causes:
         drifts = {
@@ -134,23 +132,6 @@ def _of_filters(found: Trace) -> list[Section]:
         )
         parts.append(Section("Causes of the drift", words, table))
     return parts
-
-
-def _filter_rows(filters: Filters, metrics: Collection[str]) -> list[dict[str, Any]]:
-    """One row per filter: errors before and after, and whether those of the position grew."""
-    rows: list[dict[str, Any]] = []
-    for name, sides in filters.items():
-        before, after = sides["before"], sides["after"]
-        row = {
-            REPORTED[key]: f"{cell(before[key], 4)} → {cell(after[key], 4)}"
-            for key in metrics
-            if key in _OF_POSITION or name != DEAD_RECKONING
-        }
-        ratios = [after[key] / before[key] for key in _OF_POSITION if before[key] > 0.0]
-        grew, fell = any(x > HARM for x in ratios), any(x < 1.0 / HARM for x in ratios)
-        effect = {(1, 0): "worse", (0, 1): "better", (1, 1): "mixed"}.get((grew, fell), "same")
-        rows.append({"filter": name.replace("_", " "), **row, "": effect})
-    return rows
 
 
 def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> list[Section]:
@@ -173,7 +154,7 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         for one in sorted(ones, key=lambda c: -c.share)[:_CANDIDATES]
     ]
     left = [*beyond_bounds(found), *unexplained_in_words(found)]
-    every = _filter_rows(found.judged_filters, REPORTED)
+    every = filter_rows(found.judged_filters, REPORTED)
     return [
         *_given("What the remaining residual correlates with", left),
         *_given("What these logs cannot show", lacking),

@@ -13,6 +13,7 @@ from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.model_error import ModelError, model_error_from_dict
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
+from surefoot.scenarios.settings import TraceSettings
 from surefoot.scenarios.trace.filters import (
     HARM,
     BeforeAfter,
@@ -22,7 +23,7 @@ from surefoot.scenarios.trace.filters import (
     mean_metrics,
 )
 from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks
-from surefoot.scenarios.trace.next_steps import TraceFiles, next_steps
+from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import motion_to_distinguish
@@ -50,7 +51,7 @@ class TraceOptions(DiagnosisOptions):
 
     learnt: Learnt = field(default_factory=Learnt)
     warnings: tuple[str, ...] = ()
-    files: TraceFiles | None = None
+    files: TraceSettings | None = None
 
 
 def trace(

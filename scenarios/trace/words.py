@@ -1,8 +1,6 @@
 """Result of a trace in sentences, for the screen and the report: what matters most comes first."""
 
-from collections.abc import Mapping, Sequence
-from functools import partial
-from math import isfinite
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +8,8 @@ import numpy as np
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.scenarios.trace.filters import DEAD_RECKONING
+from surefoot.scenarios.reporting.tables import cell
+from surefoot.scenarios.trace.filters import DEAD_RECKONING, HARM, REPORTED
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
@@ -33,6 +32,10 @@ _MUCH = 0.1
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 DRIFT_PARTS = {"height [mm/m]": 1e3, "yaw [deg/m]": np.degrees(1.0), "distance [%]": 1e2}
 """Parts of a drift (`filters.drift_parts`) as they are shown, and their factors."""
+FIRST = ("drift", "ape_trans", "rpe_trans", "nees_position")
+"""Metrics of a filter that are shown first."""
+_OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
+"""Metrics of dead reckoning, which takes its attitude from the reference and has no covariance."""
 _SAME = 0.02
 """Relative change of a residual up to which the screen does not give it a line of its own."""
 
@@ -160,7 +163,10 @@ def summary(found: Trace) -> str:
     if found.judged_filters:
         fitted = "the end of each log, which was fitted too"
         lines.append(f"filters on {where if found.held_out else fitted}:")
-        lines += _filter_lines(found.judged_filters)
+        for row in filter_rows(found.judged_filters, FIRST):
+            name, *metrics, effect = row.items()
+            changes = ", ".join(f"{metric} {change}" for metric, change in metrics)
+            lines.append(f"  {name[1]}: {changes}: {effect[1]}")
     for one in found.stretches:
         sides = zip(("before", "after"), one.lost, strict=True)
         lines += [f"  {one.log.name} {side}: {why}" for side, why in sides if why]
@@ -206,7 +212,7 @@ def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
             others.setdefault(state_of(c), []).append(name)
             continue
         floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
-        change = f"{c.before:.3g} -> {c.after:.3g} {c.unit}"
+        change = f"{c.before:.3g} → {c.after:.3g} {c.unit}"
         lines.append(f"  {name:{width}s} {change}, noise floor {floor}: {state_of(c)}")
     return lines + [f"  as before, {state}: {', '.join(names)}" for state, names in others.items()]
 
@@ -215,19 +221,21 @@ def _moved(level: ChannelLevel) -> bool:
     return abs(level.after - level.before) > _SAME * level.before
 
 
-def _filter_lines(filters: Filters) -> list[str]:
-    """A line for each filter: errors before and after."""
-    lines = []
-    for name, metrics in filters.items():
-        change = partial(_change, metrics["before"], metrics["after"])
-        ape, rpe = f"APE {change('ape_trans', 3)} m", f"RPE {change('rpe_trans', 4)} m"
-        kind = "legs alone, dead reckoning"
-        if name != DEAD_RECKONING:
-            kind = f"{name} filter"
-            ape += f", {change('ape_rot', 2)} deg"
-            rpe += f", {change('rpe_rot', 3)} deg/m"
-        lines.append(f"  {kind}: {ape}; {rpe}; drift {change('drift', 4)} m/m")
-    return lines
+def filter_rows(filters: Filters, metrics: Collection[str]) -> list[dict[str, str]]:
+    """One row per filter: metrics before and after, and whether errors of the position grew."""
+    rows: list[dict[str, str]] = []
+    for name, sides in filters.items():
+        before, after = sides["before"], sides["after"]
+        row = {
+            REPORTED[key]: f"{cell(before[key], 4)} → {cell(after[key], 4)}"
+            for key in metrics
+            if key in _OF_POSITION or name != DEAD_RECKONING
+        }
+        ratios = [after[key] / before[key] for key in _OF_POSITION if before[key] > 0.0]
+        grew, fell = any(x > HARM for x in ratios), any(x < 1.0 / HARM for x in ratios)
+        effect = {(1, 0): "worse", (0, 1): "better", (1, 1): "mixed"}.get((grew, fell), "same")
+        rows.append({"filter": name.replace("_", " "), **row, "": effect})
+    return rows
 
 
 def caution(found: Mapping[str, Any]) -> str:
@@ -237,9 +245,3 @@ def caution(found: Mapping[str, Any]) -> str:
     harm = [note for note in found["notes"] if note.endswith("with the effects found")]
     words = "caution: a residual remains, and the effects found may stand in for its cause"
     return "; ".join([words, *harm])
-
-
-def _change(before: dict[str, float], after: dict[str, float], metric: str, digits: int) -> str:
-    """A metric before and after; a dash where the walk is too short for it."""
-    shown = [f"{m[metric]:.{digits}f}" if isfinite(m[metric]) else "–" for m in (before, after)]
-    return " -> ".join(shown)
