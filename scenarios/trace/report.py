@@ -34,9 +34,6 @@ from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot.machine import Machine
 
-_CANDIDATES = 8
-"""Number of candidates shown of each round."""
-
 
 def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
     """Write the trace's files into an empty folder."""
@@ -146,13 +143,6 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         for one, why in found.rejected
     ]
     least = [_sized(found, key, size) for key, size in found.least.items()]
-    candidates = [
-        {"round": number}
-        | _sized(found, one.key, one.size)
-        | {"named from": f"{one.least:.3g}", "explains [%]": f"{100 * one.share:.1f}"}
-        for number, ones in enumerate(found.rounds, 1)
-        for one in sorted(ones, key=lambda c: -c.share)[:_CANDIDATES]
-    ]
     left = [*beyond_bounds(found), *unexplained_in_words(found)]
     every = filter_rows(found.judged_filters, REPORTED)
     return [
@@ -163,7 +153,6 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         *_given("Zeros and clocks of each run", [], zeros),
         *_given("Considered and rejected", [], rejected),
         *_given("Least changes that would have been named in 95 of 100 such logs", [], least),
-        *_given("Candidates of each round", [], candidates),
     ]
 
 

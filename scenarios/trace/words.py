@@ -50,9 +50,10 @@ def headline(found: Trace) -> str:
     """The result in one sentence."""
     effects = [_sized(one, found.unit_of(one.name, one.target)) for one in found.effects]
     several = f"{', '.join(effects[:-1])} and {effects[-1]}" if effects[1:] else "".join(effects)
-    words = VERDICTS[found.verdict].format(several)
-    part = found.verdict == "none_of_these" and effects
-    return f"{words}; {len(effects)} of them explain a part" if part else words
+    if found.verdict == "none_of_these" and effects:
+        what = "1 effect explains" if len(effects) == 1 else f"{len(effects)} effects explain"
+        return f"{what} a part of the residual, and no effect of the catalogue the rest"
+    return VERDICTS[found.verdict].format(several)
 
 
 def size_in_words(found: Found, unit: str) -> str:
@@ -164,9 +165,9 @@ def summary(found: Trace) -> str:
         fitted = "the end of each log, which was fitted too"
         lines.append(f"filters on {where if found.held_out else fitted}:")
         for row in filter_rows(found.judged_filters, FIRST):
-            name, *metrics, effect = row.items()
+            (_, name), *metrics, (_, effect) = row.items()
             changes = ", ".join(f"{metric} {change}" for metric, change in metrics)
-            lines.append(f"  {name[1]}: {changes}: {effect[1]}")
+            lines.append(f"  {name}: {changes}: {effect}")
     for one in found.stretches:
         sides = zip(("before", "after"), one.lost, strict=True)
         lines += [f"  {one.log.name} {side}: {why}" for side, why in sides if why]
@@ -234,7 +235,7 @@ def filter_rows(filters: Filters, metrics: Collection[str]) -> list[dict[str, st
         ratios = [after[key] / before[key] for key in _OF_POSITION if before[key] > 0.0]
         grew, fell = any(x > HARM for x in ratios), any(x < 1.0 / HARM for x in ratios)
         effect = {(1, 0): "worse", (0, 1): "better", (1, 1): "mixed"}.get((grew, fell), "same")
-        rows.append({"filter": name.replace("_", " "), **row, "": effect})
+        rows.append({"filter": name, **row, "": effect})
     return rows
 
 

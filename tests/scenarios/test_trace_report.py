@@ -155,7 +155,7 @@ def test_the_page_and_the_screen_say_the_same_in_the_same_order(robot):
     headings = [one.heading for one in sections(found) if not one.folded]
     assert headings[1:4] == ["What to do next", "Filters before and after", "Causes of the drift"]
     said = summary(found)
-    order = ("leg_velocity ", "next:", "leg filter: APE", "most drift", "found link_length")
+    order = ("leg_velocity ", "next:", "leg: drift", "most drift", "found link_length")
     places = [said.index(words) for words in order]
     assert places == sorted(places)
     rows = table_of(found, "Causes of the drift")
