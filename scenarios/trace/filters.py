@@ -66,10 +66,10 @@ class DriftCauses:
     """The leg filter's drift (`drift_parts`) and its causes.
 
     Attributes:
-        declared: drift (3,) with the declared model.
-        added: each effect, and the drift (3,) that it adds where it alone is not compensated, the
-            largest first.
-        left: drift (3,) with all effects compensated.
+        declared: drift (4,) with the declared model.
+        added: each effect, and the drift (4,) that it adds where it alone is not compensated; the
+            one that adds most to that of the position comes first.
+        left: drift (4,) with all effects compensated.
     """
 
     declared: np.ndarray
@@ -135,29 +135,22 @@ def _compared(
         after: estimate with the effects compensated.
     """
     metrics = evaluate(truth, before), evaluate(truth, after)
-    drifts = drift(truth, before), drift(truth, after)
+    drifts = float(drift_parts(truth, before)[0]), float(drift_parts(truth, after)[0])
     return BeforeAfter(name, log, before, after, metrics, drifts)
 
 
-def drift(truth: Trajectory, estimate: Trajectory) -> float:
-    """Error of the last position, after aligning the first poses, over the path's length [m/m]. NaN
-    for a path shorter than the segments of the relative error, such as that of a swaying robot.
-    """
-    truth, estimate = matched(truth, estimate)
-    off = align_first(truth, estimate).p_GI[-1] - truth.p_GI[-1]
-    length = path_length(truth.t, truth.p_GI)
-    return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
-
-
 def drift_parts(truth: Trajectory, estimate: Trajectory) -> np.ndarray:
-    """Drift of height [m/m], yaw [rad/m] and distance [m/m] (3,), per length of the path, after
-    aligning the first poses; of distance, the error of the path's length. NaN as of `drift`.
+    """Drift (4,) over the path's length, after aligning the first poses: size of the last error of
+    position [m/m], its height [m/m], yaw [rad/m], and error of the path's length [m/m].
+
+    NaN for a path shorter than the segments of the relative error, such as that of a swaying robot.
     """
     truth, estimate = matched(truth, estimate)
-    off, length = align_first(truth, estimate), path_length(truth.t, truth.p_GI)
-    turned = off.R_GI[-1] @ truth.R_GI[-1].T
-    height, yaw = off.p_GI[-1, 2] - truth.p_GI[-1, 2], np.arctan2(turned[1, 0], turned[0, 0])
-    parts = np.array([height, yaw, path_length(off.t, off.p_GI) - length])
+    aligned, length = align_first(truth, estimate), path_length(truth.t, truth.p_GI)
+    off, turned = aligned.p_GI[-1] - truth.p_GI[-1], aligned.R_GI[-1] @ truth.R_GI[-1].T
+    yaw = np.arctan2(turned[1, 0], turned[0, 0])
+    longer = path_length(aligned.t, aligned.p_GI) - length
+    parts = np.array([np.linalg.norm(off), off[2], yaw, longer])
     return parts / (length if length >= SEGMENT else np.nan)
 
 
@@ -172,13 +165,15 @@ def causes_of_drift(
     def mean(compensated: Sequence[Effect]) -> np.ndarray:
         tried = [_by_legs(case, compensated, case.log.t[0], case.log.t[-1]) for case in judging]
         drifts = [drift_parts(truth, one["leg"]) for truth, one in tried if "leg" in one]
-        return np.mean(drifts, axis=0) if drifts else np.full(3, np.nan)
+        return np.mean(drifts, axis=0) if drifts else np.full(4, np.nan)
 
+    if not effects:
+        return None
     declared, left = mean(()), mean(effects)
-    if not effects or not np.isfinite([declared, left]).all():
+    if not np.isfinite([declared, left]).all():
         return None
     added = [(one, mean([e for e in effects if e != one]) - left) for one in effects]
-    added.sort(key=lambda item: -float(np.linalg.norm(item[1])))
+    added.sort(key=lambda item: -item[1][0])
     return DriftCauses(declared, tuple(added), left)
 
 

@@ -30,7 +30,12 @@ _PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "
 _MUCH = 0.1
 """Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
-DRIFT_PARTS = {"height [mm/m]": 1e3, "yaw [deg/m]": np.degrees(1.0), "distance [%]": 1e2}
+DRIFT_PARTS = {
+    "position [%]": 1e2,
+    "height [mm/m]": 1e3,
+    "yaw [deg/m]": np.degrees(1.0),
+    "distance [%]": 1e2,
+}
 """Parts of a drift (`filters.drift_parts`) as they are shown, and their factors."""
 FIRST = ("drift", "ape_trans", "rpe_trans", "nees_position")
 """Metrics of a filter that are shown first."""

@@ -149,7 +149,7 @@ def test_notes_on_faults_come_first_and_the_others_are_folded():
 
 
 def test_the_page_and_the_screen_say_the_same_in_the_same_order(robot):
-    causes = DriftCauses(np.full(3, 0.02), ((LONG, np.full(3, 0.015)),), np.full(3, 0.005))
+    causes = DriftCauses(np.full(4, 0.02), ((LONG, np.full(4, 0.015)),), np.full(4, 0.005))
     found = result("attributed", causes=causes)
     found = result("attributed", causes=causes, steps=next_steps(found, FILES, robot))
     headings = [one.heading for one in sections(found) if not one.folded]
