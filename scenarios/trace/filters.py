@@ -68,7 +68,7 @@ class DriftCauses:
     Attributes:
         declared: drift (4,) with the declared model.
         added: each effect, and the drift (4,) that it adds where it alone is not compensated; the
-            one that adds most to that of the position comes first.
+            one that adds most to the relative error comes first.
         left: drift (4,) with all effects compensated.
     """
 
@@ -135,23 +135,34 @@ def _compared(
         after: estimate with the effects compensated.
     """
     metrics = evaluate(truth, before), evaluate(truth, after)
-    drifts = float(drift_parts(truth, before)[0]), float(drift_parts(truth, after)[0])
+    drifts = drift(truth, before), drift(truth, after)
     return BeforeAfter(name, log, before, after, metrics, drifts)
 
 
-def drift_parts(truth: Trajectory, estimate: Trajectory) -> np.ndarray:
-    """Drift (4,) over the path's length, after aligning the first poses: size of the last error of
-    position [m/m], its height [m/m], yaw [rad/m], and error of the path's length [m/m].
+def drift(truth: Trajectory, estimate: Trajectory) -> float:
+    """Error of the last position, after aligning the first poses, over the path's length [m/m]. NaN
+    for a path shorter than the segments of the relative error, such as that of a swaying robot.
+    """
+    truth, estimate = matched(truth, estimate)
+    off = align_first(truth, estimate).p_GI[-1] - truth.p_GI[-1]
+    length = path_length(truth.t, truth.p_GI)
+    return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
 
-    NaN for a path shorter than the segments of the relative error, such as that of a swaying robot.
+
+def drift_parts(truth: Trajectory, estimate: Trajectory) -> np.ndarray:
+    """How an estimate drifts (4,): relative position error (RPE) [m]; and after aligning the first
+    poses, over the path's length, the last errors of height [m/m] and yaw [rad/m] and that of the
+    path's length [m/m]. NaN as of `drift`.
+
+    Unlike the last position, none of these returns to zero where the path is a loop.
     """
     truth, estimate = matched(truth, estimate)
     aligned, length = align_first(truth, estimate), path_length(truth.t, truth.p_GI)
-    off, turned = aligned.p_GI[-1] - truth.p_GI[-1], aligned.R_GI[-1] @ truth.R_GI[-1].T
-    yaw = np.arctan2(turned[1, 0], turned[0, 0])
-    longer = path_length(aligned.t, aligned.p_GI) - length
-    parts = np.array([np.linalg.norm(off), off[2], yaw, longer])
-    return parts / (length if length >= SEGMENT else np.nan)
+    turned = aligned.R_GI[-1] @ truth.R_GI[-1].T
+    height, yaw = aligned.p_GI[-1, 2] - truth.p_GI[-1, 2], np.arctan2(turned[1, 0], turned[0, 0])
+    parts = np.array([height, yaw, path_length(aligned.t, aligned.p_GI) - length])
+    parts /= length if length >= SEGMENT else np.nan
+    return np.array([evaluate(truth, estimate).rpe_trans, *parts])
 
 
 def causes_of_drift(

@@ -124,9 +124,9 @@ def _of_filters(found: Trace) -> list[Section]:
             for name, x in drifts.items()
         ]
         words = (
-            "Drift of the leg filter over whole logs, per length of the path: error of the last "
-            "position, its height, yaw, and error of that length. An effect adds what the filter "
-            "drifts more where it alone is not compensated."
+            "Drift of the leg filter over whole logs: relative error over 1 m, and the last errors "
+            "of height, yaw and distance over the length of the path. An effect adds what the "
+            "filter drifts more where it alone is not compensated."
         )
         parts.append(Section("Causes of the drift", words, table))
     return parts

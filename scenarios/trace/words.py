@@ -31,7 +31,7 @@ _MUCH = 0.1
 """Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 DRIFT_PARTS = {
-    "position [%]": 1e2,
+    "RPE [mm]": 1e3,
     "height [mm/m]": 1e3,
     "yaw [deg/m]": np.degrees(1.0),
     "distance [%]": 1e2,

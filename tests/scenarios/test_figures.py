@@ -128,12 +128,12 @@ def test_residuals_stand_over_the_floor_and_what_is_not_judged_is_hollow():
         "stance_velocity": ChannelLevel(0.4, 0.2, **floor, evaluation_only=True),
     }
     (ax,) = over_floor(levels).axes
-    dots = [one for one in ax.collections if one.get_offsets().size]  # the legend's have none
-    places = np.array([one.get_offsets()[0] for one in dots]).reshape(3, 2, 2)
+    dots = [one for one in ax.collections if np.size(one.get_offsets())]  # the legend's have none
+    places = np.array([np.asarray(one.get_offsets())[0] for one in dots]).reshape(3, 2, 2)
     assert places[..., 0] == pytest.approx(np.array([[4.0, 1.0], [4.0, 2.0], [4.0, 2.0]]))
-    filled = [to_hex(one.get_facecolor()[0]) != "#ffffff" for one in dots[::2]]
+    filled = [to_hex(np.asarray(one.get_facecolor())[0]) != "#ffffff" for one in dots[::2]]
     assert filled == [True, True, False]
-    colors = [to_hex(one.get_color()) for one in ax.texts]
+    colors = [to_hex(str(one.get_color())) for one in ax.texts]
     assert colors[0] == colors[2] != colors[1]  # in red only what is above its floor
 
 

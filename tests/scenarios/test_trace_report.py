@@ -2,6 +2,7 @@
 
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -70,7 +71,7 @@ def table_of(found, heading):
 
 def test_dead_reckoning_has_no_attitude_of_its_own_to_judge():
     same = {"before": side(0.1), "after": side(0.1)}
-    filters = dict.fromkeys(("leg", DEAD_RECKONING), same)
+    filters: dict[str, Any] = {"leg": same, DEAD_RECKONING: same}
     found = Trace(verdict="no_residual", channels={}, filters=filters)
     leg, reckoned = table_of(found, "Every metric of the filters").to_dict("records")
     assert not any(pd.isna(value) for value in leg.values())
