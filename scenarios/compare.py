@@ -17,7 +17,12 @@ from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
-from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
+from surefoot.scenarios.estimate.inputs import (
+    learnt_from,
+    not_plausible,
+    read_logs,
+    with_effects,
+)
 from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
@@ -142,7 +147,10 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
     """
     refuse_full(settings.out, settings.force)
     learnt = learnt_from(settings.observer, settings.bounds)
-    logs = read_logs(settings.logs)
+    logs = [
+        with_effects(log, robot_of(log, settings.robot), settings.effects)
+        for log in read_logs(settings.logs)
+    ]
     names = [log.name for log in logs]
     for path, name in zip(settings.logs, names, strict=True):
         if names.count(name) > 1:
@@ -260,6 +268,9 @@ def _walk_prose(comparison: Comparison) -> str:
             "of their samples; on dry ground they creep at "
             f"{1e3 * facts['creep']:.2f} mm/s (median)"
         )
+    if log.meta.effects:
+        named = ", ".join(f"{one['name']} {one['target']}" for one in log.meta.effects)
+        text += f". Effects in the filters' model: {named}"
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon
         text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"

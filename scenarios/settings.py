@@ -54,6 +54,8 @@ class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
     """One setting as in the file of settings, which it overrides, such as noise.gyro=1e-3
     [rad/s/sqrt(Hz)].
     """
+    effects: Path | None = None
+    """File of effects (TOML) that the filters' model has, such as the effects.toml of `trace`."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,29 @@ class AlignSettings(OutputSettings):
     """
     most: float = 10.0
     """Largest clock offset that is searched for, in either direction [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceInputs(RobotSettings):
+    """What a trace takes besides its logs."""
+
+    declared: Path | None = None
+    """File of effects (TOML, such as the effects.toml of an earlier trace) to include in the model,
+    so that only what has changed since is found. Encoder zeros, sensor biases and the reference's
+    clock are fitted to each log.
+    """
+    holdout: tuple[Path, ...] = ()
+    """Further logs of the same robot, used by no fit, on which the result is checked."""
+
+
+@dataclass(frozen=True)
+class TraceSettings(TraceInputs, CheckedSettings, OutputSettings):
+    """Files of a trace, as `scenarios.trace.next_steps` names them in commands."""
+
+    logs: tuple[Path, ...]
+    """Logs of one robot, traced together."""
+    out: Path
+    """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
-from pathlib import Path
 from types import NoneType
 from typing import (
     Annotated,
@@ -18,8 +17,6 @@ from typing import (
 
 from tyro.conf import Positional, UseAppendAction, arg
 from tyro.extras import literal_type_from_choices
-
-from surefoot.scenarios.settings import RobotSettings
 
 C = TypeVar("C")
 
@@ -50,19 +47,6 @@ class JsonOption:
 
     json: bool = False
     """Print the results as JSON."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TraceInputs(RobotSettings):
-    """What a trace takes besides its logs."""
-
-    declared: Path | None = None
-    """File of effects (TOML, such as the effects.toml of an earlier trace) to include in the model,
-    so that only what has changed since is found. Encoder zeros, sensor biases and the reference's
-    clock are fitted to each log.
-    """
-    holdout: tuple[Path, ...] = ()
-    """Further logs of the same robot, used by no fit, on which the result is checked."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)

@@ -9,13 +9,14 @@ from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.scenarios.settings import (
-    CheckedSettings,
     GridSettings,
     LearntSettings,
     LoopSettings,
     OutputSettings,
     RealismSettings,
     RobotSettings,
+    TraceInputs,
+    TraceSettings,
     TuneSettings,
 )
 from surefoot.sim.common.errors import SurefootError, check_known
@@ -37,13 +38,9 @@ class Demo(OutputSettings):
 
 
 @options.command
-class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
+class TraceCommand(TraceSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
-    logs: tuple[Path, ...]
-    """Logs of one robot, traced together."""
-    out: Path
-    """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
     seed: int = 0
     """Seed of the bootstrap from which the intervals are computed."""
 
@@ -80,7 +77,8 @@ class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
             declared=declared,
             since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
             holdout=held_out,
-            notes=(*notes, *note_on_blocks([*read, *read_holdout])),
+            warnings=(*notes, *note_on_blocks([*read, *read_holdout])),
+            files=self,
         )
         with percent_bar("trace") as progress:
             found = trace(logs, robot, self.out, chosen, progress, self.force)
@@ -89,7 +87,7 @@ class TraceCommand(options.TraceInputs, CheckedSettings, OutputSettings):
 
 
 @options.command
-class LoopCommand(LoopSettings, options.TraceInputs):
+class LoopCommand(LoopSettings, TraceInputs):
     """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
     log: Path

@@ -19,7 +19,7 @@ from surefoot.estimator.evaluation.trajectory import (
 )
 from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
 from surefoot.scenarios.estimate.estimators import estimator_named
-from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible
+from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, with_effects
 from surefoot.scenarios.estimate.run import (
     declared_model,
     estimated_in_chunks,
@@ -54,10 +54,10 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     """Estimate a log with one filter and, with `out`, write the trajectory.
 
     Returns its metrics, None where it has no reference or the filter diverged, and its health. A
-    log longer than LONG is processed in pieces, using the memory of one, unless it declares
-    effects, whose compensation needs the whole log. What is implausible in its start, and that it
-    starts in motion where the filter assumes rest, is printed to stderr. Raises SurefootError
-    saying what is missing or wrong.
+    log longer than LONG is processed in pieces, using the memory of one, unless there are effects
+    to compensate, which needs the whole log. What is implausible in its start, and that it starts
+    in motion where the filter assumes rest, is printed to stderr. Raises SurefootError saying what
+    is missing or wrong.
     """
     reader = LogReader(settings.log)
     if settings.out:
@@ -73,10 +73,12 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     whole = reader.rows / reader.meta.rate <= LONG
     first = next(Log.chunks(reader, np.inf if whole else CHECKED))
     doubts = not_plausible([first], settings.robot, settings.strict).get(first.name, ())
-    estimator, whole = estimator_named(settings.filter), whole or bool(reader.meta.effects)
+    estimator = estimator_named(settings.filter)
+    whole = whole or bool(reader.meta.effects) or settings.effects is not None
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
-    first, robot = declared_model(first, robot_of(first, settings.robot))
+    robot = robot_of(first, settings.robot)
+    first, robot = declared_model(with_effects(first, robot, settings.effects), robot)
     starts_at_rest = not first.has("reference") and chosen.state.v_GI is None
     if starts_at_rest and chosen.start.velocity is None and (moves := start_line(first, robot)):
         print(f"note: {first.name}: {moves}", file=sys.stderr)

@@ -2,11 +2,13 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import declared_model
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
+from surefoot.sim.effects.file import load_effects
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
 from surefoot.sim.plausibility.finding import Finding
@@ -57,6 +59,26 @@ def warned(
         what = "finding" if count == 1 else "findings"
         raise SurefootError(f"strict: {count} implausible {what} in {', '.join(found)}")
     return found
+
+
+def with_effects(log: Log, robot: Robot | None, file: Path | None) -> Log:
+    """The log, declaring the effects of a file too: `declared_model` then compensates them.
+
+    Raises SurefootError, naming the file, where it is bad, where the robot has no such part, and
+    where the log declares one of the effects itself.
+    """
+    if file is None:
+        return log
+    effects = load_effects(file)
+    with errors_in(f"effects {file}"):
+        limbs = (robot or machine_for_log(log)).limbs
+        own = {(one["name"], one["target"]) for one in log.meta.effects}
+        for one in effects:
+            one.members(limbs)
+            if (one.name, one.target) in own:
+                raise SurefootError(f"{log.name} declares {one.name} of {one.target} itself")
+    declared = (*log.meta.effects, *(one.as_dict() for one in effects))
+    return replace(log, meta=replace(log.meta, effects=declared))
 
 
 def as_declared(logs: Sequence[Log]) -> list[Log]:

@@ -32,7 +32,8 @@ from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
-from surefoot.sim.robot.robot import NO_ROBOT, Robot
+from surefoot.sim.robot.machine import machine_for_log
+from surefoot.sim.robot.robot import Robot
 
 _R = TypeVar("_R", Robot, Robot | None)
 
@@ -130,11 +131,11 @@ def robot_of(log: Log, name: str | None = None) -> Robot | None:
 def declared_model(log: Log, robot: _R) -> tuple[Log, _R]:
     """The log and robot with the effects that the log declares compensated.
 
-    Raises SurefootError where it declares effects and no robot is known.
+    Raises SurefootError where it declares effects and neither a robot nor the feet are known.
     """
     effects = declared_effects(log)
     if effects and robot is None:
-        raise SurefootError(f"{log.name}: {NO_ROBOT}, whose effects it declares")
+        return compensate_all(effects, log, machine_for_log(log))[0], robot
     return compensate_all(effects, log, robot)
 
 

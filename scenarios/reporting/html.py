@@ -33,9 +33,18 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Step:
+    """Something to do, in words, and the command that does it; "" for none."""
+
+    words: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of a report. `prose` is plain text; an empty line starts a new paragraph. `level` is
-    that of the heading: 3 for a part of the last section of level 2.
+    that of the heading: 3 for a part of the last section of level 2. `steps` are numbered. One that
+    is `folded` shows its heading until it is opened.
     """
 
     heading: str
@@ -43,6 +52,8 @@ class Section:
     table: Table | None = None
     pictures: tuple[Picture, ...] = ()
     level: int = 2
+    steps: tuple[Step, ...] = ()
+    folded: bool = False
 
 
 def nested(sections: Sequence[Section]) -> list[Section]:
@@ -67,7 +78,9 @@ def write_report(
 def html_report(title: str, sections: Sequence[Section]) -> str:
     """The page that `write_report` writes."""
     links = [
-        f'<a href="#s{k}">{escape(s.heading)}</a>' for k, s in enumerate(sections) if s.level == 2
+        f'<a href="#s{k}">{escape(s.heading)}</a>'
+        for k, s in enumerate(sections)
+        if s.level == 2 and not s.folded
     ]
     parts = [
         "<!DOCTYPE html>",
@@ -87,6 +100,9 @@ def markdown_report(title: str, sections: Sequence[Section]) -> str:
     parts = [f"# {in_markdown(title)}"]
     for section in sections:
         parts += [in_markdown(heading(section)), without_tags(section.prose.strip())]
+        for number, step in enumerate(section.steps, 1):
+            command = f"\n\n       {step.command}" if step.command else ""
+            parts.append(f"{number}. {in_markdown(step.words)}{command}")
         parts.append("" if section.table is None else to_markdown(section.table))
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -97,14 +113,22 @@ def heading(section: Section) -> str:
 
 
 def _section(number: int, section: Section) -> str:
-    tag = f"h{section.level}"
-    parts = [f'<section id="s{number}"><{tag}>{escape(section.heading)}</{tag}>']
+    title = f"<h{section.level}>{escape(section.heading)}</h{section.level}>"
+    tag = "details" if section.folded else "section"
+    title = f"<summary>{title}</summary>" if section.folded else title
+    parts = [f'<{tag} id="s{number}">{title}']
     paragraphs = [p.strip() for p in section.prose.split("\n\n")]
     parts += [f"<p>{escape(p)}</p>" for p in paragraphs if p]
+    parts += ["<ol>", *map(_step, section.steps), "</ol>"] if section.steps else []
     if section.table is not None:
         parts.append(f'<div class="table">{to_html(section.table)}</div>')
     parts += [_picture(picture) for picture in section.pictures]
-    return "\n".join([*parts, "</section>"])
+    return "\n".join([*parts, f"</{tag}>"])
+
+
+def _step(step: Step) -> str:
+    command = f"<pre>{escape(step.command)}</pre>" if step.command else ""
+    return f"<li>{escape(step.words)}{command}</li>"
 
 
 def _picture(picture: Picture) -> str:

@@ -120,10 +120,11 @@ def _numeric(frame: pd.DataFrame) -> list[bool]:
 
 def _is_number(value: object) -> bool:
     """Whether a value is a number, possibly as text with additions: "0.12 ± 0.03", "80.1 (75–86)",
-    "**0.1**".
+    "**0.1**", "0.2 → 0.1".
     """
     if isinstance(value, str):
-        number = r"(\*\*)?-?[\d.]+(e-?\d+)?( ± [\d.]+)?( \([\d.–-]+\))?(\*\*)?"
+        one = r"[-+]?[\d.]+(e[-+]?\d+)?"
+        number = rf"(\*\*)?{one}( ± [\d.]+)?( \([\d.–-]+\))?( → {one})?(\*\*)?"
         return re.fullmatch(number, value) is not None
     return isinstance(value, Real) and not isinstance(value, bool)
 

@@ -61,6 +61,22 @@ class BeforeAfter:
     lost: tuple[str, str] = ("", "")
 
 
+@dataclass(frozen=True)
+class DriftCauses:
+    """The leg filter's drift (`drift_parts`) and its causes.
+
+    Attributes:
+        declared: drift (4,) with the declared model.
+        added: each effect, and the drift (4,) that it adds where it alone is not compensated; the
+            one that adds most to the relative error comes first.
+        left: drift (4,) with all effects compensated.
+    """
+
+    declared: np.ndarray
+    added: tuple[tuple[Effect, np.ndarray], ...]
+    left: np.ndarray
+
+
 def before_and_after(
     log: Log, robot: Machine, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
 ) -> list[BeforeAfter]:
@@ -133,6 +149,70 @@ def drift(truth: Trajectory, estimate: Trajectory) -> float:
     return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
 
 
+def drift_parts(truth: Trajectory, estimate: Trajectory) -> np.ndarray:
+    """How an estimate drifts (4,): relative position error (RPE) [m]; and after aligning the first
+    poses, over the path's length, the last errors of height [m/m] and yaw [rad/m] and that of the
+    path's length [m/m]. NaN as of `drift`.
+
+    Unlike the last position, none of these returns to zero where the path is a loop.
+    """
+    truth, estimate = matched(truth, estimate)
+    aligned, length = align_first(truth, estimate), path_length(truth.t, truth.p_GI)
+    turned = aligned.R_GI[-1] @ truth.R_GI[-1].T
+    height, yaw = aligned.p_GI[-1, 2] - truth.p_GI[-1, 2], np.arctan2(turned[1, 0], turned[0, 0])
+    parts = np.array([height, yaw, path_length(aligned.t, aligned.p_GI) - length])
+    parts /= length if length >= SEGMENT else np.nan
+    return np.array([evaluate(truth, estimate).rpe_trans, *parts])
+
+
+def causes_of_drift(
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect]
+) -> DriftCauses | None:
+    """What the effects contribute to the leg filter's mean drift over whole logs; None where it
+    does not run, and where the logs hardly move.
+    """
+    judging = _judging(cases)
+
+    def mean(compensated: Sequence[Effect]) -> np.ndarray:
+        tried = [_by_legs(case, compensated, case.log.t[0], case.log.t[-1]) for case in judging]
+        drifts = [drift_parts(truth, one["leg"]) for truth, one in tried if "leg" in one]
+        return np.mean(drifts, axis=0) if drifts else np.full(4, np.nan)
+
+    if not effects:
+        return None
+    declared, left = mean(()), mean(effects)
+    if not np.isfinite([declared, left]).all():
+        return None
+    added = [(one, mean([e for e in effects if e != one]) - left) for one in effects]
+    added.sort(key=lambda item: -item[1][0])
+    return DriftCauses(declared, tuple(added), left)
+
+
+def _judging(cases: Sequence[LogUnderModel]) -> list[LogUnderModel]:
+    """The walks on which leg odometry can be judged. How far given feet roll is not known."""
+    return [
+        case
+        for case in cases
+        if not (case.fixed or case.by_feet) and case.log.has("imu") and case.log.has("reference")
+    ]
+
+
+def _by_legs(
+    case: LogUnderModel, compensated: Sequence[Effect], begin: float, end: float
+) -> tuple[Trajectory, dict[str, Trajectory]]:
+    """Reference, and estimates by leg odometry and by the leg filter, as far as they run, on the
+    part of a log from `begin` to `end` [s] with these effects compensated.
+    """
+    log, robot = compensate_all(compensated, case.log, case.robot)
+    part, feet, tried = stretch(log, begin, end), shown_feet(log, robot.feet), {}
+    if part is None or feet is None or not (part.has("contact") and part.contact.any()):
+        return reference(log), tried
+    tried[DEAD_RECKONING] = dead_reckoned(part, feet)
+    with suppress(SurefootError):  # the log lacks an input of the filter
+        tried["leg"] = filtered("leg", part, robot, Learnt())
+    return reference(part), tried
+
+
 def dead_reckoned(log: Log, feet: Feet) -> Trajectory:
     """Leg odometry: the mean velocity by the standing feet, rotated by the reference's attitude and
     integrated. While no foot stands, the last velocity in the IMU's frame is held.
@@ -191,9 +271,7 @@ def harmful_to_filters(
     """
     parts = [
         (case, *ends)
-        for case in cases
-        # How far given feet roll is not known, so they do not judge.
-        if not (case.fixed or case.by_feet) and case.log.has("imu") and case.log.has("reference")
+        for case in _judging(cases)
         for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], LOG_PARTS + 1))
     ]
 
@@ -201,13 +279,7 @@ def harmful_to_filters(
         """Logarithm of the RPE of each part (n,), by filter."""
         found: dict[str, list[float]] = {}
         for case, begin, end in parts:
-            log, robot = compensate_all(compensated, case.log, case.robot)
-            part, feet = stretch(log, begin, end), shown_feet(log, robot.feet)
-            if part is None or feet is None or not (part.has("contact") and part.contact.any()):
-                continue
-            truth, tried = reference(part), {DEAD_RECKONING: dead_reckoned(part, feet)}
-            with suppress(SurefootError):  # the log lacks an input of the filter
-                tried["leg"] = filtered("leg", part, robot, Learnt())
+            truth, tried = _by_legs(case, compensated, begin, end)
             for name, estimate in tried.items():
                 error = evaluate(truth, estimate).rpe_trans
                 found.setdefault(name, []).append(np.log(max(error, 1e-12)))

@@ -40,7 +40,7 @@ from surefoot.scenarios.trace.training_walks import (
     rates_as_of,
     simulate_training,
 )
-from surefoot.scenarios.trace.words import caution, summary
+from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest
@@ -146,8 +146,6 @@ def _traced(
         with percent_bar("trace") as progress:
             found = trace([log], robot, out, options, progress, force=True)
         print(summary(found))
-        if warned := caution(found.as_dict()):
-            print(warned)
     result = json.loads((out / "trace.json").read_text(encoding="utf-8"))
     zeros = [one for run in result["runs"] for one in run if one["compensated"]]
     own = tuple(effect(one["name"], one["target"], one["value"]) for one in zeros)

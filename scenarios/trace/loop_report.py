@@ -179,20 +179,14 @@ def _three(values: Sequence[float] | np.ndarray) -> str:
 
 
 def _of_trace(found: dict[str, Any]) -> list[Section]:
-    """Sections on the channels of a trace.json."""
+    """Sections on the channels of a trace.json, of the held-out logs where there are any."""
     words = "".join(f"Because {why}.\n\n" for why in found["reasons"])
     whole = Section("The trace", f"{words}The full report is trace/report.html.")
-    parts = [("Residuals", "On the last part of the log, which no fit uses.", found["channels"])]
-    if held_out := found.get("holdout"):
-        words = "".join(f"{one}.\n\n" for one in held_out["against"])
-        words += "Logs that no fit uses."
-        parts.append(("Held-out logs", words, held_out["channels"]))
-    of_channels = [
-        Section(title, prose, [channel_row(name, level) for name, level in levels.items()])
-        for title, prose, levels in parts
-        if levels
-    ]
-    return [whole, *nested(of_channels)]
+    held_out = found.get("holdout", {})
+    unseen = "Logs" if held_out else "Blocks of the log"
+    rows = [channel_row(*one) for one in held_out.get("channels", found["channels"]).items()]
+    residuals = [Section("Residuals", f"{unseen} that no fit uses.", rows)] if rows else []
+    return [whole, *nested(residuals)]
 
 
 def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:

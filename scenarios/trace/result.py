@@ -4,7 +4,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from surefoot.models.attribution.diagnose import Diagnosis, plain
-from surefoot.scenarios.trace.filters import BeforeAfter
+from surefoot.models.attribution.explain import Candidate
+from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.scenarios.reporting.html import Step
+from surefoot.scenarios.trace.filters import BeforeAfter, DriftCauses
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
 
@@ -21,7 +24,11 @@ class Trace(Diagnosis):
         stretches: each log's estimates, over which they are averaged.
         unseen_filters: the same over whole held-out logs.
         worse: channels and filters that got worse.
+        causes: of the leg filter's drift (`scenarios.trace.filters.causes_of_drift`), on held-out
+            logs where there are any. None where that filter does not run.
+        warnings: those of the notes that say what is implausible in the logs.
         motion: what to record to distinguish rival explanations.
+        steps: what to do next.
         limbs: of the machine.
     """
 
@@ -29,8 +36,26 @@ class Trace(Diagnosis):
     stretches: tuple[BeforeAfter, ...] = ()
     unseen_filters: Filters = field(default_factory=dict)
     worse: tuple[str, ...] = ()
+    causes: DriftCauses | None = None
+    warnings: tuple[str, ...] = ()
+    steps: tuple[Step, ...] = ()
     motion: str = ""
     limbs: Limbs = field(default_factory=lambda: Limbs((), (), ()))
+
+    @property
+    def unseen_channels(self) -> dict[str, ChannelLevel]:
+        """Residuals on the held-out logs; without any, on the parts of the logs used by no fit."""
+        return self.held_out.channels if self.held_out else self.channels
+
+    @property
+    def judged_filters(self) -> Filters:
+        """Metrics of the filters on the held-out logs; without any, on the end of each log."""
+        return self.unseen_filters if self.held_out else self.filters
+
+    @property
+    def rounds(self) -> tuple[tuple[Candidate, ...], ...]:
+        """Candidates of each round of the search."""
+        return self.attribution.rounds if self.attribution else ()
 
     def unit_of(self, name: str, target: str) -> str:
         """Unit of an effect on this machine (`Effect.unit_on`)."""
@@ -46,6 +71,13 @@ class Trace(Diagnosis):
             *(zero for run in runs for zero in run),
         ):
             one["unit"] = self.unit_of(one["name"], one["target"])
+        if self.causes:
+            added = [
+                {"name": one.name, "target": one.target, "drift": drift.tolist()}
+                for one, drift in self.causes.added
+            ]
+            ends = {side: getattr(self.causes, side).tolist() for side in ("declared", "left")}
+            out["drift"] = ends | {"added": added}
         if self.held_out:
             out["holdout"]["filters"] = plain(self.unseen_filters)
         return out | {"motion": self.motion} if self.rivals else out

@@ -7,19 +7,23 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from surefoot.models.attribution.data import dead_contacts
 from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose, logs_under_model
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.model_error import ModelError, model_error_from_dict
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.run import Learnt
+from surefoot.scenarios.settings import TraceSettings
 from surefoot.scenarios.trace.filters import (
     HARM,
     BeforeAfter,
     before_and_after,
+    causes_of_drift,
     harmful_to_filters,
     mean_metrics,
 )
 from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks
+from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.scenarios.trace.words import motion_to_distinguish
@@ -41,12 +45,13 @@ class TraceOptions(DiagnosisOptions):
 
     Attributes:
         learnt: observers and bounds for the filters that need them.
-        notes: sentences about the logs, such as implausible values, that come first among the
-            trace's own.
+        warnings: about the logs, such as implausible values, which come first among the notes.
+        files: of logs and results, for the commands that the report says to run next.
     """
 
     learnt: Learnt = field(default_factory=Learnt)
-    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    files: TraceSettings | None = None
 
 
 def trace(
@@ -88,8 +93,9 @@ def trace(
     cut, cut_holdout = [in_blocks(log) for log in logs], [in_blocks(log) for log in options.holdout]
     fitted, held_out = ([block for own in runs for block in own] for runs in (cut, cut_holdout))
     found = trace_logs(fitted, robot, replace(options, holdout=held_out), progress)
-    notes = (*options.notes, *note_on_blocks([*cut, *cut_holdout]), *found.notes)
-    found = replace(found, notes=notes)
+    notes = (*note_on_blocks([*cut, *cut_holdout]), *found.notes)
+    steps = next_steps(found, options.files, robot) if options.files else ()
+    found = replace(found, notes=notes, steps=steps)
     with whole_folder(out, force) as folder:
         write_outputs(found, robot, folder)
     return found
@@ -120,13 +126,16 @@ def trace_logs(
         *(f"held out: {one}" for one in _harm(unseen_filters)),
     )
     report(1.0)
-    known = vars(replace(found, notes=found.notes + harm))
+    dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log)))
+    known = vars(replace(found, notes=(*options.warnings, *found.notes, *harm)))
     return Trace(
         **known,
         filters=filters,
         stretches=stretches,
         unseen_filters=unseen_filters,
         worse=(*(name for name, c in found.channels.items() if c.worse), *harm),
+        causes=causes_of_drift(held_out or cases, found.effects),
+        warnings=(*options.warnings, *dead),
         motion=motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else "",
         limbs=robot.limbs,
     )

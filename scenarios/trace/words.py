@@ -1,32 +1,48 @@
-"""Result of a trace in sentences, for the screen and the report."""
+"""Result of a trace in sentences, for the screen and the report: what matters most comes first."""
 
-from collections.abc import Mapping, Sequence
-from functools import partial
-from math import isfinite
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.scenarios.trace.filters import DEAD_RECKONING
+from surefoot.scenarios.reporting.tables import cell
+from surefoot.scenarios.trace.filters import DEAD_RECKONING, HARM, REPORTED
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import Effect, known_effects
 
 VERDICTS = {
-    "attributed": "traced to effects that the model lacks; the remaining residual is noise",
-    "confounded": "the residual has more than one explanation that these data cannot distinguish",
+    "attributed": "the model lacks {}; what remains of the residual is noise",
+    "confounded": "the model lacks {}, but these data cannot tell it from other effects",
     "none_of_these": "a residual remains that no effect of the catalogue explains",
     "not_identifiable": "the data cannot identify an effect",
     "no_residual": "the model explains the log down to its noise floor",
     "unchanged": "nothing has changed since the runs that the declared effects were found in",
 }
+"""The result in one sentence; `{}` stands for the effects found."""
 _MOTIONS = bundled("surefoot.scenarios.trace", "motions.toml")
 _PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
 """Kind of target (`Effect.targets`) -> plural noun."""
 _MUCH = 0.1
 """Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
+DRIFT_PARTS = {
+    "RPE [mm]": 1e3,
+    "height [mm/m]": 1e3,
+    "yaw [deg/m]": np.degrees(1.0),
+    "distance [%]": 1e2,
+}
+"""Parts of a drift (`filters.drift_parts`) as they are shown, and their factors."""
+FIRST = ("drift", "ape_trans", "rpe_trans", "nees_position")
+"""Metrics of a filter that are shown first."""
+_OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
+"""Metrics of dead reckoning, which takes its attitude from the reference and has no covariance."""
+_SAME = 0.02
+"""Relative change of a residual up to which the screen does not give it a line of its own."""
 
 
 def motion_to_distinguish(names: Sequence[str]) -> str:
@@ -35,18 +51,29 @@ def motion_to_distinguish(names: Sequence[str]) -> str:
     return "; ".join(dict.fromkeys(motions.get(name, "more varied motion") for name in names))
 
 
+def headline(found: Trace) -> str:
+    """The result in one sentence."""
+    effects = [_sized(one, found.unit_of(one.name, one.target)) for one in found.effects]
+    several = f"{', '.join(effects[:-1])} and {effects[-1]}" if effects[1:] else "".join(effects)
+    if found.verdict == "none_of_these" and effects:
+        what = "1 effect explains" if len(effects) == 1 else f"{len(effects)} effects explain"
+        return f"{what} a part of the residual, and no effect of the catalogue the rest"
+    return VERDICTS[found.verdict].format(several)
+
+
 def size_in_words(found: Found, unit: str) -> str:
     """An effect with its size and interval, in a suitable multiple of its unit.
 
     For example 'encoder_offset FL_thigh +19.8 mrad (95 % interval +19.1 .. +20.4)'.
     """
-    one = found.effect
-    factor, unit = _SCALE.get(unit, (1.0, unit))
+    factor, _ = _SCALE.get(unit, (1.0, unit))
     low, high = (factor * x for x in found.interval)
-    return (
-        f"{one.name} {target_in_words(one)} {factor * one.value:+.3g} {unit} "
-        f"(95 % interval {low:+.3g} .. {high:+.3g})"
-    )
+    return f"{_sized(found.effect, unit)} (95 % interval {low:+.3g} .. {high:+.3g})"
+
+
+def _sized(one: Effect, unit: str) -> str:
+    factor, unit = _SCALE.get(unit, (1.0, unit))
+    return f"{one.name} {target_in_words(one)} {factor * one.value:+.3g} {unit}"
 
 
 def sizes_in_words(found: Trace, ones: Sequence[Found]) -> list[str]:
@@ -72,10 +99,10 @@ def target_in_words(one: Effect) -> str:
 def unexplained_in_words(found: Trace) -> list[str]:
     """The three strongest correlations of the unexplained residual, one line each."""
     return [
-        f"  {100 * r.share:.0f} % of the remaining residual in {r.channel} {r.column} is explained "
+        f"{100 * r.share:.0f} % of the remaining residual in {r.channel} {r.column} is explained "
         f"by {', '.join(r.regressors)}"
         if r.regressors
-        else f"  no regressor explains the remaining residual in {r.channel} {r.column}"
+        else f"no regressor explains the remaining residual in {r.channel} {r.column}"
         for r in found.unexplained[:3]
     ]
 
@@ -84,10 +111,9 @@ def beyond_bounds(found: Trace) -> list[str]:
     """The two effects that would explain most of the remaining residual, but only with impossible
     sizes, one line each; none if the trace explains the log.
     """
-    if found.verdict != "none_of_these" or found.attribution is None:
+    if found.verdict != "none_of_these" or not found.rounds:
         return []
-    first = found.attribution.rounds[0] if found.attribution.rounds else ()
-    out = [c for c in first if c.at_bound and c.share > _MUCH]
+    out = [c for c in found.rounds[0] if c.at_bound and c.share > _MUCH]
     lines = []
     for one in sorted(out, key=lambda c: -c.share)[:2]:
         kind = known_effects()[one.key[0]]
@@ -95,44 +121,74 @@ def beyond_bounds(found: Trace) -> list[str]:
         factor, unit = _SCALE.get(unit, (1.0, unit))
         low, high = (factor * x for x in kind.bounds_on(found.limbs, one.key[1]))
         lines.append(
-            f"  {one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
+            f"{one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
             f"{100 * one.share:.0f} % of the residual, but its bounds are {low:.3g} and "
             f"{high:.3g}"
         )
     return lines
 
 
+def state_of(level: ChannelLevel) -> str:
+    """What a channel's residual says of the model."""
+    if level.worse:
+        return "worse"
+    if level.evaluation_only:
+        return "for evaluation only"
+    return "at its floor" if level.at_floor else "above its floor"
+
+
+def ranked_notes(found: Trace) -> tuple[list[str], list[str], list[str]]:
+    """Notes on faults of the logs and the result; on what the logs cannot show; on assumptions."""
+    urgent = {*found.channels, "excluded from the verdict", *found.warnings, *found.worse}
+    first, lacking, assumed = [], [], []
+    if "leg_velocity" in found.channels:
+        assumed.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
+    if found.channels:
+        assumed.append(f"noise floor: {found.floor}")
+    for note in dict.fromkeys(one for one in found.notes if one not in found.reasons):
+        without = any(words in note for words in (LACKING, "not used", "not identifiable"))
+        of_result = {note, note.partition(":")[0]} & urgent
+        (first if of_result else lacking if without else assumed).append(note)
+    return first, lacking, assumed
+
+
 def summary(found: Trace) -> str:
-    """The output of `surefoot trace`."""
-    lines = [f"verdict: {found.verdict}: {VERDICTS[found.verdict]}"]
+    """The output of `surefoot trace`, in the order of the report."""
+    lines = [f"verdict: {found.verdict}: {headline(found)}"]
     lines += [f"  because {why}" for why in found.reasons]
-    lines += [f"  lacks {one}" for one in sizes_in_words(found, found.found)]
-    for number, run in enumerate(found.runs, 1):
-        own = [one for one in run.zeros if one.effect in run.compensated]
-        lines += [f"  run {number} has {one}" for one in sizes_in_words(found, own)]
     lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
     if found.rivals:
         lines.append(f"  to distinguish them: {found.motion}")
-    lines += beyond_bounds(found)
-    lines += unexplained_in_words(found)
-    lines += least_changes(found)
+    where = "held-out logs, used by no fit" if found.held_out else "the parts used by no fit"
     if found.channels:
-        over = f"{1e3 * found.averaged_over:.0f} ms"
-        lines.append(
-            f"residual on the part used by no fit (root mean square of means over {over}):"
-        )
-        lines += _channel_lines(found.channels) + _filter_lines(found.filters)
-        for one in found.stretches:
-            sides = zip(("before", "after"), one.lost, strict=True)
-            lines += [f"  {one.log.name} {side}: {why}" for side, why in sides if why]
-    if found.held_out:
-        lines.append("on held-out logs, used by no fit:")
-        lines += _channel_lines(found.held_out.channels) + _filter_lines(found.unseen_filters)
-    if "leg_velocity" in found.channels:
-        lines.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
-    if found.channels:
-        lines.append(f"noise floor: {found.floor}")
-    lines += [f"note: {note}" for note in found.notes if note not in found.reasons]
+        over = f"root mean square of means over {1e3 * found.averaged_over:.0f} ms"
+        lines += [f"residual on {where} ({over}):", *_channel_lines(found.unseen_channels)]
+    lines += ["next:"] if found.steps else []
+    for number, step in enumerate(found.steps, 1):
+        lines.append(f"  {number}. {step.words}{': ' if step.command else ''}{step.command}")
+    if found.judged_filters:
+        fitted = "the end of each log, which was fitted too"
+        lines.append(f"filters on {where if found.held_out else fitted}:")
+        for row in filter_rows(found.judged_filters, FIRST):
+            (_, name), *metrics, (_, effect) = row.items()
+            changes = ", ".join(f"{metric} {change}" for metric, change in metrics)
+            lines.append(f"  {name}: {changes}: {effect}")
+    for one in found.stretches:
+        sides = zip(("before", "after"), one.lost, strict=True)
+        lines += [f"  {one.log.name} {side}: {why}" for side, why in sides if why]
+    if found.causes:
+        one, drift = found.causes.added[0]
+        parts = zip(DRIFT_PARTS.items(), drift, strict=True)
+        added = ", ".join(f"{name} {factor * x:+.2g}" for (name, factor), x in parts)
+        lines.append(f"  most drift of the leg filter is by {one.name} {one.target}: {added}")
+    lines += [f"found {one}" for one in sizes_in_words(found, found.found)]
+    for number, run in enumerate(found.runs, 1):
+        own = [one for one in run.zeros if one.effect in run.compensated]
+        lines += [f"run {number} has {one}" for one in sizes_in_words(found, own)]
+    lines += [*beyond_bounds(found), *unexplained_in_words(found), *least_changes(found)]
+    first, lacking, assumed = ranked_notes(found)
+    lines += [f"note: {note}" for note in first]
+    lines += [f"note: {'; '.join(ones)}" for ones in (lacking, assumed) if ones]
     return "\n".join(lines)
 
 
@@ -154,28 +210,38 @@ def least_changes(found: Trace) -> list[str]:
 
 
 def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
-    """A line for each channel: before, after, noise floor."""
-    width, lines = max(map(len, channels), default=0), []
+    """A line for each channel that changes or is above its floor, and one for others in a state."""
+    shown = {name: c for name, c in channels.items() if not c.at_floor or c.worse or _moved(c)}
+    width, lines, others = max(map(len, shown), default=0), [], {}
     for name, c in channels.items():
+        if name not in shown:
+            others.setdefault(state_of(c), []).append(name)
+            continue
         floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
-        change = f"{c.before:.3g} -> {c.after:.3g} {c.unit}"
-        lines.append(f"  {name:{width}s} {change}, noise floor {floor}")
-    return lines
+        change = f"{c.before:.3g} → {c.after:.3g} {c.unit}"
+        lines.append(f"  {name:{width}s} {change}, noise floor {floor}: {state_of(c)}")
+    return lines + [f"  as before, {state}: {', '.join(names)}" for state, names in others.items()]
 
 
-def _filter_lines(filters: Filters) -> list[str]:
-    """A line for each filter: errors before and after."""
-    lines = []
-    for name, metrics in filters.items():
-        change = partial(_change, metrics["before"], metrics["after"])
-        ape, rpe = f"APE {change('ape_trans', 3)} m", f"RPE {change('rpe_trans', 4)} m"
-        kind = "legs alone, dead reckoning"
-        if name != DEAD_RECKONING:
-            kind = f"{name} filter"
-            ape += f", {change('ape_rot', 2)} deg"
-            rpe += f", {change('rpe_rot', 3)} deg/m"
-        lines.append(f"  {kind}: {ape}; {rpe}; drift {change('drift', 4)} m/m")
-    return lines
+def _moved(level: ChannelLevel) -> bool:
+    return abs(level.after - level.before) > _SAME * level.before
+
+
+def filter_rows(filters: Filters, metrics: Collection[str]) -> list[dict[str, str]]:
+    """One row per filter: metrics before and after, and whether errors of the position grew."""
+    rows: list[dict[str, str]] = []
+    for name, sides in filters.items():
+        before, after = sides["before"], sides["after"]
+        row = {
+            REPORTED[key]: f"{cell(before[key], 4)} → {cell(after[key], 4)}"
+            for key in metrics
+            if key in _OF_POSITION or name != DEAD_RECKONING
+        }
+        ratios = [after[key] / before[key] for key in _OF_POSITION if before[key] > 0.0]
+        grew, fell = any(x > HARM for x in ratios), any(x < 1.0 / HARM for x in ratios)
+        effect = {(1, 0): "worse", (0, 1): "better", (1, 1): "mixed"}.get((grew, fell), "same")
+        rows.append({"filter": name, **row, "": effect})
+    return rows
 
 
 def caution(found: Mapping[str, Any]) -> str:
@@ -185,9 +251,3 @@ def caution(found: Mapping[str, Any]) -> str:
     harm = [note for note in found["notes"] if note.endswith("with the effects found")]
     words = "caution: a residual remains, and the effects found may stand in for its cause"
     return "; ".join([words, *harm])
-
-
-def _change(before: dict[str, float], after: dict[str, float], metric: str, digits: int) -> str:
-    """A metric before and after; a dash where the walk is too short for it."""
-    shown = [f"{m[metric]:.{digits}f}" if isfinite(m[metric]) else "–" for m in (before, after)]
-    return " -> ".join(shown)

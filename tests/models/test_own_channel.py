@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.scenarios.trace.report import residuals
+from surefoot.scenarios.trace.report import over_floor
 from surefoot.scenarios.trace.run import trace
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -49,12 +49,12 @@ slopes = [
     for one in data.X
 ]
 found = trace([log], robot, out)
-figure = residuals(found.channels)
+figure = over_floor(found.channels)
 print(json.dumps({
     "unit": data.layout.columns[column].unit,
     "slopes": slopes,
     "mass": robot.mass,
-    "titles": [ax.get_title(loc="left") + ax.get_title() for ax in figure.axes],
+    "titles": [one.get_text() for ax in figure.axes for one in ax.get_yticklabels()],
 }))
 """
 

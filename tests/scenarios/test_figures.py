@@ -20,7 +20,7 @@ from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, p
 from surefoot.scenarios.reporting import figures, observer_errors
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
-from surefoot.scenarios.trace.report import candidate_gains, residuals
+from surefoot.scenarios.trace.report import over_floor
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -54,8 +54,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
             train, test, walk.bounds.epsilon, walk.bounds.gamma
         ),
         "mixing": observer_errors.mixing_curve(mixing(train)),
-        "residuals": residuals({"leg_velocity": level}),
-        "gains": candidate_gains({"a": 0.5, "b": 0.1}, ["a"]),
+        "over floor": over_floor({"leg_velocity": level}),
     }
 
 
@@ -68,8 +67,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
         ("error", ["position error [m]", "Coverage (100 % within 3σ)"]),
         ("distributions", ["error [m/s]", "Gaussian fit, test", "meant: at least 80 %"]),
         ("mixing", ["lag [samples of 10 ms]", "β(lag)"]),
-        ("residuals", ["RMS [m/s]", "leg velocity", "0.3", "0.1", "noise floor"]),
-        ("gains", ["50.0 %", "10.0 %", "residual explained [%]"]),
+        ("over floor", ["residual over noise floor", "0.3 → 0.1 m/s", "before", "after"]),
     ],
 )
 def test_a_figure_says_what_it_shows(drawn, name, said):
@@ -122,15 +120,21 @@ def test_legends_stand_outside_the_curves(drawn):
     assert [name for name, one in drawn.items() if any(ax.get_legend() for ax in one.axes)] == []
 
 
-def test_a_noise_floor_does_not_strike_out_the_number_of_a_bar():
-    level = ChannelLevel(0.3, 0.1, 0.105, "m/s^2")
-    (ax,) = residuals({"imu_accel": level}).axes
-    (floor,) = ax.get_lines()
-    assert ax.get_ylabel() == "RMS [m/s²]"
-    assert len(ax.texts) == 2
-    for number in ax.texts:
-        assert number.get_bbox_patch() is not None
-        assert number.get_zorder() > floor.get_zorder()
+def test_residuals_stand_over_the_floor_and_what_is_not_judged_is_hollow():
+    floor = {"noise_floor": 0.1, "unit": "m/s^2", "of_noise": 0.1}
+    levels = {
+        "imu_accel": ChannelLevel(0.4, 0.1, **floor),
+        "leg_velocity": ChannelLevel(0.4, 0.2, **floor),
+        "stance_velocity": ChannelLevel(0.4, 0.2, **floor, evaluation_only=True),
+    }
+    (ax,) = over_floor(levels).axes
+    dots = [one for one in ax.collections if np.size(one.get_offsets())]  # the legend's have none
+    places = np.array([np.asarray(one.get_offsets())[0] for one in dots]).reshape(3, 2, 2)
+    assert places[..., 0] == pytest.approx(np.array([[4.0, 1.0], [4.0, 2.0], [4.0, 2.0]]))
+    filled = [to_hex(np.asarray(one.get_facecolor())[0]) != "#ffffff" for one in dots[::2]]
+    assert filled == [True, True, False]
+    colors = [to_hex(str(one.get_color())) for one in ax.texts]
+    assert colors[0] == colors[2] != colors[1]  # in red only what is above its floor
 
 
 @pytest.mark.parametrize(("sequences", "columns"), [(1, 1), (2, 2), (5, 3)])
@@ -182,9 +186,8 @@ def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
     level = ChannelLevel(0.3, 0.1, None, "rad")
-    assert png(residuals(dict.fromkeys(list(channels())[:6], level)))
-    assert png(residuals({}))
-    assert png(candidate_gains({}))
+    assert png(over_floor(dict.fromkeys(list(channels())[:6], level)))
+    assert png(over_floor({}))
     assert png(figures.trajectories(walk.log, {}))
     assert png(figures.position_error({}))
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from surefoot.scenarios.reporting.html import (
     Picture,
     Section,
+    Step,
     html_report,
     markdown_report,
     nested,
@@ -62,12 +63,12 @@ def test_a_report_needs_no_network_and_no_other_file(tmp_path):
 
 @given(st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=30))
 def test_any_text_comes_out_as_it_went_in(text):
-    page = Page(html_report(text, [Section(text, text, [{text: text}], (Picture(b"", text),))]))
-    assert page.text.count(text) >= 5
+    section = Section(text, text, [{text: text}], (Picture(b"", text),), steps=(Step(text, text),))
+    page = Page(html_report(text, [section]))
+    assert page.text.count(text) >= 7
     assert page.tags.count("script") == 0
-    assert set(page.tags) <= set(
-        Page(html_report("a", [Section("a", "a", TABLE, (Picture(b"", ""),))])).tags
-    )
+    plain = Section("a", "a", TABLE, (Picture(b"", ""),), steps=(Step("a", "a"),))
+    assert set(page.tags) <= set(Page(html_report("a", [plain])).tags)
 
 
 def test_paragraphs_are_kept_apart():
@@ -82,6 +83,16 @@ def test_parts_of_a_section_are_headed_below_it_and_no_chapters_of_their_own():
         *("a", "a", "a"), *("h2", "h2", "h3", "h2"),
     ]  # fmt: skip
     assert "## B\n\n### b\n\n## C" in markdown_report("T", sections)
+
+
+def test_steps_are_numbered_and_what_is_folded_is_opened_by_its_heading():
+    steps = Step("Look", "surefoot info a.parquet"), Step("Think")
+    sections = [Section("A", steps=steps), Section("B"), Section("C", "said", folded=True)]
+    page = Page(html_report("T", sections))
+    shown = [t for t in page.tags if t in ("li", "pre", "section", "details", "summary")]
+    assert shown == ["section", "li", "pre", "li", "section", "details", "summary"]
+    text = markdown_report("T", sections)
+    assert text.index("1. Look") < text.index("surefoot info a.parquet") < text.index("2. Think")
 
 
 def test_markdown_lines_up_and_keeps_its_columns():

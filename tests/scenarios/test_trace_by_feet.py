@@ -65,7 +65,7 @@ def test_a_walk_without_an_effect_has_none():
     needing = "since they need joint angles and a robot model"
     assert f"channels not used, {needing}: stance_displacement, joint_torque" in said
     assert f"effects not tried, {needing}: armature, backlash" in said
-    assert "leg filter" in said
+    assert "leg: drift" in said
 
 
 @pytest.mark.parametrize(

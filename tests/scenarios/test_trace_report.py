@@ -1,29 +1,170 @@
-"""What the report of a trace says of channels and sizes, and where it stands in other reports."""
+"""What the page of a trace says, in which order, and that its next commands are commands."""
 
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pandas as pd
+import pytest
 
+from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
+from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.scenarios.cli.main import _parsed
 from surefoot.scenarios.reporting.tables import as_frame
-from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED
+from surefoot.scenarios.settings import TraceSettings
+from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED, DriftCauses
+from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import _sizes, sections
 from surefoot.scenarios.trace.result import Trace
+from surefoot.scenarios.trace.words import VERDICTS, ranked_notes, state_of, summary
 from surefoot.sim.effects import effect
+
+LONG = effect("link_length", "FR_calf", 0.006)
+ONE = Found(LONG, (0.005, 0.007))
+RIVAL = {"name": "encoder_offset", "target": "FR_calf", "overlap": 0.97}
+FLOOR = {"noise_floor": 0.1, "unit": "m/s", "of_noise": 0.15}
+CHANNELS = {
+    "leg_velocity": ChannelLevel(0.5, 0.4, **FLOOR),
+    "stance_displacement": ChannelLevel(0.9, 0.888, **FLOOR, evaluation_only=True),
+    "imu_gyro": ChannelLevel(0.1, 0.1, **FLOOR),
+}
+FILES = TraceSettings(logs=(Path("a b.parquet"), Path("c.parquet")), out=Path("out/traced"))
+DECLARED = TraceSettings(
+    logs=(Path("a.parquet"),),
+    out=Path("traced"),
+    robot="go2",
+    declared=Path("old.toml"),
+    holdout=(Path("unseen.parquet"),),
+)
+
+
+def side(error):
+    return dict.fromkeys(REPORTED, error)
+
+
+FILTERS = {
+    "leg": {"before": side(0.2), "after": side(0.1)},
+    "imu": {"before": side(1.0), "after": side(1.2)},
+}
+
+
+def result(verdict, **known):
+    effects = () if verdict in ("no_residual", "unchanged") else (ONE,)
+    rivals = (RIVAL,) if verdict == "confounded" else ()
+    given = {"channels": CHANNELS, "filters": FILTERS, "found": effects, "rivals": rivals} | known
+    return Trace(verdict=verdict, **given)
 
 
 def test_an_interval_has_digits_that_tell_its_ends_apart():
     trace = Trace(verdict="attributed", channels={}, filters={})
     one = Found(effect("imu_rotation", "y", 0.035012), (0.034642, 0.035381))
     (row,) = _sizes(trace, [one])
-    assert (row["low"], row["value"], row["high"]) == ("0.03464", "0.03501", "0.03538")
+    assert (row["low"], row["size"], row["high"]) == ("0.03464", "0.03501", "0.03538")
+
+
+def table_of(found, heading):
+    (one,) = [section for section in sections(found) if section.heading == heading]
+    return as_frame(one.table or [])
 
 
 def test_dead_reckoning_has_no_attitude_of_its_own_to_judge():
-    filters = {
-        name: {side: dict.fromkeys(REPORTED, 0.1) for side in ("before", "after")}
-        for name in ("leg", DEAD_RECKONING)
-    }
+    same = {"before": side(0.1), "after": side(0.1)}
+    filters: dict[str, Any] = {"leg": same, DEAD_RECKONING: same}
     found = Trace(verdict="no_residual", channels={}, filters=filters)
-    leg, reckoned = as_frame(sections(found)[-1].table or []).to_dict("records")
-    assert None not in leg.values()
-    shown = {name.rsplit(" ", 1)[0] for name, value in reckoned.items() if not pd.isna(value)}
-    assert shown == {"filter", "APE [m]", "RPE [m]", "drift [m/m]", "velocity [m/s]"}
+    leg, reckoned = table_of(found, "Every metric of the filters").to_dict("records")
+    assert not any(pd.isna(value) for value in leg.values())
+    shown = {name for name, value in reckoned.items() if not pd.isna(value)}
+    assert shown == {"filter", "APE [m]", "RPE [m]", "drift [m/m]", "velocity [m/s]", ""}
+
+
+@pytest.mark.parametrize("files", [FILES, DECLARED], ids=["plain", "declared"])
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_each_verdict_says_what_to_do_next_in_commands_that_are_commands(verdict, files, robot):
+    found = result(verdict)
+    steps = next_steps(found, files, robot)
+    commands = [step.command for step in steps if step.command]
+    assert commands
+    written = set()
+    for command in commands:
+        program, *arguments = shlex.split(command)
+        if program == "surefoot":
+            name, parsed = _parsed(arguments)
+            assert name == arguments[0]
+            written.add(str(getattr(parsed, "out", None)))
+        else:  # two files of effects become one
+            assert command == "cat old.toml traced/effects.toml > traced_model.toml"
+    assert str(files.out) not in written  # what the trace wrote is not replaced
+    # The effects are used from the file that has all of them, after it has been written.
+    uses = [c for c in commands if "--effects" in c]
+    assert all("traced/effects.toml" in c or files.declared for c in uses)
+    assert all("traced_model.toml" in c for c in uses if files.declared)
+    assert bool(uses) == (verdict in ("attributed", "confounded", "none_of_these"))
+
+
+def test_a_trace_without_held_out_logs_asks_for_one_first(robot):
+    first, *_ = next_steps(result("attributed"), FILES, robot)
+    assert "--holdout" in first.command
+    later = next_steps(result("attributed"), DECLARED, robot)
+    assert all("--holdout" not in step.command for step in later)
+
+
+def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():
+    states = {name: state_of(level) for name, level in CHANNELS.items()}
+    assert states["leg_velocity"] == "above its floor"
+    assert states["imu_gyro"] == "at its floor"
+    assert states["stance_displacement"] not in (states["imu_gyro"], states["leg_velocity"])
+    shown = table_of(result("none_of_these"), "Residual of each channel")
+    assert dict(zip(shown["channel"], shown[""], strict=True)) == states
+    said = next(x for x in summary(result("none_of_these")).splitlines() if "displacement" in x)
+    assert states["stance_displacement"] in said
+    assert states["imu_gyro"] not in said
+
+
+def test_only_a_trace_that_explains_the_log_says_that_the_model_lacks_something():
+    for verdict in VERDICTS:
+        first = summary(result(verdict)).splitlines()[0]
+        assert ("lacks link_length" in first) == (verdict in ("attributed", "confounded"))
+
+
+def test_notes_on_faults_come_first_and_the_others_are_folded():
+    notes = (
+        "accel_x: clipped",
+        "the ground is assumed even to 1.3 mm (standard deviation)",
+        f"joint_torque{LACKING}tau",
+        "leg_velocity: 4 times its residual in simulation is left, which may distort the sizes",
+        "imu filter: larger error with the effects found",
+    )
+    found = result("none_of_these", notes=notes, warnings=notes[:1], worse=notes[4:])
+    first, lacking, assumed = ranked_notes(found)
+    assert first == [notes[0], notes[3], notes[4]]
+    assert lacking == [notes[2]]
+    assert notes[1] in assumed
+    said = summary(found)
+    assert all(said.count(note) == 1 for note in notes)
+    folded = {one.heading: one.folded for one in sections(found)}
+    assert not folded["Notes"]
+    assert folded["What is assumed"]
+    assert folded["What these logs cannot show"]
+
+
+def test_the_page_and_the_screen_say_the_same_in_the_same_order(robot):
+    causes = DriftCauses(np.full(4, 0.02), ((LONG, np.full(4, 0.015)),), np.full(4, 0.005))
+    found = result("attributed", causes=causes)
+    found = result("attributed", causes=causes, steps=next_steps(found, FILES, robot))
+    headings = [one.heading for one in sections(found) if not one.folded]
+    assert headings[1:4] == ["What to do next", "Filters before and after", "Causes of the drift"]
+    said = summary(found)
+    order = ("leg_velocity ", "next:", "leg: drift", "most drift", "found link_length")
+    places = [said.index(words) for words in order]
+    assert places == sorted(places)
+    rows = table_of(found, "Causes of the drift")
+    assert list(rows["height [mm/m]"].astype(float)) == [20.0, 15.0, 5.0]
+    assert list(rows["yaw [deg/m]"].astype(float)) == pytest.approx([1.15, 0.86, 0.29])
+    assert list(rows["distance [%]"].astype(float)) == [2.0, 1.5, 0.5]
+
+
+def test_a_filter_that_errs_more_with_the_effects_is_marked():
+    rows = table_of(result("attributed"), "Filters before and after").set_index("filter")[""]
+    assert dict(rows) == {"leg": "better", "imu": "worse"}

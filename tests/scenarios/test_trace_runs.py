@@ -148,7 +148,7 @@ def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
     assert "no_residual" in capsys.readouterr().out
     said = json.loads((tmp_path / "out" / "trace.json").read_text())
     assert said["holdout"]["channels"]["joint_torque"]["noise_floor"] > 0
-    assert "Held-out logs" in (tmp_path / "out" / "report.html").read_text()
+    assert "held-out logs" in (tmp_path / "out" / "report.html").read_text()
     with pytest.raises(SystemExit, match="is also a log to fit on"):
         main([*common, str(tmp_path / "same"), "--holdout", first])
 

@@ -1,0 +1,76 @@
+"""What to do after a trace: commands in order, for each verdict."""
+
+from pathlib import Path
+from shlex import join
+
+from surefoot.scenarios.reporting.html import Step
+from surefoot.scenarios.settings import TraceSettings
+from surefoot.scenarios.trace.result import Trace
+from surefoot.sim.robot.catalog import known_robots
+from surefoot.sim.robot.machine import Machine
+
+_SUSPECTED = ("link_length", "encoder_offset", "foot_rolling")
+"""Effects to plan a recording for where a trace names none."""
+
+
+def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step, ...]:
+    """What to do next, in order. Names in capitals are of logs that are still to be recorded."""
+
+    def beside(name: str) -> Path:
+        return files.out.with_name(f"{files.out.name}_{name}")
+
+    def command(name: str, *arguments: str | Path, out: str) -> str:
+        of_robot = ("--robot", files.robot) if files.robot else ()
+        return _line(name, *arguments, *of_robot, "-o", beside(out))
+
+    seen, filters = files.holdout or files.logs, bool(found.filters)
+    declared = ("--declared", files.declared) if files.declared else ()
+    more = command("trace", *files.logs, "NEW.parquet", *declared, out="more")
+    again, plan = Step("Trace it together with the present logs", more), ""
+    if robot.legged and len(robot.limbs.legs) == 4 and robot.limbs.point_feet:
+        known = robot.legged.name in known_robots()
+        named = files.robot or (robot.legged.name if known else robot.legged.file)
+        names = [*(one.name for one in found.effects), *(rival["name"] for rival in found.rivals)]
+        plan = _line("plan", "--robot", named, *dict.fromkeys(names or _SUSPECTED))
+    effects = files.out / "effects.toml"
+    use: list[Step] = []
+    if files.declared and found.effects:
+        both, effects = join([str(files.declared), str(effects)]), beside("model.toml")
+        joined = f"cat {both} > {join([str(effects)])}"
+        use.append(Step("Join the effects with the declared ones", joined))
+    if filters and found.effects:
+        sure = found.verdict == "attributed"
+        words = "Run the filters with the effects" if sure else "See whether filters gain by them"
+        use.append(Step(words, command("compare", *seen, "--effects", effects, out="compared")))
+    if found.verdict == "attributed":
+        unseen = *declared, "--holdout", "OTHER.parquet"
+        check = command("trace", *files.logs, *unseen, out="checked")
+        first = [] if files.holdout else [Step("Check them on a log that no fit has seen", check)]
+        since = command("trace", "NEW.parquet", "--declared", effects, out="since")
+        return (*first, *use, Step("Find later what has changed since", since))
+    if found.verdict == "confounded":
+        return (Step("Record what distinguishes them", plan), again, *use)
+    if found.verdict == "none_of_these":
+        align = Step(
+            "Check clock and place of the reference", command("align", files.logs[0], out="aligned")
+        )
+        return (
+            Step("Check stamps, signs and contacts of the log", _line("info", files.logs[0])),
+            *([align] if filters else []),
+            *use,
+            Step("Write what remains as an effect of your own (docs/guides/own_effect.md)"),
+        )
+    if found.verdict == "not_identifiable":
+        return Step("Record more", plan), again
+    if found.verdict == "no_residual":
+        drifts = Step(
+            "See which filter drifts all the same", command("compare", *seen, out="compared")
+        )
+        smaller = Step("To find smaller effects, record more", plan)
+        return (*([drifts] if filters else []), smaller, again)
+    new = command("trace", "NEW.parquet", *declared, out="next")
+    return (Step("Compare the next run with them in the same way", new),)
+
+
+def _line(name: str, *arguments: str | Path) -> str:
+    return join(["surefoot", name, *map(str, arguments)])
