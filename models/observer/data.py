@@ -55,8 +55,8 @@ class ScaledLog:
 class Dataset:
     """Logs of one robot, with the offset and scale of x (C,) and the scale of y (3,) in m/s.
 
-    y is not centred, so that the zero state predicts about zero, as a log starts at rest. `mirrored`
-    are images of the logs to train on as well.
+    y is not centred, so that the zero state predicts about zero, as a log starts at rest.
+    `mirrored` are images of the logs, to train on as well.
     """
 
     logs: tuple[ScaledLog, ...]
@@ -72,7 +72,10 @@ class Dataset:
 
 
 def prepare(
-    logs: Iterable[Log], robot: Mounted | None, inputs: tuple[str, ...], held_out: Sequence[Log] = ()
+    logs: Iterable[Log],
+    robot: Mounted | None,
+    inputs: tuple[str, ...],
+    held_out: Sequence[Log] = (),
 ) -> Dataset:
     """Prepare logs for training, keeping one at a time in memory.
 

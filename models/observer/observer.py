@@ -206,9 +206,7 @@ def check_robot(
         )
 
 
-def check_inputs(
-    inputs: tuple[str, ...] | str, known: tuple[str, ...] = INPUTS
-) -> tuple[str, ...]:
+def check_inputs(inputs: tuple[str, ...] | str, known: tuple[str, ...] = INPUTS) -> tuple[str, ...]:
     """Input groups as a tuple, from "q,dq,tau" too. Raises ObserverError for other subsets."""
     names = inputs.replace(" ", "") if isinstance(inputs, str) else ",".join(inputs)
     if names not in known:

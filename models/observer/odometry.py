@@ -146,7 +146,8 @@ def _contact_points(known, q, dq, omega):
                     found[k, first + j + i] += R_BI[m, i] * velocity[m]
             for i in range(3):
                 a, b = (i + 1) % 3, (i + 2) % 3
-                found[k, first + j + i] += omega[k, a] * found[k, j + b] - omega[k, b] * found[k, j + a]
+                turned = omega[k, a] * found[k, j + b] - omega[k, b] * found[k, j + a]
+                found[k, first + j + i] += turned
     return found
 
 

@@ -1,9 +1,9 @@
 """Training of the velocity observer (paper, "Supervised Training").
 
-Random, overlapping windows, each from the zero state. Labels of held-out logs, or else of validation
-blocks, are not part of the loss; on them the network is scored as it will be used, with its state
-running through the whole log, and the weights with the best score are kept. The state of a training
-is stored on disk, so that an interrupted one continues with bit-identical results.
+Random, overlapping windows, each from the zero state. Labels of held-out logs, or else of
+validation blocks, are not part of the loss; on them the network is scored as it will be used, with
+its state running through the whole log, and the weights with the best score are kept. The state of
+a training is stored on disk, so that an interrupted one continues with bit-identical results.
 """
 
 from __future__ import annotations

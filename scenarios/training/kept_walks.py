@@ -68,7 +68,12 @@ class KeptLogs(Sequence[Log]):
 
 
 def kept_walks(
-    draw: Draw, count: int, attempts: int, name: str, progress: Report | None = None, workers: int = 0
+    draw: Draw,
+    count: int,
+    attempts: int,
+    name: str,
+    progress: Report | None = None,
+    workers: int = 0,
 ) -> KeptLogs:
     """Logs of so many walks, without those that fell in every attempt.
 
