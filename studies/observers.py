@@ -42,6 +42,7 @@ class Training:
     model: str
     walks: int
     seed: int
+    steps: int
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,10 @@ class ObserverStudy:
     """Inputs to compare: the paper's, and those recommended."""
     walks: tuple[int, ...] = (1, 4, 16, 48)
     """Numbers of walks to train on."""
-    model: str = "gru"
-    """Architecture on all numbers of walks; the others are compared on the last but one."""
+    models: tuple[str, ...] = tuple(ARCHITECTURES)
+    """Architectures: the first on all numbers of walks and inputs, all on the last but one."""
+    steps: int = TrainSettings.steps
+    """Training steps, the same for all networks."""
     data: Path | None = None
     """Folder of finished trainings; by default `trainings` in the output folder."""
     page: Path | None = None
@@ -71,16 +74,17 @@ class ObserverStudy:
         """Each once, those of the first seed first."""
         for seed in range(self.seeds):
             for count in self.walks:
-                yield from (Training(one, self.model, count, seed) for one in self.inputs)
-            for model in ARCHITECTURES:
-                if model != self.model:
-                    yield Training(self.inputs[-1], model, self.walks[-2], seed)
+                for inputs in self.inputs:
+                    yield Training(inputs, self.models[0], count, seed, self.steps)
+            for model in self.models[1:]:
+                yield Training(self.inputs[-1], model, self.walks[-2], seed, self.steps)
 
 
 def observer_study(study: ObserverStudy) -> list[Section]:
     """Run what is missing, and write tables, figure and page; returns the sections."""
     settings = WalksSettings(robot=study.robot, walks=max(study.walks))
-    walks = {role: many_walks(settings, role=role) for role in ("train", "held_out", "test")}
+    roles = ("train", "held_out", "test")
+    walks = {role: list(many_walks(settings, role=role)) for role in roles}
     rows = []
     for one in progress_bar(list(study.trainings), desc="observers", unit="training"):
         inputs = {**vars(one), "robot": study.robot, "code": code_digest(ARCHITECTURES[one.model])}
@@ -101,20 +105,21 @@ def observer_study(study: ObserverStudy) -> list[Section]:
 
 
 def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int]) -> list[Section]:
-    by_walks = found[found.model == study.model]
+    by_walks = found[found.model == study.models[0]]
     alike = (found.walks == study.walks[-2]) & (found.inputs == study.inputs[-1])
     errors = {
         inputs: {count: group["all"].tolist() for count, group in part.groupby("walks")}
         for inputs, part in by_walks.groupby("inputs", sort=False)
     }
     caption = "Error on unseen walks; a small dot for each seed, lines through their means."
-    return [
+    sections = [
         Section(
             "Inputs and number of walks",
-            f"Observers ({study.model}) of {study.robot} are trained on walks drawn as `surefoot "
-            f"train --walks` draws them, stopped by {counts['held_out']} others, and tested on "
-            f"{counts['test']} that no training has seen. Root mean square errors, in which each "
-            "walk has equal weight: mean and standard deviation over seeds of the training.",
+            f"Observers ({study.models[0]}) of {study.robot} are trained for at most {study.steps} "
+            "steps on walks drawn as `surefoot train --walks` draws them, stopped by "
+            f"{counts['held_out']} others, and tested on {counts['test']} that no training has "
+            "seen. Root mean square errors, in which each walk has equal weight, by "
+            f"{study.seeds} seed(s) of the training: of several, mean and standard deviation.",
             mean_and_spread(by_walks, ("inputs", "walks")),
             (Picture(error_by_number(errors), caption),),
         ),
@@ -124,6 +129,7 @@ def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int])
             mean_and_spread(found[alike], ("model",)),
         ),
     ]
+    return sections if len(study.models) > 1 else sections[:1]
 
 
 def mean_and_spread(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
@@ -147,7 +153,7 @@ def _trained_and_tested(
 ) -> dict[str, object]:
     """Train and test one observer: its size, CPU time and RMSE on the tests."""
     started = process_time()
-    settings = TrainSettings(inputs=one.inputs, seed=one.seed, model=one.model)
+    settings = TrainSettings(inputs=one.inputs, seed=one.seed, model=one.model, steps=one.steps)
     observer = train(walks[: one.walks], None, settings, held_out=held_out)
     cpu = process_time() - started
     squares = [(prediction_errors(observer, log)[1] ** 2).mean(axis=0) for log in test]

@@ -11,7 +11,6 @@ import torch
 
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted, same_mounting
-from surefoot.models.observer.mirror import mirrored
 from surefoot.models.observer.observer import (
     ObserverError,
     TrainingLog,
@@ -56,11 +55,9 @@ class Dataset:
     """Logs of one robot, with the offset and scale of x (C,) and the scale of y (3,) in m/s.
 
     y is not centred, so that the zero state predicts about zero, as a log starts at rest.
-    `mirrored` are images of the logs, to train on as well.
     """
 
     logs: tuple[ScaledLog, ...]
-    mirrored: tuple[ScaledLog, ...]
     about: tuple[TrainingLog, ...]
     x_mean: np.ndarray
     x_scale: np.ndarray
@@ -115,35 +112,18 @@ def prepare(
         raise ObserverError("train: the reference is missing in all validation blocks")
     x_mean, x_scale = _scaling([x for x, _, _, _ in parts])
     _, y_scale = _scaling([v_I[train] for _, v_I, train, _ in parts])
-
-    def scaled(
-        x: np.ndarray, v_I: np.ndarray, train: np.ndarray, validation: np.ndarray
-    ) -> ScaledLog:
-        return ScaledLog(
+    scaled = tuple(
+        ScaledLog(
             torch.from_numpy(((x - x_mean) / x_scale).astype(np.float32)),
             torch.from_numpy((v_I / y_scale).astype(np.float32)),
             torch.from_numpy(train),
             torch.from_numpy(validation),
         )
-
-    robot, joints, _ = first
-    images = [
-        scaled(*mirrored(x, v_I, robot.R_BI, len(legs["radius"])), train, validation)
         for x, v_I, train, validation in parts
-        if "gyro" in inputs and train.any()
-    ]
-    return Dataset(
-        logs=tuple(scaled(*part) for part in parts),
-        mirrored=tuple(images),
-        about=tuple(about),
-        x_mean=x_mean,
-        x_scale=x_scale,
-        y_scale=y_scale,
-        robot=robot,
-        joints=joints,
-        causal_dq=causal_dq,
-        legs=legs,
     )
+    robot, joints, _ = first
+    names = tuple(about)
+    return Dataset(scaled, names, x_mean, x_scale, y_scale, robot, joints, causal_dq, legs)
 
 
 def validation_rows(steps: int) -> np.ndarray:

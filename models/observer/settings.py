@@ -30,7 +30,7 @@ class TrainSettings:
     """Architecture: gru, rnn and lstm are recurrent, mlp and tcn see a window of fixed length;
     bigru reads a log from both ends, so it works on whole logs only.
     """
-    steps: int = 1200
+    steps: int = 3600
     """Maximum number of training steps; training stops earlier if the validation error no longer
     improves. The learning rate rises over the first twentieth of them, then falls to zero along a
     cosine.
@@ -39,7 +39,7 @@ class TrainSettings:
     """Number of two-second windows in each step."""
     rate: float | None = None
     """Largest learning rate; by default the architecture's own."""
-    every: int = 25
+    every: int = 75
     """Number of steps between validations."""
     patience: int = 20
     """Number of validations without improvement of the error after which the training stops."""

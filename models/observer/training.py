@@ -237,7 +237,6 @@ def _fit(
     logs = [log.to(device) for log in dataset.logs]
     scored = [log for log in logs if log.validation.any()]
     trained = [log for log in logs if log.train.any()]
-    trained += [log.to(device) for log in dataset.mirrored]
     now = _begin(dataset, replace(settings, rate=rate), device)
     if partial:
         now.restore(partial, task)

@@ -90,18 +90,19 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
         warnings, partial = {}, partial_path(self.out)
         if self.walks:
             logs = many_walks(self, self.sources)
-            held_out = many_walks(self, self.sources, "held_out")
+            held_out = list(many_walks(self, self.sources, "held_out"))
+            observer = train(logs, None, self, True, partial, held_out)
         else:
             recorded = read_logs([Path(one) for one in self.sources], self.robot)
             warnings = not_plausible(recorded, strict=self.strict)
-            logs, held_out = as_declared(recorded), ()
-        observer = train(logs, None, self, True, partial, held_out)
+            logs, held_out = None, ()
+            observer = train(as_declared(recorded), None, self, True, partial)
         seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
         observer = replace(observer, logs=tuple(seen))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
-        if self.report:
-            tests = many_walks(self, self.sources, "test")
+        if logs and self.report:
+            tests = list(many_walks(self, self.sources, "test"))
             write_error_by_walks(self.report, observer, logs, held_out, tests, self, self.force)
         x, y, z = observer.rmse
         if self.json:

@@ -61,8 +61,9 @@ def drawn_course(name: str, seconds: float, rng: np.random.Generator) -> Scenari
 
 def _wander(rng: np.random.Generator) -> tuple[Iterator[Segment], Ground]:
     """Commands in any order on level ground, with a sheet ahead and some around."""
-    places = [(rng.uniform(2.5, 5.0), 0.0), *rng.uniform(-6.0, 6.0, (rng.integers(3), 2))]
-    ground = Ground(0.8, tuple(_sheet(*map(float, at), rng) for at in places), HALF_SIZE)
+    ahead = rng.uniform(2.5, 5.0), 0.0
+    around = rng.uniform(-6.0, 6.0, (rng.integers(3), 2)).tolist()
+    ground = Ground(0.8, tuple(_sheet(x, y, rng) for x, y in (ahead, *around)), HALF_SIZE)
     return iter(partial(_command, rng), None), ground
 
 

@@ -12,6 +12,7 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.observer_errors import error_by_number
+from surefoot.scenarios.training.kept_walks import KeptLogs
 from surefoot.sim.common.files import whole_folder
 from surefoot.sim.log import Log
 
@@ -24,7 +25,7 @@ CAPTION = (
 def write_error_by_walks(
     folder: Path,
     observer: Observer,
-    walks: Sequence[Log],
+    walks: KeptLogs,
     held_out: Sequence[Log],
     tests: Sequence[Log],
     settings: TrainSettings,
@@ -43,7 +44,7 @@ def write_error_by_walks(
     """
     errors = {}
     for count in takewhile(lambda n: n < len(walks), (4**k for k in range(10))):
-        fewer = train(walks[:count], None, settings, True, held_out=held_out)
+        fewer = train(walks.first(count), None, settings, True, held_out=held_out)
         errors[count] = test_rmse(fewer, tests)
     errors[len(walks)] = test_rmse(observer, tests)
     rows = [

@@ -5,9 +5,10 @@ them again, such as an interrupted run.
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -51,20 +52,23 @@ Draw = Callable[[int, int], DrawnWalk]
 """Walk of a number, drawn again in each further attempt: (number, attempt) -> walk."""
 
 
-class KeptLogs(Sequence[Log]):
-    """Logs on disk, each of which is read when it is used, and named by its number."""
+@dataclass(frozen=True)
+class KeptLogs:
+    """Logs on disk, which are read one at a time as they are used, and named by their number."""
 
-    def __init__(self, paths: Mapping[int, Path], name: str):
-        self._paths, self._name = list(paths.items()), name
+    paths: Mapping[int, Path]
+    name: str
 
     def __len__(self) -> int:
-        return len(self._paths)
+        return len(self.paths)
 
-    def __getitem__(self, k):
-        if isinstance(k, slice):
-            return KeptLogs(dict(self._paths[k]), self._name)
-        number, path = self._paths[k]
-        return replace(Log.read(path), name=f"{self._name}_{number}")
+    def __iter__(self) -> Iterator[Log]:
+        for number, path in self.paths.items():
+            yield replace(Log.read(path), name=f"{self.name}_{number}")
+
+    def first(self, count: int) -> "KeptLogs":
+        """The first `count` of them."""
+        return KeptLogs(dict(islice(self.paths.items(), count)), self.name)
 
 
 def kept_walks(

@@ -50,6 +50,8 @@ def many_walks(
         role: "train", "held_out" or "test".
     """
     count = settings.walks if role == "train" else held_out_walks(settings.walks)
+    if settings.walks < 1 or settings.workers < 0:
+        raise SurefootError("walks must be at least 1, and workers not negative")
     check_limit("walks", count, "walks")
     check_seed(settings.walk_seed)
     courses = [Scenario.load(one) for one in scenarios]
