@@ -23,7 +23,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
 
 ROBOT = Robot.load("spot_class")
-PLAN = TrainSettings(steps=80, batch=2, every=40)
+PLAN = TrainSettings(steps=80, batch=10, every=40)
 
 
 @pytest.fixture(scope="module")
