@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from studies.command import OutputFolder, run_study
-from surefoot import Log, TrainSettings, WalksSettings, many_walks, train
+from surefoot import Log, TrainSettings, train
 from surefoot.extend import ARCHITECTURES, OBSERVER_RATE, prediction_errors
 from surefoot.scenarios.reporting import (
     Picture,
@@ -28,6 +28,7 @@ from surefoot.scenarios.reporting import (
     write_page,
     write_results,
 )
+from surefoot.scenarios.training.many_walks import WalksSettings, many_walks
 
 _MODULE = "studies.observers"
 _TITLE = "Observers compared"
@@ -88,6 +89,7 @@ def observer_study(study: ObserverStudy) -> list[Section]:
     rows = []
     for one in progress_bar(list(study.trainings), desc="observers", unit="training"):
         inputs = {**vars(one), "robot": study.robot, "code": code_digest(ARCHITECTURES[one.model])}
+        inputs |= {role: len(logs) for role, logs in walks.items()}
         row = finished_case(
             study.data or study.out / "trainings",
             "_".join(map(str, (study.robot, *vars(one).values()))),

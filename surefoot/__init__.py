@@ -25,11 +25,10 @@ if TYPE_CHECKING:
     from surefoot.scenarios.estimate.run import run_filter
     from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
     from surefoot.scenarios.estimate.streaming import StreamingEstimator
-    from surefoot.scenarios.settings import SimulateSettings, WalksSettings
+    from surefoot.scenarios.settings import SimulateSettings
     from surefoot.scenarios.trace.result import Trace
     from surefoot.scenarios.trace.run import TraceOptions, trace
     from surefoot.scenarios.trace.words import summary as trace_summary
-    from surefoot.scenarios.training.many_walks import many_walks
     from surefoot.sim.importing.assemble import RawRecording
     from surefoot.sim.importing.recording import import_log, read_recording
     from surefoot.sim.log import Log

@@ -60,7 +60,7 @@ def test_a_course_lasts_as_long_as_asked():
 
 
 def test_own_scenarios_are_taken_in_turn():
-    courses = [Scenario(name, (Segment(1.0, 0.4),), Ground(), "spot_class") for name in "ab"]
+    courses = [Scenario(name, (Segment(1.0, 0.4),), Ground(0.8), "spot_class") for name in "ab"]
     names = [
         drawn_walk("spot_class", courses, 0, "train", number, 0).scenario.name
         for number in range(3)
@@ -69,7 +69,7 @@ def test_own_scenarios_are_taken_in_turn():
 
 
 def test_walks_are_kept_and_falls_are_drawn_again(robot, monkeypatch):
-    course = Scenario("short", (Segment(0.3, 0.4),), Ground(), "spot_class")
+    course = Scenario("short", (Segment(0.3, 0.4),), Ground(0.8), "spot_class")
     tried = []
 
     def falls(scenario, robot, seed, *others):
