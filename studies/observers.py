@@ -4,6 +4,9 @@ study-observer`.
 Walks are kept in the cache, and a row for each training in a folder, so that a killed run resumes.
 """
 
+# By pandas' type hints, a mask of rows may give a Series, and the keys of groups are of any type.
+# pyright: reportArgumentType=false
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
