@@ -4,9 +4,6 @@ study-observer`.
 Walks are kept in the cache, and a row for each training in a folder, so that a killed run resumes.
 """
 
-# By pandas' type hints, a mask of rows may give a Series, and the keys of groups are of any type.
-# pyright: reportArgumentType=false
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -39,7 +36,7 @@ DIRECTIONS = ("forward", "lateral", "vertical", "all")
 
 
 @dataclass(frozen=True)
-class Training:
+class ObserverCase:
     """One observer to train and test."""
 
     inputs: str
@@ -74,14 +71,14 @@ class ObserverStudy:
             print(to_markdown(pd.DataFrame(section.table), 4))
 
     @property
-    def trainings(self) -> Iterator[Training]:
+    def trainings(self) -> Iterator[ObserverCase]:
         """Each once, those of the first seed first."""
         for seed in range(self.seeds):
             for count in self.walks:
                 for inputs in self.inputs:
-                    yield Training(inputs, self.models[0], count, seed, self.steps)
+                    yield ObserverCase(inputs, self.models[0], count, seed, self.steps)
             for model in self.models[1:]:
-                yield Training(self.inputs[-1], model, self.walks[-2], seed, self.steps)
+                yield ObserverCase(self.inputs[-1], model, self.walks[-2], seed, self.steps)
 
 
 def observer_study(study: ObserverStudy) -> list[Section]:
@@ -110,10 +107,10 @@ def observer_study(study: ObserverStudy) -> list[Section]:
 
 
 def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int]) -> list[Section]:
-    by_walks = found[found.model == study.models[0]]
-    alike = (found.walks == study.walks[-2]) & (found.inputs == study.inputs[-1])
+    by_walks = found.query("model == @study.models[0]")
+    alike = found.query("walks == @study.walks[-2] and inputs == @study.inputs[-1]")
     errors = {
-        inputs: {count: group["all"].tolist() for count, group in part.groupby("walks")}
+        str(inputs): {int(str(n)): group["all"].tolist() for n, group in part.groupby("walks")}
         for inputs, part in by_walks.groupby("inputs", sort=False)
     }
     caption = "Error on unseen walks; a small dot for each seed, lines through their means."
@@ -131,7 +128,7 @@ def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int])
         Section(
             "Architectures",
             f"All read {study.inputs[-1]}, and are trained on {study.walks[-2]} walks.",
-            mean_and_spread(found[alike], ("model",)),
+            mean_and_spread(alike, ("model",)),
         ),
     ]
     return sections if len(study.models) > 1 else sections[:1]
@@ -154,7 +151,7 @@ def mean_and_spread(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
 
 
 def _trained_and_tested(
-    one: Training, walks: Sequence[Log], held_out: Sequence[Log], test: Sequence[Log]
+    one: ObserverCase, walks: Sequence[Log], held_out: Sequence[Log], test: Sequence[Log]
 ) -> dict[str, object]:
     """Train and test one observer: its size, CPU time and RMSE on the tests."""
     started = process_time()

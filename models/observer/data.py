@@ -169,7 +169,15 @@ def _scaling(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 def _check_alike(
     log: Log, robot: Mounted, first: Mounted, joints: tuple[str, ...], name: str
 ) -> None:
-    """Raise ObserverError where a log of `robot` is not like the first one, called `name`."""
+    """Raise ObserverError where a log is not like the first one.
+
+    Args:
+        log: to check.
+        robot: its own.
+        first: robot of the first log.
+        joints: of the first log.
+        name: of the first log.
+    """
     if robot.name != first.name:
         raise ObserverError(f"{log.name}: is of {robot.name}, {name} of {first.name}")
     if not same_mounting(robot, first):
