@@ -62,9 +62,11 @@ yardstick: setup
 mutants: setup
 	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 
-# The architectures compared over seeds, on both suites; killed, it goes on where it was.
+# Inputs, numbers of walks and architectures compared; killed, it goes on where it was. More steps and
+# all architectures: STUDY=.
+STUDY ?= --steps 1200 --models gru
 study-observer: setup
-	$(BIN)/python -m studies.observers -o out/observer_study \
+	$(BIN)/python -m studies.observers -o out/observer_study $(STUDY) \
 		--data docs/data/observers --page docs/results/observers.md
 
 # Undeclared effects of the whole catalogue, traced blind; killed, it goes on where it was.

@@ -106,6 +106,25 @@ class SimulateSettings(OutputSettings):
     """Address of a Dask scheduler that runs the work, such as tcp://127.0.0.1:8786."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class WalksSettings(RobotSettings):
+    """Walks to train on, for `scenarios.training.many_walks.many_walks`.
+
+    Each is of another robot of the kind: built within tolerances, and half of them with the gait,
+    sensors and effects measured on a real robot.
+    """
+
+    walks: int = 0
+    """Number of walks to simulate and train on, instead of logs, on drawn courses (slopes, stairs,
+    slippery ground, turns, payloads) or on the scenarios given; others are held out to stop by.
+    Finished walks are kept in the cache folder.
+    """
+    walk_seed: int = 0
+    """Seed of these walks."""
+    workers: int = 0
+    """Number of walks simulated at once; 0: one for each core."""
+
+
 @dataclass(frozen=True)
 class AlignSettings(OutputSettings):
     """Files of an alignment, for `scenarios.align.align_file`."""

@@ -1,31 +1,26 @@
-"""Comparison of the observer's architectures, on both suites, over seeds: `make study-observer`.
+"""Observers by inputs, number of walks and architecture, on walks that none has seen: `make
+study-observer`.
 
-As in the paper, each suite trains on one sequence; tests are on two courses with other ground.
-Walks, and a row for each training, are stored in the folder, so that a killed run resumes.
+Walks are kept in the cache, and a row for each training in a folder, so that a killed run resumes.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import process_time
-from typing import cast
 
 import numpy as np
 import pandas as pd
 
 from studies.command import OutputFolder, run_study
-from surefoot import Log, Robot, SimulateSettings, TrainSettings, simulate, train
-from surefoot.extend import (
-    ARCHITECTURES,
-    OBSERVER_RATE,
-    SurefootError,
-    declared_model,
-    prediction_errors,
-)
+from surefoot import Log, TrainSettings, train
+from surefoot.extend import ARCHITECTURES, OBSERVER_RATE, prediction_errors
 from surefoot.scenarios.reporting import (
+    Picture,
     Section,
     code_digest,
-    contents_digest,
+    error_by_number,
     finished_case,
     origin_of,
     progress_bar,
@@ -33,156 +28,141 @@ from surefoot.scenarios.reporting import (
     write_page,
     write_results,
 )
+from surefoot.scenarios.training.many_walks import WalksSettings, many_walks
 
 _MODULE = "studies.observers"
 _TITLE = "Observers compared"
-PROSE = (
-    "Each architecture is trained on one walk of a suite and tested on two others. Root mean "
-    "square errors, mean and standard deviation over seeds."
-)
 DIRECTIONS = ("forward", "lateral", "vertical", "all")
 
 
 @dataclass(frozen=True)
-class SuiteWalks:
-    """Bundled scenarios of this folder: one for training, and those for tests."""
+class ObserverCase:
+    """One observer to train and test."""
 
-    folder: str
-    train: str
-    tests: tuple[str, ...]
-
-
-SUITE_WALKS = {
-    "spot": SuiteWalks("spot", "upstair", ("atrium", "slopestair")),
-    "vision60": SuiteWalks("vision60", "3cc3ccw", ("stroll", "slipped")),
-}
+    inputs: str
+    model: str
+    walks: int
+    seed: int
+    steps: int
 
 
 @dataclass(frozen=True)
 class ObserverStudy:
-    """Train and test every network on both suites: a table of errors over the seeds."""
+    """Train and test observers: tables of their errors over the seeds."""
 
     out: OutputFolder
+    robot: str = "spot_class"
     seeds: int = 3
+    inputs: tuple[str, ...] = ("q,dq,tau", "gyro,contact,feet")
+    """Inputs to compare: the paper's, and those recommended."""
+    walks: tuple[int, ...] = (1, 4, 16, 48)
+    """Numbers of walks to train on."""
+    models: tuple[str, ...] = tuple(ARCHITECTURES)
+    """Architectures: the first on all numbers of walks and inputs, all on the last but one."""
     steps: int = TrainSettings.steps
     """Training steps, the same for all networks."""
-    loss: str = "mse"
-    inputs: tuple[str, ...] = ("q,dq,tau", "tau,feet")
-    """Inputs of the networks to compare: the paper's, and leg odometry of the robot's model."""
     data: Path | None = None
     """Folder of finished trainings; by default `trainings` in the output folder."""
     page: Path | None = None
     """Page of results to write too, such as docs/results/observers.md."""
 
     def run(self) -> None:
-        print(to_markdown(observer_study(self), 4))
+        for section in observer_study(self):
+            print(to_markdown(pd.DataFrame(section.table), 4))
+
+    @property
+    def trainings(self) -> Iterator[ObserverCase]:
+        """Each once, those of the first seed first."""
+        for seed in range(self.seeds):
+            for count in self.walks:
+                for inputs in self.inputs:
+                    yield ObserverCase(inputs, self.models[0], count, seed, self.steps)
+            for model in self.models[1:]:
+                yield ObserverCase(self.inputs[-1], model, self.walks[-2], seed, self.steps)
 
 
-def observer_study(options: ObserverStudy) -> pd.DataFrame:
-    """Run what is missing, write table.md and table.csv, and return the table."""
-    logs = {name: _logs(suite, options.out) for name, suite in SUITE_WALKS.items()}
-    digests = {
-        name: [[contents_digest(log), Robot.for_log(log).digest] for log in own.values()]
-        for name, own in logs.items()
-    }
-    tasks = [
-        (suite, inputs, model, seed)
-        for seed in range(options.seeds)
-        for suite in SUITE_WALKS
-        for inputs in options.inputs
-        for model in ARCHITECTURES
-    ]
+def observer_study(study: ObserverStudy) -> list[Section]:
+    """Run what is missing, and write tables, figure and page; returns the sections."""
+    settings = WalksSettings(robot=study.robot, walks=max(study.walks))
+    roles = ("train", "held_out", "test")
+    walks = {role: list(many_walks(settings, role=role)) for role in roles}
     rows = []
-    for suite, read, model, seed in progress_bar(tasks, desc="architectures", unit="training"):
-        inputs = {"suite": suite, "inputs": read, "model": model, "seed": seed}
-        inputs |= {"loss": options.loss, "steps": options.steps}
+    for one in progress_bar(list(study.trainings), desc="observers", unit="training"):
+        inputs = {**vars(one), "robot": study.robot, "code": code_digest(ARCHITECTURES[one.model])}
+        inputs |= {role: len(logs) for role, logs in walks.items()}
         row = finished_case(
-            options.data or options.out / "trainings",
-            "_".join(map(str, inputs.values())),
-            inputs | {"logs": digests[suite], "code": code_digest(ARCHITECTURES[model])},
+            study.data or study.out / "trainings",
+            "_".join(map(str, (study.robot, *vars(one).values()))),
+            inputs,
             _MODULE,
-            partial(
-                _trained_and_tested, logs[suite], SUITE_WALKS[suite], read, model, seed, options
-            ),
+            partial(_trained_and_tested, one, *walks.values()),
         )
-        rows.append({"suite": suite, "inputs": read, "model": model} | row)
-    table = mean_and_spread(pd.DataFrame(rows))
-    section = Section("Errors on two courses that no network was trained on", PROSE, table)
-    write_results(options.out, _TITLE, [section], {"table": table}, force=True)
-    if options.page:
-        write_page(options.page, _TITLE, [section], origin_of(_MODULE, "make study-observer"))
-    return table
+        rows.append(vars(one) | row)
+    found = pd.DataFrame(rows)
+    sections = _sections(study, found, {role: len(logs) for role, logs in walks.items()})
+    write_results(study.out, _TITLE, sections, {"trainings": found}, force=True)
+    if study.page:
+        write_page(study.page, _TITLE, sections, origin_of(_MODULE, "make study-observer"))
+    return sections
 
 
-def mean_and_spread(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row for each suite, inputs and network: mean over the seeds and, after ±, standard
-    deviation.
-    """
+def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int]) -> list[Section]:
+    by_walks = found.query("model == @study.models[0]")
+    alike = found.query("walks == @study.walks[-2] and inputs == @study.inputs[-1]")
+    errors = {
+        str(inputs): {int(str(n)): group["all"].tolist() for n, group in part.groupby("walks")}
+        for inputs, part in by_walks.groupby("inputs", sort=False)
+    }
+    caption = "Error on unseen walks; a small dot for each seed, lines through their means."
+    sections = [
+        Section(
+            "Inputs and number of walks",
+            f"Observers ({study.models[0]}) of {study.robot} are trained for at most {study.steps} "
+            "steps on walks drawn as `surefoot train --walks` draws them, stopped by "
+            f"{counts['held_out']} others, and tested on {counts['test']} that no training has "
+            "seen. Root mean square errors, in which each walk has equal weight, by "
+            f"{study.seeds} seed(s) of the training: of several, mean and standard deviation.",
+            mean_and_spread(by_walks, ("inputs", "walks")),
+            (Picture(error_by_number(errors), caption),),
+        ),
+        Section(
+            "Architectures",
+            f"All read {study.inputs[-1]}, and are trained on {study.walks[-2]} walks.",
+            mean_and_spread(alike, ("model",)),
+        ),
+    ]
+    return sections if len(study.models) > 1 else sections[:1]
+
+
+def mean_and_spread(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """One row for each value of the keys: mean over the seeds and, after ±, standard deviation."""
     found = []
-    for key, group in rows.groupby(["suite", "inputs", "model"], sort=False):
-        suite, inputs, model = cast("tuple[str, str, str]", key)
-        cells: dict[str, object] = {"suite": suite, "inputs": inputs, "model": model}
-        cells["sees"] = _sees(model)
+    for _, group in rows.groupby(list(keys), sort=False):
+        cells: dict[str, object] = {key: group[key].iloc[0] for key in keys}
+        if "model" in keys:
+            cells["sees"] = _sees(str(cells["model"]))
         cells["parameters"] = int(group["parameters"].iloc[0])
         cells["CPU [s]"] = f"{group['cpu'].mean():.0f}"
         for axis in DIRECTIONS:
-            values = group[axis]
-            cells[f"RMSE {axis} [m/s]"] = f"{values.mean():.4f} ± {values.std(ddof=1):.4f}"
+            spread = f" ± {group[axis].std(ddof=1):.4f}" if len(group) > 1 else ""
+            cells[f"RMSE {axis} [m/s]"] = f"{group[axis].mean():.4f}{spread}"
         found.append(cells)
     return pd.DataFrame(found)
 
 
-def _logs(suite: SuiteWalks, out: Path) -> dict[str, Log]:
-    """The suite's logs with declared effects compensated; simulated if they do not exist yet."""
-    names = (suite.train, *suite.tests)
-    courses = tuple(f"{suite.folder}/{name}" for name in names)
-    rows = simulate(SimulateSettings(courses, out / "logs"))
-    for row in rows:
-        if row.falls:
-            raise SurefootError(f"{row.scenario}: the robot fell at {row.fell_at:.1f} s")
-    logs = [Log.read(out / "logs" / row.file) for row in rows]
-    return {
-        n: declared_model(log, Robot.for_log(log))[0] for n, log in zip(names, logs, strict=True)
-    }
-
-
 def _trained_and_tested(
-    logs: dict[str, Log],
-    suite: SuiteWalks,
-    inputs: str,
-    model: str,
-    seed: int,
-    options: ObserverStudy,
+    one: ObserverCase, walks: Sequence[Log], held_out: Sequence[Log], test: Sequence[Log]
 ) -> dict[str, object]:
-    """Train and test one observer: its size, CPU time and RMSE on the tests.
-
-    Args:
-        logs: by name.
-        suite: names of the logs to train and test on.
-        inputs: of the network.
-        model: name of the architecture.
-        seed: of weights and windows.
-        options: loss and steps.
-    """
+    """Train and test one observer: its size, CPU time and RMSE on the tests."""
     started = process_time()
-    settings = TrainSettings(
-        inputs=inputs, loss=options.loss, seed=seed, steps=options.steps, model=model
-    )
-    observer = train(logs[suite.train], None, settings)
+    settings = TrainSettings(inputs=one.inputs, seed=one.seed, model=one.model, steps=one.steps)
+    observer = train(walks[: one.walks], None, settings, held_out=held_out)
     cpu = process_time() - started
-    row: dict[str, object] = {"seed": seed, "parameters": observer.network.size, "cpu": cpu}
-    errors = {name: prediction_errors(observer, logs[name])[1] for name in suite.tests}
-    for name, e in errors.items():
-        row |= {f"{name} {axis}": value for axis, value in zip(DIRECTIONS, _rmse(e), strict=True)}
-    # Long and short courses have equal weight.
-    pooled = np.sqrt(np.mean([_rmse(e) ** 2 for e in errors.values()], axis=0))
-    return row | dict(zip(DIRECTIONS, pooled.tolist(), strict=True))
-
-
-def _rmse(errors: np.ndarray) -> np.ndarray:
-    """Root mean squares (4,) [m/s]: of each axis, and of the error's norm."""
-    squares = (errors**2).mean(axis=0)
-    return np.sqrt([*squares, squares.sum()])
+    squares = [(prediction_errors(observer, log)[1] ** 2).mean(axis=0) for log in test]
+    mean = np.mean(squares, axis=0)
+    rmse = np.sqrt([*mean, mean.sum()])
+    row = {"parameters": observer.network.size, "cpu": cpu}
+    return row | dict(zip(DIRECTIONS, rmse.tolist(), strict=True))
 
 
 def _sees(model: str) -> str:

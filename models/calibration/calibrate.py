@@ -1,13 +1,16 @@
-"""Bounds on an observer's errors from a log (paper, "Calibration and Coverage Statements").
+"""Bounds on an observer's errors from logs (paper, "Calibration and Coverage Statements").
 
-Errors on a log the observer has not seen, taken K steps apart so that they are nearly independent,
-are converted to a region by one of the methods of `surefoot.models.registry.CALIBRATORS`. The
+Errors on logs that the observer has not seen, taken K steps apart so that they are nearly
+independent, are converted to a region by one of the methods of
+`surefoot.models.registry.CALIBRATORS`. The
 paper's is `conformal`: the bound of each axis is the k-th smallest absolute error, k = ceil((N + 1)
 gamma^(1/3)), and the joint level gamma follows if the axes are independent.
 `surefoot.models.calibration.empirical_coverage` measures the coverage that results.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -28,37 +31,35 @@ from surefoot.sim.robot import Robot
 
 def calibrate(
     observer: Observer,
-    log: Log,
+    logs: Log | Iterable[Log],
     settings: CalibrateSettings = CALIBRATE_DEFAULT,
     robot: Mounted | None = None,
 ) -> Bounds:
-    """Bounds that hold jointly with probability gamma, in the frame of the log's IMU.
+    """Bounds that hold jointly with probability gamma, in the frame of the logs' IMU.
 
-    Raises BoundsError for a gamma outside (0, 1), a log the observer was trained on, or one too
-    short; ObserverError and LogError where the log lacks what the observer or the errors need.
+    The errors of several walks are pooled: the statement is then about walks drawn like these, and
+    on a single one the coverage may be smaller (`left_out_coverage`). Raises BoundsError for a
+    gamma outside (0, 1), a log the observer was trained on, other mountings of the IMU, or too few
+    errors; ObserverError and LogError where a log lacks what the observer or the errors need.
 
     Args:
         observer: whose errors are bounded.
-        log: not used in training, with a reference.
+        logs: one or several, not used in training, with a reference; each is read once.
         settings: level and method.
-        robot: the log's, by default Robot.for_log.
+        robot: the logs', by default Robot.for_log.
     """
-    gamma, method, K = settings.gamma, settings.method, settings.K
+    gamma, method = settings.gamma, settings.method
     how = calibrator(method, gamma, settings.confidence)
-    seen = {part.sha256: part.name for part in observer.logs}
-    digest = log_digest(log)
-    if digest in seen:
-        raise BoundsError(
-            f"{log.name}: the observer was trained on it (as {seen[digest]}); calibration takes a "
-            "log that it has not seen"
-        )
-    robot = Robot.for_log(log) if robot is None else robot
-    _, errors = prediction_errors(observer, log, robot)
-    require_samples(how, len(errors), 1 if K is None else K, log.name)
-    curve = mixing(errors) if K is None else None
-    K = curve.K if curve is not None else K
+    names, errors, R_BI = unseen_errors(observer, [logs] if isinstance(logs, Log) else logs, robot)
+    together, name = np.concatenate(errors), ", ".join(names)
+    require_samples(how, len(together), settings.K or 1, name)
+    curve = None
+    if settings.K is None:
+        walk = np.repeat(np.arange(len(errors)), [len(part) for part in errors])
+        curve = mixing(together, walk=walk)
+    K = settings.K if curve is None else curve.K
     assert K is not None
-    require_samples(how, len(errors), K, log.name)
+    require_samples(how, sum(len(part) // K * K for part in errors), K, name)
     shaping, chosen = samples_for(how, errors, K)
     region = region_of(how, shaping, chosen)
     return Bounds(
@@ -69,23 +70,74 @@ def calibrate(
         K=K,
         n=len(chosen),
         observer=observer.hash,
-        R_BI=np.array(robot.R_BI, dtype=float),
-        log=log.name,
+        R_BI=R_BI,
+        log=name,
         mixing=curve,
         confidence=how.confidence,
         persistent=estimate_bias_model(errors, 1 / RATE, gamma)
-        if long_enough(errors, 1 / RATE)
+        if long_enough(together, 1 / RATE)
         else None,
     )
 
 
-def samples_for(how: Calibrator, errors: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split errors (n, 3) into those for `fit` and those for `conformalize`.
+def unseen_errors(
+    observer: Observer, logs: Iterable[Log], robot: Mounted | None = None
+) -> tuple[list[str], list[np.ndarray], np.ndarray]:
+    """Names of the logs, the observer's errors (n, 3) [m/s] on each, and their mounting R_BI.
 
-    The first are the beginning of the log, unchanged; the second are the rest, K apart.
+    Raises BoundsError for a log of the training, or one whose IMU is mounted at another angle.
     """
-    split = K * int(how.fit_share * (len(errors) // K))
-    return errors[:split], subsample(errors[split:], K)
+    seen = {part.sha256: part.name for part in observer.logs}
+    names, errors, mountings = [], [], []
+    for log in logs:
+        if (digest := log_digest(log)) in seen:
+            raise BoundsError(
+                f"{log.name}: the observer was trained on it (as {seen[digest]}); calibration "
+                "takes a log that it has not seen"
+            )
+        own = Robot.for_log(log) if robot is None else robot
+        names.append(log.name)
+        errors.append(prediction_errors(observer, log, own)[1])
+        mountings.append(np.array(own.R_BI, dtype=float))
+        if not np.allclose(mountings[-1], mountings[0], atol=1e-4):
+            raise BoundsError(f"{log.name}: its IMU is mounted at another angle than {names[0]}'s")
+    return names, errors, mountings[0]
+
+
+def left_out_coverage(
+    errors: Sequence[np.ndarray], settings: CalibrateSettings, K: int
+) -> list[float]:
+    """Joint coverage of each walk's errors (n, 3) by bounds from all other walks.
+
+    It shows how much bounds from some walks can be trusted on another. NaN where the others are
+    too few.
+
+    Args:
+        errors: of several walks [m/s].
+        settings: level and method.
+        K: spacing of the errors.
+    """
+    found = []
+    for k, part in enumerate(errors):
+        how = calibrator(settings.method, settings.gamma, settings.confidence)
+        others = samples_for(how, [*errors[:k], *errors[k + 1 :]], K)
+        enough = len(others[1]) >= how.samples_needed()
+        region = region_of(how, *others) if enough else None
+        found.append(float(region.contains(part).mean()) if region else np.nan)
+    return found
+
+
+def samples_for(
+    how: Calibrator, errors: Sequence[np.ndarray], K: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Split errors (n, 3) of each walk into those for `fit` and those for `conformalize`.
+
+    The first are the beginning of each walk, unchanged; the second are the rest, K apart.
+    """
+    splits = [K * int(how.fit_share * (len(part) // K)) for part in errors]
+    shaping = [part[:split] for part, split in zip(errors, splits, strict=True)]
+    chosen = [subsample(part[split:], K) for part, split in zip(errors, splits, strict=True)]
+    return np.concatenate(shaping), np.concatenate(chosen)
 
 
 def region_of(how: Calibrator, shaping: np.ndarray, chosen: np.ndarray) -> Region:

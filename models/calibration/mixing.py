@@ -58,16 +58,23 @@ class Mixing:
         return np.sqrt(np.maximum(self.beta**2 - self.floor**2, 0.0))
 
 
-def mixing(errors: np.ndarray, farthest: int = LONGEST_LAG) -> Mixing:
+def mixing(
+    errors: np.ndarray, farthest: int = LONGEST_LAG, walk: np.ndarray | None = None
+) -> Mixing:
     """Mixing curve of errors (n, D), each axis by itself, and the resulting spacing K.
 
     K is the first lag at which the dependence of every axis is at most THRESHOLD. Lags extend to
     `farthest` or a tenth of the record.
+
+    Args:
+        errors: of one walk after another.
+        farthest: longest lag.
+        walk: (n,), number of the walk of each error; only errors of one walk are compared.
     """
     n, D = errors.shape
     lags = np.arange(1, max(2, min(farthest, n // 10) + 1))
     states = [discretise(errors[:, axis]) for axis in range(D)]
-    beta = np.array([[beta_coefficient(s, lag) for s in states] for lag in lags.tolist()])
+    beta = np.array([[beta_coefficient(s, lag, walk) for s in states] for lag in lags.tolist()])
     floor = np.array([independence_floor(s) for s in states])
     curve = Mixing(lags, beta, floor, 1, True)
     worst = curve.excess.max(axis=1)
@@ -87,9 +94,16 @@ def discretise(x: np.ndarray) -> np.ndarray:
     return np.searchsorted(edges, x, side="right")
 
 
-def beta_coefficient(states: np.ndarray, lag: int) -> float:
-    """beta^1(lag) of a sequence of bin numbers (n,); exact bins make it McDonald's."""
-    return _distance(states[:-lag], states[lag:], int(states.max()) + 1)
+def beta_coefficient(states: np.ndarray, lag: int, walk: np.ndarray | None = None) -> float:
+    """beta^1(lag) of a sequence of bin numbers (n,); exact bins make it McDonald's.
+
+    walk: (n,), of which pairs must have the same number.
+    """
+    first, second = states[:-lag], states[lag:]
+    if walk is not None:
+        same = walk[:-lag] == walk[lag:]
+        first, second = first[same], second[same]
+    return _distance(first, second, int(states.max()) + 1)
 
 
 def independence_floor(states: np.ndarray, shifts: int = 64) -> float:

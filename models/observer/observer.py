@@ -37,11 +37,10 @@ OBSERVER_FORMAT = "surefoot observer"
 OBSERVER_SCHEMA = 2
 WIDEST = 4096
 """Widest layer that a checkpoint may request memory for."""
-INPUTS = tuple(
-    tuple(names.split(","))
-    for names in ("q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet")
-)
-"""Groups of columns of a log; `feet` is computed from q and dq, and comes last."""
+INPUTS = ("q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet")
+"""Inputs to train with: groups of a log's columns, and `feet`, computed from q, dq and gyro."""
+EARLIER_INPUTS = ("feet", "tau,feet", "q,dq,tau,feet")
+"""Inputs of observers of version 0.1.0, whose feet move relative to the base: without gyro."""
 
 
 class ObserverError(SurefootError):
@@ -207,18 +206,18 @@ def check_robot(
         )
 
 
-def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
+def check_inputs(inputs: tuple[str, ...] | str, known: tuple[str, ...] = INPUTS) -> tuple[str, ...]:
     """Input groups as a tuple, from "q,dq,tau" too. Raises ObserverError for other subsets."""
-    names = tuple(inputs.replace(" ", "").split(",")) if isinstance(inputs, str) else tuple(inputs)
-    if names not in INPUTS:
-        raise ObserverError(unknown("inputs", ",".join(names), map(",".join, INPUTS)))
-    return names
+    names = inputs.replace(" ", "") if isinstance(inputs, str) else ",".join(inputs)
+    if names not in known:
+        raise ObserverError(unknown("inputs", names, INPUTS))
+    return tuple(names.split(","))
 
 
 def signals(inputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Groups of a log's columns from which these inputs are computed."""
+    """Signals of a log from which these inputs are computed."""
     wanted = {"q", "dq", *inputs} if "feet" in inputs else set(inputs)
-    return tuple(name for name in ("q", "dq", "tau") if name in wanted)
+    return tuple(name for name in ("q", "dq", "tau", "gyro", "contact") if name in wanted)
 
 
 def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.ndarray) -> np.ndarray:
@@ -228,10 +227,13 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
     """
     if known is None:
         return x
-    joints = x.shape[1] // len(signals(inputs))
-    q, dq = x[:, :joints], x[:, joints : 2 * joints]
-    own = x if "q" in inputs else x[:, 2 * joints :]
-    return np.concatenate((own, contact_points(known, q, dq)), axis=1)
+    others = {"gyro": 3, "contact": len(known.radius)}
+    measured = sum(others.get(name, 0) for name in inputs)
+    joints = (x.shape[1] - measured) // (2 + ("tau" in inputs))
+    q, dq, rest = np.split(x, [joints, 2 * joints], axis=1)
+    omega = rest[:, :3] if "gyro" in inputs else np.zeros((len(x), 3))
+    own = x if "q" in inputs else rest
+    return np.concatenate((own, contact_points(known, q, dq, omega)), axis=1)
 
 
 def check_network(model: str, loss: str) -> None:
@@ -294,7 +296,7 @@ def _from_plain(values: dict[str, Any]) -> Observer:
         TrainingLog(log["name"], log["sha256"], tuple(log.get("warnings", ())))
         for log in known["logs"]
     )
-    known["inputs"] = check_inputs(tuple(known["inputs"]))
+    known["inputs"] = check_inputs(tuple(known["inputs"]), INPUTS + EARLIER_INPUTS)
     known["joints"] = tuple(known["joints"])
     check_network(known["model"], known["loss"])
     kinds = {"robot": str, "seed": int, "rate": float, "width": int, "causal_dq": bool}
@@ -305,7 +307,8 @@ def _from_plain(values: dict[str, Any]) -> Observer:
         raise ValueError(f"width is not within 1 and {WIDEST}")
     joints, legs = len(known["joints"]), len(known["legs"].get("radius", ()))
     # Each leg contributes position and velocity of its contact point.
-    channels = sum(6 * legs if name == "feet" else joints for name in known["inputs"])
+    columns = {"gyro": 3, "contact": legs, "feet": 6 * legs}
+    channels = sum(columns.get(name, joints) for name in known["inputs"])
     if "feet" in known["inputs"]:
         check_leg_geometry(known["legs"], joints)
     elif known["legs"]:

@@ -1,14 +1,13 @@
 """Leg odometry in the observer: the robot's declared kinematics, corrected by a network.
 
-A contact point at rest on the ground gives v_I = -u - omega x s, with s its position and u its
-velocity relative to the base. With `feet` among its inputs, the network receives s and u of all
-legs and computes
+A contact point at rest on the ground gives v_I = -(u + omega x s), with s its position and u its
+velocity relative to the base, and omega the gyro's. With `feet` among its inputs, the network
+receives s and u + omega x s of all legs and computes
 
-    v = -gain * sum_l w_l u_l + head(features),    w = softmax(gates(features)).
+    v = -gain * sum_l w_l (u_l + omega x s_l) + head(features),    w = softmax(gates(features)).
 
-It learns which legs stand, as well as the base's rotation, slip, and the robot's deviation from its
-declared geometry. Speeds beyond those of the training walks are extrapolated by the kinematics, not
-by the network.
+It learns which legs stand, as well as slip, and the robot's deviation from its declared geometry.
+Speeds beyond those of the training walks are extrapolated by the kinematics, not by the network.
 """
 
 from __future__ import annotations
@@ -96,18 +95,27 @@ class Kinematics(NamedTuple):
         return cls(radius=values.pop("radius"), R_BI=R_BI, p_BI=p_BI, legs=Legs(**values))
 
 
-def contact_points(known: Kinematics, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-    """Positions s and velocities u (N, 6 L) of the contact points relative to the base, in I.
+def contact_points(
+    known: Kinematics, q: np.ndarray, dq: np.ndarray, omega: np.ndarray
+) -> np.ndarray:
+    """Positions s and velocities u + omega x s (N, 6 L) of the contact points relative to the IMU.
 
-    First the positions of all legs [m], then the velocities [m/s]; q and dq (N, J) in rad and
-    rad/s. The contact point is the point of the foot's link at the foot's radius below its centre,
+    First the positions of all legs in I [m], then the velocities, as the axes of I do not turn
+    [m/s]. The contact point is the point of the foot's link at the foot's radius below its centre,
     along the base's vertical; on a rolling foot this point is at rest, not the centre.
+
+    Args:
+        known: geometry of the legs.
+        q: joint angles (N, J) [rad].
+        dq: joint rates (N, J) [rad/s].
+        omega: angular velocity (N, 3) in I [rad/s]; with zeros the velocities are those relative to
+            the base.
     """
-    return _contact_points(known, np.ascontiguousarray(q), np.ascontiguousarray(dq))
+    return _contact_points(known, *map(np.ascontiguousarray, (q, dq, omega)))
 
 
 @kernel
-def _contact_points(known, q, dq):
+def _contact_points(known, q, dq, omega):
     legs, radius, R_BI, p_BI = known
     first = 3 * len(radius)
     found = np.empty((len(q), 2 * first))
@@ -136,6 +144,10 @@ def _contact_points(known, q, dq):
                 for m in range(3):
                     found[k, j + i] += R_BI[m, i] * foot[m]
                     found[k, first + j + i] += R_BI[m, i] * velocity[m]
+            for i in range(3):
+                a, b = (i + 1) % 3, (i + 2) % 3
+                turned = omega[k, a] * found[k, j + b] - omega[k, b] * found[k, j + a]
+                found[k, first + j + i] += turned
     return found
 
 

@@ -103,9 +103,9 @@ class Loop:
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """v_I (3,) [m/s], and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
 
-        The signals are those of surefoot.models.observer.observer.signals, concatenated: q, dq, tau
-        where the inputs need them. The filter is that of surefoot.models.observer.decimate over
-        the samples of the last 20 ms.
+        The signals are those of surefoot.models.observer.observer.signals, concatenated: q, dq,
+        tau, gyro, contact where the inputs need them. The filter is that of
+        surefoot.models.observer.decimate over the samples of the last 20 ms.
         """
         scaled = self.observer.scaled(x[None])[0]
         features = self._features(scaled)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.observer.decimate import decimate, observer_rows
-from surefoot.models.observer.observer import ObserverError, check_inputs, signals
+from surefoot.models.observer.observer import ObserverError, signals
 from surefoot.sim.log import Log, LogError, reference_velocity
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 
@@ -20,7 +20,8 @@ class Samples:
     Attributes:
         rows: indices into the log (M,).
         t: (M,) [s].
-        x: unscaled signals for the inputs (M, S) (surefoot.models.observer.observer.signals).
+        x: unscaled signals for the inputs (M, S) (surefoot.models.observer.observer.signals);
+            contacts are 0 to 1.
         causal_dq: whether dq among them was derived from q.
     """
 
@@ -31,15 +32,14 @@ class Samples:
 
 
 def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
-    """Anti-aliased signals of a log for these inputs.
+    """Anti-aliased signals of a log for these inputs (surefoot.models.observer.observer.INPUTS).
 
     Raises ObserverError naming the missing columns; nothing is filled in. Joint velocities that the
     log declares as zero-phase derivatives look into the future, and are derived again, causally,
     from q.
     """
-    inputs = check_inputs(inputs)
     try:
-        log.require(*signals(inputs))
+        log.require(*("imu" if name == "gyro" else name for name in signals(inputs)))
     except LogError as error:
         hint = (
             "; surefoot.sim.log.with_velocities derives dq"

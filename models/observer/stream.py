@@ -53,7 +53,7 @@ class ObserverStream:
         self._start, self._last = np.nan, -1
 
     def advance(
-        self, t: np.ndarray, gyro: np.ndarray, joints: dict[str, np.ndarray | None]
+        self, t: np.ndarray, gyro: np.ndarray, readings: dict[str, np.ndarray | None]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Process the next rows.
 
@@ -63,9 +63,9 @@ class ObserverStream:
         Args:
             t: stamps (N,) [s].
             gyro: (N, 3) [rad/s] in I.
-            joints: q, dq and tau (N, J), None where not measured.
+            readings: q, dq and tau (N, J) and contact (N, L), None where not measured.
         """
-        x = self._inputs(t, joints)
+        x = self._inputs(t, readings | {"gyro": gyro})
         if np.isnan(self._start):
             self._start, self._x = t[0], x[:0]
         before = len(self._t)
@@ -84,12 +84,12 @@ class ObserverStream:
             v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)
         return rows, v_I, covariance
 
-    def _inputs(self, t: np.ndarray, joints: dict[str, np.ndarray | None]) -> np.ndarray:
+    def _inputs(self, t: np.ndarray, readings: dict[str, np.ndarray | None]) -> np.ndarray:
         values = []
         for name in self._signals:
-            value = joints[name]
-            if name == "dq" and self._rates is not None and joints["q"] is not None:
-                value = self._rates(t, joints["q"])
+            value = readings[name]
+            if name == "dq" and self._rates is not None and readings["q"] is not None:
+                value = self._rates(t, readings["q"])
             if value is None:
                 raise ObserverError(
                     f"the observer reads {','.join(self._signals)}, {name} is missing"

@@ -1,9 +1,9 @@
 """Training of the velocity observer (paper, "Supervised Training").
 
-Random, overlapping windows of 1 000 steps of 10 ms, each from the zero state. Labels of validation
-blocks are not part of the loss; on them the network is scored as it will be used, with its state
-running through the whole log, and the weights with the best score are kept. The state of a training
-is stored on disk, so that an interrupted one continues with bit-identical results.
+Random, overlapping windows, each from the zero state. Labels of held-out logs, or else of
+validation blocks, are not part of the loss; on them the network is scored as it will be used, with
+its state running through the whole log, and the weights with the best score are kept. The state of
+a training is stored on disk, so that an interrupted one continues with bit-identical results.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,10 +29,8 @@ from surefoot.models.observer.observer import (
     WIDEST,
     Observer,
     ObserverError,
-    TrainingLog,
     check_inputs,
     check_network,
-    log_digest,
     torch_bytes,
 )
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
@@ -57,11 +55,12 @@ TrainingProgress = Callable[[int, int, np.ndarray], None]
 
 
 def train(
-    logs: Log | Sequence[Log],
+    logs: Log | Iterable[Log],
     robot: Mounted | None = None,
     settings: TrainSettings = TRAIN_DEFAULT,
     progress: bool | TrainingProgress = False,
     partial: Path | None = None,
+    held_out: Sequence[Log] = (),
 ) -> Observer:
     """Train an observer for the robot of `logs`; deterministic for the same seed and logs.
 
@@ -71,25 +70,23 @@ def train(
     mounting or joints, or where torch has no such device; LogError where one has no reference.
 
     Args:
-        logs: to train on.
+        logs: to train on; each is read once, so that they may come one at a time.
         robot: theirs, by default Robot.for_log.
         settings: inputs, loss, network and course of the training.
         progress: True shows a bar with the validation RMSE; a function is called with (step, steps,
             rmse (3,) in m/s) after each validation.
         partial: file for the state after each validation, from which an interrupted training
             continues. The caller deletes it once the observer is saved.
+        held_out: walks whose error decides when to stop; by default one second in ten of `logs`.
     """
     torch_device(settings.device)
-    logs = [logs] if isinstance(logs, Log) else list(logs)
     check_seed(settings.seed)
     inputs = check_inputs(settings.inputs)
     check_network(settings.model, settings.loss)
-    if not logs:
-        raise ObserverError("train: no log given")
     units: int = ARCHITECTURES[settings.model].width if settings.width is None else settings.width
     if not 0 < units <= WIDEST:
         raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {units}")
-    dataset = prepare(logs, robot, inputs)
+    dataset = prepare([logs] if isinstance(logs, Log) else logs, robot, inputs, held_out)
     with _one_thread():
         fitted = _fit(dataset, replace(settings, width=units), progress, partial)
         network = fitted.network
@@ -101,7 +98,7 @@ def train(
         width=units,
         weights=network.state_dict(),
         inputs=inputs,
-        joints=logs[0].joints,
+        joints=dataset.joints,
         input_mean=dataset.x_mean,
         input_scale=dataset.x_scale,
         output_mean=np.zeros(3),
@@ -110,7 +107,7 @@ def train(
         p_BI=np.array(dataset.robot.p_BI, dtype=float),
         R_BI=np.array(dataset.robot.R_BI, dtype=float),
         loss=settings.loss,
-        logs=tuple(TrainingLog(log.name, log_digest(log)) for log in logs),
+        logs=dataset.about,
         seed=settings.seed,
         rate=RATE,
         rmse=fitted.rmse,
@@ -238,6 +235,8 @@ def _fit(
         known["device"] = device.type
     task = task_digest(dataset.logs, **known)
     logs = [log.to(device) for log in dataset.logs]
+    scored = [log for log in logs if log.validation.any()]
+    trained = [log for log in logs if log.train.any()]
     now = _begin(dataset, replace(settings, rate=rate), device)
     if partial:
         now.restore(partial, task)
@@ -261,7 +260,7 @@ def _fit(
                 now.score, now.since = np.inf, 0
             for group in now.optimiser.param_groups:
                 group["lr"] = rate * _warm_cosine(now.step / settings.steps)
-            x, y, trains = draw(logs, settings.batch, unsettled, now.rng)
+            x, y, trains = draw(trained, settings.batch, unsettled, now.rng)
             now.optimiser.zero_grad()
             # A sum, since the mean over a batch without a measured reference would be undefined.
             losses = loss_of(kind, now.network(x), y)[trains]
@@ -271,7 +270,7 @@ def _fit(
             bar.update()
             if now.step % settings.every and now.step != settings.steps:
                 continue
-            score, rmse = _score(now.network, logs, kind, dataset.y_scale)
+            score, rmse = _score(now.network, scored, kind, dataset.y_scale)
             now.judge(score, rmse)
             if partial:
                 now.save(partial, task)

@@ -3,10 +3,12 @@
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import arg
+import numpy as np
+from tyro.conf import Positional, arg
 
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.settings import TrainSettings
@@ -18,6 +20,7 @@ from surefoot.scenarios.settings import (
     CompareSettings,
     EstimateSettings,
     OutputSettings,
+    WalksSettings,
 )
 from surefoot.sim.common.errors import SurefootError
 
@@ -42,59 +45,88 @@ def _walk_enough(gamma: str) -> str:
     return f"{seconds:g} s of walk with a reference suffice at {gamma}. (default: {gamma})"
 
 
-InputNames = Literal["q", "q,dq", "q,dq,tau", "feet", "tau,feet", "q,dq,tau,feet"]
+InputNames = Literal["q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet"]
 Method = Annotated[options.one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
 @options.command
-class Train(TrainSettings, CheckedSettings, OutputSettings, options.JsonOption):
-    """Train a velocity observer on one or more logs; an interrupted training is resumed."""
+class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, options.JsonOption):
+    """Train a velocity observer on logs, or on many simulated walks; an interrupted training is
+    resumed.
+    """
 
-    logs: tuple[Path, ...]
-    """Logs with a reference, of at least ten seconds each."""
+    sources: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="LOG|SCENARIO...", help_behavior_hint=options.OPTIONAL),
+    ] = ()
+    """Logs with a reference, of at least ten seconds each; with --walks scenarios, files (TOML) or
+    bundled names.
+    """
     out: Path
     """File for the observer (.pt)."""
     loss: options.one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
     inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
     model: options.one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
+    report: Path | None = None
+    """Folder for a report: error on unseen walks against the number of walks, up to --walks."""
 
     def run(self) -> None:
         from surefoot.models.calibration.walk_length import walk_enough
         from surefoot.models.observer.device import torch_device
         from surefoot.models.observer.training import partial_path, train
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
-        from surefoot.sim.common.files import refuse_overwrite
+        from surefoot.scenarios.training.error_by_walks import write_error_by_walks
+        from surefoot.scenarios.training.many_walks import many_walks
+        from surefoot.sim.common.files import refuse_full, refuse_overwrite
 
         refuse_overwrite(self.out, self.force)
         torch_device(self.device)  # before the logs are read
-        recorded = read_logs(self.logs, self.robot)
-        warnings = not_plausible(recorded, strict=self.strict)
-        partial = partial_path(self.out)
-        observer = train(as_declared(recorded), None, self, True, partial)
+        if not (self.walks or self.sources):
+            raise SurefootError("give at least one log, or --walks and a robot or scenarios")
+        if self.report and not self.walks:
+            raise SurefootError("--report: needs --walks")
+        if self.report:
+            refuse_full(self.report, self.force)
+        warnings, partial = {}, partial_path(self.out)
+        if self.walks:
+            logs = many_walks(self, self.sources)
+            held_out = list(many_walks(self, self.sources, "held_out"))
+            observer = train(logs, None, self, True, partial, held_out)
+        else:
+            recorded = read_logs([Path(one) for one in self.sources], self.robot)
+            warnings = not_plausible(recorded, strict=self.strict)
+            logs, held_out = None, ()
+            observer = train(as_declared(recorded), None, self, True, partial)
         seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
         observer = replace(observer, logs=tuple(seen))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
+        if logs and self.report:
+            tests = list(many_walks(self, self.sources, "test"))
+            write_error_by_walks(self.report, observer, logs, held_out, tests, self, self.force)
         x, y, z = observer.rmse
         if self.json:
             options.print_json({"observer": self.out, "hash": observer.hash, "rmse": observer.rmse})
             return
+        on = f" on {len(held_out)} walks held out" if held_out else ""
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
-            "(forward, lateral, vertical)\n"
-            f"next: surefoot calibrate {self.out} LOG -o BOUNDS.json; LOG is a walk that the "
+            f"(forward, lateral, vertical){on}\n"
+            f"next: surefoot calibrate {self.out} LOG... -o BOUNDS.json; LOG are walks that the "
             f"observer has not seen, of which {walk_enough():g} s with a reference suffice"
         )
+        if self.report:
+            print(f"report: {self.report / 'report.html'}")
 
 
 @options.command
 class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.JsonOption):
-    """Calibrate bounds on an observer's velocity errors, from a log it has not seen."""
+    """Calibrate bounds on an observer's velocity errors, from logs it has not seen."""
 
     observer: Path
     """Observer, a file from `train`."""
-    log: Path
-    """Log with a reference that the observer was not trained on."""
+    logs: tuple[Path, ...]
+    """Logs with a reference that the observer was not trained on; errors of several are pooled."""
     out: Path
     """File for the bounds (JSON)."""
     gamma: Annotated[float, arg(help_behavior_hint=_walk_enough)] = 0.8
@@ -107,7 +139,11 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
     """Page of results to write as well, such as docs/results/bounds.md; needs --report."""
 
     def run(self) -> None:
-        from surefoot.models.calibration.calibrate import calibrate
+        from surefoot.models.calibration.calibrate import (
+            calibrate,
+            left_out_coverage,
+            unseen_errors,
+        )
         from surefoot.models.observer.observer import Observer
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.reporting.calibration_report import write_calibration_report
@@ -117,17 +153,17 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
                 raise SurefootError(f"--{name}: needs --report DIR")
-        recorded = read_logs((self.log, *self.on), self.robot)
+        recorded, others = (read_logs(paths, self.robot) for paths in (self.logs, self.on))
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
-        log = recorded[0]
-        warnings = not_plausible([log], strict=self.strict).get(log.name, ())
-        (log,) = as_declared([log])
-        bounds = replace(calibrate(observer, log, self), warnings=warnings)
+        warnings = not_plausible(recorded, strict=self.strict)
+        logs = as_declared(recorded)
+        bounds = calibrate(observer, logs, self)
+        bounds = replace(bounds, warnings=tuple(chain.from_iterable(warnings.values())))
         with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
             if folder:
-                write_calibration_report(folder, observer, bounds, recorded, self.page)
+                write_calibration_report(folder, observer, bounds, recorded, others, self.page)
             bounds.save(self.out, self.force)
         if self.json:
             print(self.out.read_text(encoding="utf-8"))
@@ -138,6 +174,14 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
             f"jointly at gamma {bounds.gamma:g} ({bounds.method}, quantile "
             f"{bounds.level_per_axis:.4f}), from {bounds.n} errors {bounds.K} steps of 10 ms apart"
         )
+        if len(logs) > 1:
+            names, errors, _ = unseen_errors(observer, logs)
+            held = dict(zip(names, left_out_coverage(errors, self, bounds.K), strict=True))
+            worst = min(held, key=lambda name: held[name])
+            print(
+                f"on each walk by bounds from the others: {100 * np.mean(list(held.values())):.0f} "
+                f"% of its errors on average, at least {100 * held[worst]:.0f} % ({worst})"
+            )
         if bounds.mixing is not None and not bounds.mixing.mixed:
             print(
                 "note: the errors stay correlated over the longest lag examined; the bounds rest "

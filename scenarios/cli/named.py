@@ -59,6 +59,14 @@ def file_there(path: str | Path) -> None:
         raise SurefootError(f"{path}: no such file")
 
 
+def _log_or_scenario(name: str) -> None:
+    if Path(name).suffix != ".parquet":
+        scenario_file(name)
+        return
+    file_there(name)
+    check_first_bytes(admitted(Path(name), "recording"))
+
+
 def _known_effect(name: str) -> None:
     check_known("effect", name, (*EFFECT_NAMES, *plugins("surefoot.effects")))
 
@@ -76,6 +84,7 @@ _LOOKED_UP = {
     "robot": machine_file,
     "walker": robot_file,
     "scenarios": scenario_file,
+    "sources": _log_or_scenario,
     "map": map_file,
     "effects": _known_effect,
 }

@@ -37,7 +37,7 @@ SHARED_OUTPUTS = ("page", "data", "cache")
 """Options for outputs that runs may share. Every other path is an input."""
 FOLDER_OPTIONS = ("data", "cache")
 """Options that must not name a file."""
-BOUNDED = {"workers": "workers", "budget": "items"}
+BOUNDED = {"workers": "workers", "walks": "walks", "budget": "items"}
 """Options that are counts -> name of their limit."""
 GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "tune"}
 """Commands that continue after an interruption when run again."""

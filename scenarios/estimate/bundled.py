@@ -55,6 +55,8 @@ def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
     )
 
 
+OBSERVED = ("q", "dq", "tau", "contact")
+"""Readings besides the gyro's that an observer may read."""
 VELOCITY = _imu_parameters(0.03)
 PERSISTENT = (
     *VELOCITY,
@@ -371,10 +373,10 @@ class ObserverFusion(ImuStream):
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update when the observer has a velocity."""
         sample = check_sample(sample, self.filter.t)
-        readings = {"q": sample.q, "dq": sample.dq, "tau": sample.tau}
-        joints = {group: None if x is None else x[None] for group, x in readings.items()}
+        each = {name: getattr(sample, name) for name in OBSERVED}
+        readings = {name: None if x is None else x[None] for name, x in each.items()}
         rows, velocities, predicted = self._stream.advance(
-            np.array([sample.t]), sample.gyro[None], joints
+            np.array([sample.t]), sample.gyro[None], readings
         )
         super().step(sample)
         if not len(rows):
@@ -399,8 +401,8 @@ class ObserverFusion(ImuStream):
             whole = predict(self._observer, log, self._robot)
             at, v_I, predicted = whole.rows, whole.v_I, whole.covariance
         else:
-            joints = {g: getattr(log, g) if log.has(g) else None for g in ("q", "dq", "tau")}
-            at, v_I, predicted = self._stream.advance(log.t, log.gyro, joints)
+            readings = {name: getattr(log, name) if log.has(name) else None for name in OBSERVED}
+            at, v_I, predicted = self._stream.advance(log.t, log.gyro, readings)
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
         velocities = self._fusion.velocities(at, v_I, predicted, len(imu.t))
         settings = CoverageSettings(self._fusion.gamma)

@@ -14,6 +14,7 @@ from surefoot.lazy import lazy_names
 if TYPE_CHECKING:
     from surefoot.scenarios.cache import contents_digest, finished_case, read_case
     from surefoot.scenarios.reporting.html import Picture, Section
+    from surefoot.scenarios.reporting.observer_errors import error_by_number
     from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
     from surefoot.scenarios.reporting.palette import (
         AFTER,

@@ -44,7 +44,12 @@ from surefoot.sim.robot import Robot
 
 
 def write_calibration_report(
-    out: Path, observer: Observer, bounds: Bounds, logs: Sequence[Log], page: Path | None = None
+    out: Path,
+    observer: Observer,
+    bounds: Bounds,
+    calibration: Sequence[Log],
+    logs: Sequence[Log],
+    page: Path | None = None,
 ) -> list[Section]:
     """Write report.html, its tables (.md, .csv) and the mixing curve into an empty folder.
 
@@ -54,16 +59,19 @@ def write_calibration_report(
         out: the folder.
         observer: that was calibrated.
         bounds: its bounds.
-        logs: the log of the bounds first, then walks, as recorded, to evaluate the bounds on; one
-            without a reference only has the alarm.
+        calibration: logs of the bounds, as recorded.
+        logs: walks, as recorded, to evaluate the bounds on; one without a reference only has the
+            alarm.
         page: page of results (Markdown) to write as well.
     """
-    calibration = logs[0]
-    with drawn_bar(logs, desc="walks", unit=" log") as bar:
-        first, *others = [evaluate_walk(observer, bounds, log, log is calibration) for log in bar]
+    count = len(calibration)
+    with drawn_bar([*calibration, *logs], desc="walks", unit=" log") as bar:
+        walks = [evaluate_walk(observer, bounds, log, k < count) for k, log in enumerate(bar)]
+    known, others = walks[:count], walks[count:]
+    first = known[0]
     tables = {
-        "methods": methods_table(first, [w for w in others if w.role == "test"]),
-        "coverage": sequence_table(first, others),
+        "methods": methods_table(known, [w for w in others if w.role == "test"]),
+        "coverage": sequence_table(known, others),
         "cases": case_table(others),
     }
     for name, table in tables.items():
@@ -90,7 +98,7 @@ def write_calibration_report(
         sections.append(
             Section("By terrain, slip, motion and stride", CASES_PROSE, tables["cases"])
         )
-    title = f"Bounds calibrated on {calibration.name}, and where they hold"
+    title = f"Bounds calibrated on {bounds.log}, and where they hold"
     write_report(out / "report.html", title, sections)
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
@@ -195,14 +203,16 @@ def evaluate_walk(
     return CalibratedWalk(known, role, own, rows, errors, x, found.t, found.squared)
 
 
-def methods_table(calibration: CalibratedWalk, tests: Sequence[CalibratedWalk]) -> pd.DataFrame:
+def methods_table(
+    calibration: Sequence[CalibratedWalk], tests: Sequence[CalibratedWalk]
+) -> pd.DataFrame:
     """Every method with the same errors: half widths, volume, and coverage of the tests."""
-    bounds = calibration.bounds
+    bounds = calibration[0].bounds
     judged = [walk.errors for walk in tests if len(walk.errors)]
     rows: list[dict[str, object]] = []
     for method in CALIBRATORS:
         how = calibrator(method, bounds.gamma, bounds.confidence or CONFIDENCE)
-        shaping, chosen = samples_for(how, calibration.errors, bounds.K)
+        shaping, chosen = samples_for(how, [walk.errors for walk in calibration], bounds.K)
         row: dict[str, object] = {"method": method, "errors": len(chosen)}
         try:
             region = region_of(how, shaping, chosen)
@@ -227,11 +237,13 @@ def _region_row(region: Region, judged: Sequence[np.ndarray], note: str) -> dict
     return row | {"note": note}
 
 
-def sequence_table(calibration: CalibratedWalk, others: Sequence[CalibratedWalk]) -> pd.DataFrame:
+def sequence_table(
+    calibration: Sequence[CalibratedWalk], others: Sequence[CalibratedWalk]
+) -> pd.DataFrame:
     """One row per walk: coverage with interval, the worst case, the alarm and two ways to widen."""
-    usual = block_sizes(calibration.squared)
+    usual = np.concatenate([block_sizes(walk.squared) for walk in calibration])
     rows: list[dict[str, object]] = []
-    for walk in (calibration, *others):
+    for walk in (*calibration, *others):
         row: dict[str, object] = {"walk": walk.log.name, "role": walk.role}
         row["length [s]"] = round(len(walk.x) / RATE)
         row |= _held(walk) | {"alarm": "–"}
@@ -260,7 +272,7 @@ def _held(walk: CalibratedWalk) -> dict[str, object]:
 
 
 def _kept(
-    walk: CalibratedWalk, calibration: CalibratedWalk, alarm: Alarm, usual: np.ndarray
+    walk: CalibratedWalk, calibration: Sequence[CalibratedWalk], alarm: Alarm, usual: np.ndarray
 ) -> dict[str, object]:
     epsilon, sizes = walk.bounds.epsilon, np.abs(walk.errors)
     factor = inflation(usual, walk.squared, alarm)
@@ -271,8 +283,9 @@ def _kept(
         "by": f"{np.exp(np.log(factor).mean()):.2f}",
     }
     # Inputs at the rows with errors, where the reference was measured.
-    inputs = calibration.x[np.searchsorted(observer_rows(calibration.log), calibration.rows)]
-    weighted = weighted_bounds(calibration.errors, inputs, walk.x, walk.bounds.gamma)
+    inputs = [one.x[np.searchsorted(observer_rows(one.log), one.rows)] for one in calibration]
+    errors = np.concatenate([one.errors for one in calibration])
+    weighted = weighted_bounds(errors, np.concatenate(inputs), walk.x, walk.bounds.gamma)
     if weighted is None:
         return row | {"weighted [%]": "no bound", "volume": None}
     inside = float((sizes <= weighted).all(axis=1).mean())

@@ -1,6 +1,6 @@
 """Errors of an observer in training and elsewhere: statistics, description and figures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,7 +12,13 @@ from surefoot.models.observer.decimate import RATE
 from surefoot.scenarios.reporting.figures import NAMED_AXES
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.palette import BOUNDS, INK, OUTSIDE, TEST, TRAIN
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, set_title, single_axes
+from surefoot.scenarios.reporting.plotting import (
+    label_decades,
+    legend_below,
+    new_figure,
+    set_title,
+    single_axes,
+)
 from surefoot.sim.common.errors import SurefootError
 
 LEVEL = 0.01
@@ -207,6 +213,25 @@ def error_bounds(train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma
         ax.locator_params(axis="x", nbins=5)  # more would touch
     axes[0, 0].set_ylabel("errors that are smaller [%]")
     legend_below(figure, axes[0, 0])
+    return figure
+
+
+def error_by_number(errors: Mapping[str, Mapping[int, float | Sequence[float]]]) -> Figure:
+    """Errors [m/s], one or several of each, by the observers' inputs and the number of walks."""
+    figure, ax = single_axes(6.0, 3.5)
+    for inputs, found in errors.items():
+        values = [np.atleast_1d(one) for one in found.values()]
+        (line,) = ax.plot(list(found), [one.mean() for one in values], "o-", label=inputs)
+        for count, each in zip(found, values, strict=True):
+            ax.plot([count] * len(each), each, ".", color=line.get_color(), alpha=0.5)
+    ax.set_xscale("log", base=2)
+    ax.set_yscale("log")
+    counts = sorted({count for found in errors.values() for count in found})
+    ax.set_xticks(counts, [str(count) for count in counts])
+    label_decades(ax.yaxis)
+    ax.set_xlabel("walks to train on")
+    ax.set_ylabel("velocity RMSE [m/s]")
+    ax.legend(frameon=False)
     return figure
 
 

@@ -128,12 +128,12 @@ def loop(
 
 
 def inputs_of(log: Log) -> str:
-    """Inputs of an observer for this log: leg odometry of the feet and, if available, torques.
+    """Inputs of an observer for this log: what its feet say and, if available, which stand.
 
     Leg odometry with the declared model transfers better from simulation to the robot than joint
     angles do.
     """
-    return "tau,feet" if log.has("tau") else "feet"
+    return "gyro,contact,feet" if log.has("contact") else "gyro,feet"
 
 
 def _traced(

@@ -7,20 +7,18 @@ include the influence of errors of the sizes.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
 from surefoot.models.observer.samples import DQ_CAUSAL
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
+from surefoot.scenarios.training.kept_walks import DrawnWalk, kept_walks
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect, compensate_all, effect
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower
 
 PACES = (1.0, 0.8, 0.6, 0.4)
@@ -42,9 +40,6 @@ class TrainingPlan:
 
 
 DEFAULT_PLAN = TrainingPlan()
-
-_Drawn = tuple[Scenario, Robot, int, Sequence[Effect]]
-"""A walk to simulate: scenario, robot, seed and effects."""
 
 
 def simulated_robot(robot: Robot) -> Robot:
@@ -93,11 +88,12 @@ def simulate_training(
     walks: TrainingWalks,
     seed: int,
     plan: TrainingPlan = DEFAULT_PLAN,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] | None = None,
 ) -> tuple[list[Log], Log]:
     """Logs to train on, and one to calibrate on, of a robot with the effects.
 
-    The effects are compensated in the logs, as they are for the filters afterwards.
+    The effects are compensated in the logs, as they are for the filters afterwards. Raises
+    SurefootError if the robot falls at all of PACES.
 
     Args:
         walks: robot, effects and gait.
@@ -108,17 +104,23 @@ def simulate_training(
     simulated = simulated_robot(walks.robot)
     added = beyond_simulated(walks.effects, walks.robot, simulated)
 
-    def drawn(k: int, seconds: float, draw: int) -> _Drawn:
+    def drawn(k: int, attempt: int) -> DrawnWalk:
+        pace, draw = PACES[attempt // WALKS_DRAWN], attempt % WALKS_DRAWN
         rng = np.random.default_rng([seed, k, draw])
+        seconds = plan.seconds if k < plan.walks else plan.calibration
         scenario, poised = imitation(walks.style, simulated, f"imitation_{k}", seconds, rng)
         own = drawn_sizes(added, walks.spread, rng)
-        return replace(scenario, gait=walks.gait), poised, seed + k + draw * (plan.walks + 1), own
+        scenario = replace(slower(scenario, pace), gait=walks.gait)
+        return DrawnWalk(scenario, poised, seed + k + draw * (plan.walks + 1), own)
 
-    logs = []
-    for k, seconds in enumerate([*[plan.seconds] * plan.walks, plan.calibration]):
-        walked = _walk(partial(drawn, k, seconds))
-        logs.append(_compensated(replace(walked, name=f"imitation_{k}"), added, simulated))
-        progress((k + 1) / (plan.walks + 1))
+    attempts, name = len(PACES) * WALKS_DRAWN, "imitation"
+    made = kept_walks(drawn, plan.walks + 1, attempts, name, progress)
+    if len(made) <= plan.walks:
+        raise SurefootError(
+            f"loop: in simulation {simulated.name} falls with the stride and posture of the log, "
+            f"even at {100 * PACES[-1]:.0f} % of its speed"
+        )
+    logs = [_compensated(log, added, simulated) for log in made]
     return logs[:-1], logs[-1]
 
 
@@ -169,20 +171,3 @@ def _compensated(walked: Log, effects: Sequence[Effect], simulated: Robot) -> Lo
     }
     declared = tuple(one.as_dict() for one in effects)
     return replace(log, meta=replace(log.meta, effects=declared, model=log.meta.model | corrected))
-
-
-def _walk(drawn: Callable[[int], _Drawn]) -> Log:
-    """Simulate a walk, of WALKS_DRAWN that may be drawn, at the fastest of PACES without a fall."""
-    fallen = None
-    for pace in PACES:
-        for draw in range(WALKS_DRAWN):
-            scenario, robot, seed, effects = drawn(draw)
-            try:
-                return walk(slower(scenario, pace), robot, seed, effects)
-            except Fallen as fall:
-                fallen = robot.name, fall
-    assert fallen
-    raise SurefootError(
-        f"loop: in simulation {fallen[0]} falls with the stride and posture of the log, even at "
-        f"{100 * PACES[-1]:.0f} % of its speed ({fallen[1]})"
-    )

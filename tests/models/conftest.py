@@ -9,7 +9,7 @@ from synthetic import Body, synthetic_walk
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 
-QUICK = TrainSettings(steps=120, batch=4, rate=1e-2, every=40)
+QUICK = TrainSettings(steps=120, batch=20, rate=1e-2, every=40)
 
 
 @pytest.fixture(autouse=True)

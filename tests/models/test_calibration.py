@@ -11,7 +11,13 @@ from scipy.stats import binom, binomtest
 from synthetic import Body, synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.calibrate import calibrate, require_samples, subsample
+from surefoot.models.calibration.calibrate import (
+    calibrate,
+    left_out_coverage,
+    require_samples,
+    subsample,
+    unseen_errors,
+)
 from surefoot.models.calibration.conformal import (
     BoundsError,
     conformal_quantile,
@@ -24,7 +30,7 @@ from surefoot.models.calibration.empirical_coverage import (
     coverage_by,
     worst_case,
 )
-from surefoot.models.calibration.mixing import LONGEST_LAG
+from surefoot.models.calibration.mixing import LONGEST_LAG, beta_coefficient, discretise
 from surefoot.models.calibration.regions import calibrator
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.calibration.walk_length import ERROR_STEP, walk_enough
@@ -130,6 +136,34 @@ def test_what_the_observer_has_seen_cannot_calibrate_it(mse_observer, walks):
     renamed = replace(walks["fit"], name="other")
     with pytest.raises(BoundsError, match=r"other: the observer was trained on it \(as fit\)"):
         calibrate(mse_observer, renamed, robot=Body())
+
+
+def test_errors_of_several_walks_are_pooled(mse_observer, walks):
+    """As many as in all of them, ranked together; what is said of a walk left out is measured."""
+    several, how = [walks["calibrate"], walks["test"]], CalibrateSettings(K=20)
+    bounds = calibrate(mse_observer, several, how, Body())
+    names, errors, _ = unseen_errors(mse_observer, several, Body())
+    assert names == [log.name for log in several]
+    chosen = np.concatenate([subsample(part, 20) for part in errors])
+    assert bounds.n == len(chosen)
+    ranked = conformal_quantile(np.abs(chosen), bounds.level_per_axis)
+    assert np.array_equal(bounds.epsilon, ranked)
+    alone = calibrate(mse_observer, walks["calibrate"], how, Body())
+    shares = left_out_coverage(errors, how, 20)
+    assert shares[1] == coverage(errors[1], alone).joint
+    assert bounds.persistent is not None
+    assert bounds.persistent.sequences == 2
+    with pytest.raises(BoundsError, match="trained on it"):
+        calibrate(mse_observer, [walks["test"], walks["fit"]], how, Body())
+
+
+def test_errors_of_different_walks_are_not_compared():
+    """The second walk begins as the first ends: that is no dependence within either."""
+    rng, lag = np.random.default_rng(0), 1000
+    first = rng.standard_normal(2000)
+    states = discretise(np.concatenate([first, first[1000:], rng.standard_normal(1000)]))
+    apart = beta_coefficient(states, lag, np.repeat([0, 1], 2000))
+    assert apart < 0.12 < 0.25 < beta_coefficient(states, lag)
 
 
 def test_a_short_log_is_refused(mse_observer):

@@ -31,7 +31,7 @@ rows, errors = prediction_errors(observer, log, Body())
 assert coverage(errors, bounds).joint > 0.75
 nothing = np.zeros(0)
 table = methods_table(
-    CalibratedWalk(log, "calibration", bounds, rows, errors, nothing, nothing, nothing), []
+    [CalibratedWalk(log, "calibration", bounds, rows, errors, nothing, nothing, nothing)], []
 )
 print(*table.method)
 print(Experiment.load("grid.toml").learning.method)

@@ -9,7 +9,7 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 from synthetic import Body, synthetic_walk, without
 
-from surefoot.models.observer.data import WINDOW, validation_rows
+from surefoot.models.observer.data import SHORTEST, validation_rows
 from surefoot.models.observer.decimate import decimate
 from surefoot.models.observer.imu_mounting import move_velocity
 from surefoot.models.observer.observer import ObserverError
@@ -66,6 +66,18 @@ def test_held_out_labels_do_not_matter(walks):
     assert theirs.rmse[0] > ours.rmse[0]
     for name, weight in ours.weights.items():
         assert torch.equal(weight, theirs.weights[name])
+
+
+def test_held_out_walks_are_scored_and_not_trained_on(walks):
+    """Other labels there change the score, never a weight; all rows of the rest are trained on."""
+    fit, held = walks["fit"], walks["calibrate"]
+    other = replace(held, frame=held.frame.assign(ref_v_x=held.frame["ref_v_x"] + 1.0))
+    plan = replace(TINY, inputs="q", steps=2, every=2)
+    ours, theirs = (train(iter([fit]), Body(), plan, held_out=[x]) for x in (held, other))
+    assert theirs.rmse[0] > ours.rmse[0]
+    for name, weight in ours.weights.items():
+        assert torch.equal(weight, theirs.weights[name])
+    assert [one.name for one in ours.logs] == [fit.name, held.name]
 
 
 @pytest.mark.parametrize("loss", ["mse", "gml"])
@@ -163,7 +175,7 @@ def test_labels_without_a_measured_reference_are_left_alone(walks):
 def test_what_cannot_be_trained_on_is_said(walks):
     fit = walks["fit"]
     with pytest.raises(ObserverError, match="10 s at least"):
-        train(fit.rows(slice(0, 5 * WINDOW - 10)), Body(), TINY)
+        train(fit.rows(slice(0, 5 * SHORTEST - 10)), Body(), TINY)
     refused("lacks tau", train, without(fit, "tau_"), Body(), TINY, error=ObserverError)
     refused("reference", train, without(fit, "ref_"), Body(), TINY, error=LogError)
     refused("loss", train, fit, Body(), replace(TINY, loss="l1"), error=ObserverError)

@@ -29,7 +29,7 @@ def test_a_step_is_taken_where_the_device_is(model, loss):
     data = dataset()
     training = _begin(data, replace(BEGUN, model=model, loss=loss), META)
     x, y, trains = draw([log.to(META) for log in data.logs], 2, 25, training.rng)
-    few = slice(40)  # of a thousand: torch takes recurrent layers there one by one
+    few = slice(40)  # of two hundred: torch takes recurrent layers there one by one
     loss_of(loss, training.network(x[few]), y[few]).mean().backward()
     training.optimiser.step()
     weights = list(training.network.parameters())

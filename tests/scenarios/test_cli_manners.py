@@ -247,7 +247,7 @@ def test_help_of_train_lists_the_inputs_apart(capsys):
     """tyro joins choices by commas, which these contain, and wraps lines at them."""
     assert not ended("train --help")
     text = "".join(capsys.readouterr().out.replace("│", "").split())
-    assert ":q|q,dq|q,dq,tau|feet|tau,feet|q,dq,tau,feet." in text
+    assert ":q|q,dq|q,dq,tau|gyro,feet|gyro,contact,feet." in text
 
 
 @pytest.mark.parametrize(("options", "seen"), [((), False), (("-W", "default"), True)])

@@ -15,7 +15,7 @@ from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace import realism, training_walks
+from surefoot.scenarios.trace import realism
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, excess, split_errors
 from surefoot.scenarios.trace.realism import choose_gait
@@ -28,6 +28,7 @@ from surefoot.scenarios.trace.training_walks import (
     simulate_training,
     simulated_robot,
 )
+from surefoot.scenarios.training import kept_walks
 from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.options import GaitOptions
@@ -38,6 +39,12 @@ from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import walking_style
 
 SHORT = TrainingPlan(walks=1, seconds=4.0, calibration=4.0)
+
+
+@pytest.fixture(autouse=True)
+def kept(tmp_path, monkeypatch):
+    """Walks are kept in a folder of the test."""
+    monkeypatch.setattr(kept_walks, "cache_folder", lambda: tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -75,13 +82,13 @@ def test_training_walks_have_the_effects_and_are_seen_by_a_model_that_knows_them
 def test_after_a_fall_another_walk_is_drawn_before_a_slower_one(robot, log, monkeypatch):
     tried = []
 
-    def falls_at_first(scenario, robot, seed, effects):
+    def falls_at_first(scenario, robot, seed, *others):
         tried.append((sum(abs(one.forward) for one in scenario.segments), seed))
         if len(tried) < 5:
             raise Fallen("the robot fell", 1.0, "tilted")
-        return walk(scenario, robot, seed, effects)
+        return walk(scenario, robot, seed, *others)
 
-    monkeypatch.setattr(training_walks, "walk", falls_at_first)
+    monkeypatch.setattr(kept_walks, "walk", falls_at_first)
     simulate_training(TrainingWalks(walking_style(log, robot), robot), 0, replace(SHORT, walks=0))
     speeds, seeds = np.array(tried).T
     assert list(seeds) == [0, 1, 2, 0, 1]
@@ -184,7 +191,9 @@ def test_a_log_without_contacts_is_imitated_in_the_plain_gait(robot, log):
     assert "contact" in choice.words
 
 
-@pytest.mark.parametrize(("dropped", "inputs"), [((), "tau,feet"), (("tau_", "dq_"), "feet")])
+@pytest.mark.parametrize(
+    ("dropped", "inputs"), [((), "gyro,contact,feet"), (("contact_", "force_"), "gyro,feet")]
+)
 def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
     assert inputs_of(without(log, *dropped)) == inputs
 

@@ -1,0 +1,1 @@
+"""Walks to train observers on."""

@@ -1,0 +1,113 @@
+"""Many walks of one robot: courses, robots and gaits drawn at random, to train observers on.
+
+Each walk has another course and another robot of its kind: built within tolerances, and half of
+them with the gait, sensors and effects measured on a real robot (the conditions of the suites).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache, partial
+
+import numpy as np
+
+from surefoot.scenarios.datasets.simulate import BYTES_PER_SECOND
+from surefoot.scenarios.experiments.file import Cell, Condition, Experiment
+from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.settings import WalksSettings
+from surefoot.scenarios.training.drawn_course import drawn_course
+from surefoot.scenarios.training.kept_walks import DrawnWalk, KeptLogs, kept_walks
+from surefoot.sim.common.errors import SurefootError, check_seed
+from surefoot.sim.common.files import cache_folder, check_space
+from surefoot.sim.common.limits import check_limit
+from surefoot.sim.effects import Effect
+from surefoot.sim.scenario import Scenario
+from surefoot.sim.walking.batch import known_robot
+from surefoot.sim.walking.trial import why_not
+
+SECONDS = 60.0
+"""Approximate duration of a drawn course [s]."""
+ATTEMPTS = 4
+"""Draws of a walk before it is left out."""
+SIZES = (0.5, 1.5)
+"""Factor on the size of each effect, which is that of one robot."""
+ROLES = ("train", "held_out", "test")
+"""Of walks; those of different roles are drawn independently."""
+HELD_OUT = 4, 1 / 6
+"""Walks held out to stop by: at least, and as a share of those to train on."""
+
+
+def many_walks(
+    settings: WalksSettings, scenarios: Sequence[str] = (), role: str = "train"
+) -> KeptLogs:
+    """Simulate walks of a role: `settings.walks` to train on, or as many as are held out.
+
+    Walks in which the robot falls each time that they are drawn are left out, with a line. Raises
+    SurefootError where no robot is named, it cannot walk, or all walks are left out.
+
+    Args:
+        settings: number and seed of the walks, and the robot, by default that of the scenarios.
+        scenarios: files or names, taken in turn; by default a course is drawn for each walk.
+        role: "train", "held_out" or "test".
+    """
+    count = settings.walks if role == "train" else held_out_walks(settings.walks)
+    if settings.walks < 1 or settings.workers < 0:
+        raise SurefootError("walks must be at least 1, and workers not negative")
+    check_limit("walks", count, "walks")
+    check_seed(settings.walk_seed)
+    courses = [Scenario.load(one) for one in scenarios]
+    robots = {settings.robot} if settings.robot else {course.robot for course in courses}
+    if len(robots) != 1 or (robot := next(iter(robots))) is None:
+        raise SurefootError("walks: give one robot, since an observer is of one")
+    if fault := why_not(known_robot(robot)):
+        raise SurefootError(f"robot {known_robot(robot).name} cannot walk in simulation: {fault}")
+    check_space(cache_folder(), BYTES_PER_SECOND * SECONDS * count)
+    draw = partial(drawn_walk, robot, courses, settings.walk_seed, role)
+    with percent_bar(f"walking: {role}") as progress:
+        made = kept_walks(draw, count, ATTEMPTS, role, progress, settings.workers)
+    if len(made) < count:
+        print(f"{role}: {count - len(made)} of {count} walks left out, on which the robot falls")
+    if not made:
+        raise SurefootError(f"walks: {robot} falls on every one")
+    return made
+
+
+def held_out_walks(walks: int) -> int:
+    """Number of walks that are held out of so many to train on."""
+    least, share = HELD_OUT
+    return max(least, round(share * walks))
+
+
+def drawn_walk(
+    robot: str, scenarios: Sequence[Scenario], seed: int, role: str, number: int, attempt: int
+) -> DrawnWalk:
+    """One walk, always the same for the same arguments.
+
+    Args:
+        robot: its name or file.
+        scenarios: of which each walk takes the next; by default a course is drawn.
+        seed: of all walks.
+        role: of the walk, one of ROLES.
+        number: of the walk in its role.
+        attempt: of drawing it.
+    """
+    rng = np.random.default_rng([seed, ROLES.index(role), number, attempt])
+    if scenarios:
+        scenario = scenarios[number % len(scenarios)]
+    else:
+        scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
+    conditions = _conditions()
+    condition = conditions[rng.integers(len(conditions))]
+    job = Cell(scenario, robot, condition, int(rng.integers(2**31))).job
+    effects = [_resized(one, rng.uniform(*SIZES)) for one in job.effects]
+    return DrawnWalk(job.scenario, known_robot(robot), job.seed, effects)
+
+
+def _resized(one: Effect, factor: float) -> Effect:
+    low, high = one.bounds_on_legs or one.bounds
+    return replace(one, value=float(np.clip(factor * one.value, low, high)))
+
+
+@cache
+def _conditions() -> tuple[Condition, ...]:
+    """Those of the suites in which robots differ from their model."""
+    return tuple(one for one in Experiment.load("spot").conditions if one.imperfections)
