@@ -46,7 +46,7 @@ from surefoot.sim.common.files import (
     write_whole,
 )
 
-PATHS = "Paths: "
+SPREAD = "Mean ± standard deviation over seeds."
 LEARNT = (
     "Averages over the test sequences. inputs: those of the observers, q,dq,tau in the paper; feet "
     "is leg odometry computed with the model as drawn. method: how the bound of each axis is "
@@ -83,13 +83,12 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
         pages = report_sections(tables, outcome, found)
-        write_whole(made / "report.md", markdown_report(found.title, pages))
-        write_report(made / "report.html", found.title, pages)
+        shown = [*pages, *_walks(outcome, found)]
+        write_whole(made / "report.md", markdown_report(found.title, shown))
+        write_report(made / "report.html", found.title, shown)
     if settings.page:
-        # Dozens of path plots are for the report only.
-        kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
-        write_page(settings.page, found.title, kept, origin_of(__name__, command))
+        write_page(settings.page, found.title, pages, origin_of(__name__, command))
     print("\n" + to_markdown(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
@@ -113,39 +112,40 @@ def write_tables(tables: Mapping[str, pd.DataFrame], out: Path) -> None:
 def report_sections(
     tables: Mapping[str, pd.DataFrame], outcome: Outcome, found: Experiment
 ) -> list[Section]:
-    """Sections of the report: averages, findings, errors by sequence, consistency, sweep, paths,
-    rows.
-    """
+    """Sections of report and page: findings, figures, setting, and the tables behind them."""
     rows, shown, learnt, swept = (
         tables[name] for name in ("results", "averages", "learning", "sweep")
     )
     main = shown_first(rows, found)
     shown = shown.drop(columns=[c for c in ("condition", "robot") if shown[c].nunique() == 1])
-    pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
-    pages += [
-        Section(f"Findings: {name}", "\n\n".join(filter(None, (text, falls(outcome, name)))))
-        for name, text in findings(main, found)
-    ]
-    if len(learnt):
-        pages.append(Section("Inputs of observers, and calibration methods", LEARNT, learnt))
-    if found.published:
-        pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
-    pages.append(Section("Errors and consistency by sequence", pictures=tuple(pictures)))
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
         picture = Picture(
             gamma_sweep(swept, "Influence of γ, on average over the test sequences"),
             "Bounds are calibrated for each γ; filters without bounds do not depend on it.",
             "figures/gamma.png",
         )
-        pages.append(Section("The level γ", "", swept, (picture,)))
-    pages += _walks(outcome, found)
+        pictures.append(picture)
+    pages = [
+        Section("Findings", findings(main, found), tables["overview"]),
+        Section("Errors and consistency by sequence", pictures=tuple(pictures)),
+        Section("Setting", _setting(found, rows, outcome)),
+        Section("Averages over the test sequences", SPREAD, shown, file="averages"),
+    ]
+    if len(learnt):
+        heading = "Inputs of observers, and calibration methods"
+        pages.append(Section(heading, LEARNT, learnt, file="learning"))
+    if len(swept):
+        pages.append(Section("The level γ", "", swept, file="sweep"))
     for condition in found.conditions:
-        text = "Test sequences in bold. Mean ± standard deviation over seeds."
-        table = tables[f"sequences_{slug(condition.name)}"]
-        pages.append(Section(f"Every sequence: {condition.name}", text, table))
-    pages.append(Section("How to read the tables", "", _glossary(main, outcome)))
-    return pages
+        name = f"sequences_{slug(condition.name)}"
+        text = f"Test sequences in bold. {SPREAD}"
+        pages.append(Section(f"Every sequence: {condition.name}", text, tables[name], file=name))
+    if found.published:
+        pages += _published(found.published)
+    if sizes := _sizes(found):
+        pages.append(Section("Sources of the sizes", "", sizes, file="sources"))
+    return [*pages, Section("How to read the tables", "", _glossary(main, outcome), file="columns")]
 
 
 def falls(outcome: Outcome, condition: str) -> str:
@@ -155,37 +155,38 @@ def falls(outcome: Outcome, condition: str) -> str:
         if cell.condition.name == condition and result.walk["falls"]:
             role = f", to {cell.scenario.role} with" if cell.learnt_from else ""
             seeds.setdefault(cell.scenario.name + role, []).append(str(cell.seed))
-    if not seeds:
-        return ""
     walks = "; ".join(f"{name} (seed {', '.join(own)})" for name, own in seeds.items())
-    return (
-        f"The robot fell on these walks: {walks}. There is nothing to estimate or to learn from, "
-        "so filters that learn from such a walk have no row for that seed."
-    )
+    return f"The robot fell on {walks}, which leaves nothing to learn from." if walks else ""
 
 
-def _setting(found: Experiment, rows: pd.DataFrame) -> str:
+def _setting(found: Experiment, rows: pd.DataFrame, outcome: Outcome) -> str:
     roles = rows.drop_duplicates("sequence").groupby("role", sort=False)["sequence"].agg(list)
-    learnt = ", ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
-    walked = [c.walked for c in found.conditions if c.walked]
-    sized = [*(one for c in found.conditions for one in c.imperfections), *walked]
-    sources = sorted({one.source for one in (*sized, *(s for w in walked for s in w.size))})
+    learnt = "; ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
     seeds = ", ".join(map(str, found.seeds))
     text = f"{learnt}. Joint level γ = {found.gammas[0]:g}; seeds {seeds}."
-    words = "\n\n".join(f"{c.name}: {c.words}." for c in found.conditions if c.words)
-    from_where = f"Sizes are from: {'; '.join(sources)}." if sources else ""
-    return "\n\n".join([text, words, from_where])
+    words = [(one, f"{one.name}: {one.words}." if one.words else "") for one in found.conditions]
+    said = [" ".join(filter(None, (text, falls(outcome, one.name)))) for one, text in words]
+    return "\n\n".join([text, *filter(None, said)])
+
+
+def _sizes(found: Experiment) -> list[dict[str, str]]:
+    """The effects of the conditions, each with the source of its size."""
+    walked = [c.walked for c in found.conditions if c.walked]
+    sized = [(one.effect, one.source) for c in found.conditions for one in c.imperfections]
+    sized += [("gait and sensors", one.source) for one in walked]
+    sized += [(size.effect, size.source) for one in walked for size in one.size]
+    return [{"effect": effect, "source": source} for effect, source in dict.fromkeys(sized)]
 
 
 def _published(name: str) -> list[Section]:
     rows, both, note = published(name)
     text = (
-        f"{note}\n\nThe averages are given as printed and as computed from the rows, since the two "
+        f"{note} The averages are given as printed and as computed from the rows, since the two "
         "do not always agree. Do not rank simulated and real figures against each other."
     )
     return [
-        Section("The paper's own figures, of real robots", text, both),
-        Section("The paper's rows", "", rows),
+        Section("The paper's averages", text, both, file="paper_averages"),
+        Section("The paper's rows", "", rows, file="paper_rows"),
     ]
 
 
@@ -241,7 +242,7 @@ def _walks(outcome: Outcome, found: Experiment) -> list[Section]:
             )
             for name, by_filter in series.items()
         ]
-        pages.append(Section(PATHS + condition.name, "", None, (errors, *pictures)))
+        pages.append(Section(f"Paths: {condition.name}", "", None, (errors, *pictures)))
     return pages
 
 

@@ -35,7 +35,8 @@ class Picture:
 @dataclass(frozen=True)
 class Section:
     """A part of a report. `prose` is plain text; an empty line starts a new paragraph. `level` is
-    that of the heading: 3 for a part of the last section of level 2.
+    that of the heading: 3 for a part of the last section of level 2. `file` names the CSV that
+    has the table where a page of results links to it instead of showing it.
     """
 
     heading: str
@@ -43,6 +44,7 @@ class Section:
     table: Table | None = None
     pictures: tuple[Picture, ...] = ()
     level: int = 2
+    file: str = ""
 
 
 def nested(sections: Sequence[Section]) -> list[Section]:
