@@ -79,8 +79,8 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
     """Write a page of results in Markdown; replaces an older one.
 
     Its first paragraph is the main finding, which the index of results repeats. Tables of sections
-    with a `file` are CSV files in `tables_folder`, listed at the end with the section's prose;
-    pictures are PNG files beside the page.
+    with a `file` are CSV files in `tables_folder`, listed at the end; pictures are PNG files beside
+    the page.
 
     Raises SurefootError if another file than a page of results has this path.
     """
@@ -107,7 +107,8 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
 
 
 def _write_tables(page: Path, sections: Sequence[Section]) -> list[str]:
-    """Write the table of each section as CSV; returns a line for each, with a link and its prose.
+    """Write the table of each section as CSV; returns a line for each, with a link and the first
+    paragraph of its prose.
 
     Raises SurefootError if a file has that name and there is no page yet.
     """
@@ -119,8 +120,8 @@ def _write_tables(page: Path, sections: Sequence[Section]) -> list[str]:
         with kept_file(file) as temporary:
             temporary.write_text(to_csv(section.table), encoding="utf-8")
         address = Path(os.path.relpath(file, page.parent)).as_posix()
-        words = f": {' '.join(section.prose.split())}" if section.prose else ""
-        lines.append(f"- [{section.heading}]({address}){words}")
+        words = section.prose.strip().partition("\n\n")[0]
+        lines.append(f"- [{section.heading}]({address}){f': {words}' if words else ''}")
     return lines
 
 

@@ -161,7 +161,7 @@ def realism(
     if settings.page:
         filed = [
             Section("Realism card", "Every quantity.", rows, file="realism"),
-            Section("Drift", f"The {FILTER} filter on each walk.", drifts, file="drift"),
+            Section("Drift", f"The `{FILTER}` filter on each walk.", drifts, file="drift"),
         ]
         write_page(settings.page, title, [*parts, *filed], origin_of(__name__, "surefoot realism"))
     return tuple(found)
@@ -299,35 +299,42 @@ def realism_sections(
     return [
         Section("Findings", findings(found, drifts), shown),
         Section("The walks compared", pictures=tuple(drawn)),
-        Section("Method", _method(found[0])),
+        Section("Method", _method(found)),
     ]
 
 
 def findings(found: Sequence[WalkComparison], drifts: Sequence[Mapping[str, Any]]) -> str:
     """Sentences: how many quantities are alike, how the drifts compare, and which are unlike."""
     of = found[0]
-    counts = [f"{c.card.counts['like']} like and {c.card.counts['unlike']} unlike" for c in found]
-    named = ", ".join(f"{words} ({c.words})" for words, c in zip(counts, found, strict=True))
+    counts = [(c.card.counts["like"], c.card.counts["unlike"], c.words) for c in found]
     main = (
-        f"Of {len(of.card.rows)} quantities of {of.measured.log.name}, simulated walks of "
-        f"{of.simulated[0].robot.name} have {named}; the others are undecided."
+        f"Of {len(of.card.rows)} quantities, simulated walks of {of.simulated[0].robot.name} are "
+        f"like {of.measured.log.name} in "
+        f"{', '.join(f'{like} and unlike in {unlike} ({w})' for like, unlike, w in counts)}."
     )
     first = {row["simulated robot"]: row for row in reversed(drifts)}
     ratios = [f"{first[c.words]['ratio']:.2f} ({c.words})" for c in found]
     rest = [
-        f"The {FILTER} filter drifts by {first[of.words]['measured']:.3f} m/m on the measured "
+        f"The `{FILTER}` filter drifts by {first[of.words]['measured']:.3f} m/m on the measured "
         f"walk; on simulated walks, by {', '.join(ratios)} times as much."
     ]
     for one in found:
-        unlike = [row.quantity for row in one.card.rows if row.verdict == "unlike"]
-        rest.append(f"Unlike {one.words}: {'; '.join(unlike) or 'none'}.")
+        unlike = [row for row in one.card.rows if row.verdict == "unlike"]
+        unlike.sort(key=lambda row: -abs(row.difference) / row.tolerance)
+        worst = "; ".join(
+            f"{r.quantity} ({r.simulated:.3g}, {r.measured:.3g} {r.unit})" for r in unlike[:3]
+        )
+        if unlike:
+            rest.append(f"Most unlike {one.words} (simulated, measured): {worst}.")
     return f"{main}\n\n{' '.join(rest)}"
 
 
-def _method(one: WalkComparison) -> str:
+def _method(found: Sequence[WalkComparison]) -> str:
+    one = found[0]
+    paces = ", ".join(f"{100 * c.pace:.0f} % ({c.words})" for c in found)
     words = (
-        f"{len(one.measured.clock)} measured strides and {len(one.simulated)} simulated walks for "
-        f"each robot, at {100 * one.pace:.0f} % of the measured velocities. {METHOD}"
+        f"{len(one.measured.clock)} measured strides, and {len(one.simulated)} simulated walks of "
+        f"each robot at {paces} of the measured velocities. {METHOD}"
     )
     if one.simulated[0].robot.name != one.measured.robot.name:
         words += (
