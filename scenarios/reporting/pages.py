@@ -137,7 +137,7 @@ def main_finding(page: Path) -> str:
     """The first sentence of a page of results."""
     blocks = page.read_text(encoding="utf-8").split("\n\n")
     text = next((one for one in blocks if not one.startswith(("#", "|", "-", "!"))), "")
-    return re.split(r"(?<=\.)\s+(?=[A-Z])", " ".join(text.split()), maxsplit=1)[0]
+    return re.split(r"(?<=\.)\s+", text.strip(), maxsplit=1)[0]
 
 
 def check_page(path: Path) -> None:

@@ -236,13 +236,14 @@ def paper_findings(rows: Sequence[FilterScores], gamma: float) -> str:
             of = [r for r in own if (r.filter, r.reading) == ("coverage", reading)]
             known = [np.log(r.nees[0] / paper[r.gamma]) for r in of if r.gamma in paper]
             off[reading] = np.mean(np.abs(known))
-            at |= {reading: r for r in of if r.gamma == gamma}
+            at[reading] = min(of, key=lambda r: abs(r.gamma - gamma))
         near = min(off, key=lambda name: off[name])
+        row = at[near]
         sentences.append(
             f"With {regime} errors the EKF has a NEES of {ekf.nees[0]:.1f} (the paper: "
             f"{base:.1f}). Nearest to the paper's NEES of coverage are bounds at {near}: at γ = "
-            f"{gamma:g} a NEES of {at[near].nees[0]:.1f} (the paper: {paper[gamma]:.1f}) with "
-            f"{at[near].rmse[0] / ekf.rmse[0]:.1f} times the EKF's RMSE."
+            f"{row.gamma:g} a NEES of {row.nees[0]:.1f} (the paper: {paper[row.gamma]:.1f}) with "
+            f"{row.rmse[0] / ekf.rmse[0]:.1f} times the EKF's RMSE."
         )
     return " ".join(sentences)
 
