@@ -165,7 +165,7 @@ def _commands() -> str:
 def _help(name: str) -> str:
     made = subprocess.run(
         [sys.executable, "-m", "surefoot", name, "--help"],
-        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "100"},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "78"},
         capture_output=True,
         text=True,
         check=True,

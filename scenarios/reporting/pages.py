@@ -80,7 +80,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
 
     Its first paragraph is the main finding, which the index of results repeats. Tables of sections
     with a `file` are CSV files in `tables_folder`, listed at the end; pictures are PNG files beside
-    the page.
+    the page, which link to themselves in full size.
 
     Raises SurefootError if another file than a page of results has this path.
     """
@@ -98,7 +98,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
             name = f"{path.stem}_{drawn}.png"
             with kept_file(path.with_name(name)) as temporary:
                 temporary.write_bytes(png(picture.figure))
-            parts += [f"![{section.heading}]({name})", picture.caption]
+            parts += [f"[![{section.heading}]({name})]({name})", picture.caption]
     if links:
         parts += ["## Further tables", "\n".join(links)]
     parts += ["## Origin", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
@@ -136,7 +136,7 @@ def tables_folder(page: Path) -> Path:
 def main_finding(page: Path) -> str:
     """The first sentence of a page of results."""
     blocks = page.read_text(encoding="utf-8").split("\n\n")
-    text = next((one for one in blocks if not one.startswith(("#", "|", "-", "!"))), "")
+    text = next((one for one in blocks if not one.startswith(("#", "|", "-", "!", "["))), "")
     return re.split(r"(?<=\.)\s+", text.strip(), maxsplit=1)[0]
 
 

@@ -33,7 +33,7 @@ def test_a_page_names_what_made_it_and_is_read_back(tmp_path):
     text = path.read_text()
     assert text.startswith("# Some study\n\n## Errors\n\nTwo.\n\n")
     assert "## Errors\n\nTwo.\n\n| a \\| b |" in text
-    assert "![Errors](some_1.png)\n\nA box." in text
+    assert "[![Errors](some_1.png)](some_1.png)\n\nA box." in text
     assert (tmp_path / "some_1.png").read_bytes().startswith(b"\x89PNG")
     assert main_finding(path) == "Two."
 
@@ -51,7 +51,7 @@ def test_further_tables_are_files_that_the_page_links_to(tmp_path):
     text = page.read_text()
     assert main_finding(page) == "The error is small."
     assert "- [By leg](../data/some/legs.csv): One row a leg.\n" in text
-    assert "## By leg\n\n![By leg](some_1.png)" in text
+    assert "## By leg\n\n[![By leg](some_1.png)]" in text
     assert "FL" not in text
     assert "Nothing" not in text
     table = pd.read_csv(tmp_path / "docs" / "data" / "some" / "legs.csv")
