@@ -9,6 +9,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -170,4 +171,5 @@ def _help(name: str) -> str:
         text=True,
         check=True,
     )
-    return re.sub(r"\x1b\[[0-9;]*m", "", made.stdout).strip()
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", made.stdout).strip().splitlines()
+    return "\n".join(textwrap.fill(line, 78) if len(line) > 78 else line for line in lines)
