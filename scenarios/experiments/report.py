@@ -32,9 +32,9 @@ from surefoot.scenarios.experiments.tables import (
     slug,
     tidy,
 )
-from surefoot.scenarios.reporting.html import Picture, Section, markdown_report, write_report
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.reporting.html import Picture, Section
+from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
+from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
@@ -43,7 +43,6 @@ from surefoot.sim.common.files import (
     refuse_overwrite,
     whole_file,
     whole_folder,
-    write_whole,
 )
 
 SPREAD = "Mean ± standard deviation over seeds."
@@ -69,7 +68,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         found = found.with_seeds(tuple(seed_range(settings.seeds)))
     if (out / "report.html").exists() and not force:
         raise SurefootError(f"{out}: has a finished run; give {force_option()} to write it again")
-    names = "results.csv", "results.parquet", "averages.csv", "report.md", "report.html"
+    names = "results.csv", "results.parquet", "averages.csv", "table.md", "report.html"
     for path in (*(out / name for name in names), *out.glob("recordings/*.rrd")):
         refuse_overwrite(path, force=True)
     folder = settings.cache or out / "cache"
@@ -77,15 +76,15 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     outcome = run(found, folder, settings)
     rows = tidy(outcome)
     with whole_folder(out, force=True) as made:
-        tables = report_tables(rows, found)
-        write_tables(tables, made)
+        with whole_file(made / "results.parquet") as temporary:
+            rows.to_parquet(temporary, index=False)
         for name, recording in outcome.recordings.items():
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
+        tables = report_tables(rows, found)
         pages = report_sections(tables, outcome, found)
         shown = [*pages, *_walks(outcome, found)]
-        write_whole(made / "report.md", markdown_report(found.title, shown))
-        write_report(made / "report.html", found.title, shown)
+        write_results(made, found.title, shown, {"results": rows})
     if settings.page:
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
         write_page(settings.page, found.title, pages, origin_of(__name__, command))
@@ -99,25 +98,12 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     return rows
 
 
-def write_tables(tables: Mapping[str, pd.DataFrame], out: Path) -> None:
-    """Write results.csv and .parquet with every row, and the tables that the report shows."""
-    with whole_file(out / "results.parquet") as temporary:
-        tables["results"].to_parquet(temporary, index=False)
-    for name, table in tables.items():
-        write_whole(out / f"{name}.csv", to_csv(table))
-        if name != "results" and len(table):
-            write_whole(out / f"{name}.md", to_markdown(table) + "\n")
-
-
 def report_sections(
     tables: Mapping[str, pd.DataFrame], outcome: Outcome, found: Experiment
 ) -> list[Section]:
     """Sections of report and page: findings, figures, setting, and the tables behind them."""
-    rows, shown, learnt, swept = (
-        tables[name] for name in ("results", "averages", "learning", "sweep")
-    )
+    rows, learnt, swept = (tables[name] for name in ("results", "learning", "sweep"))
     main = shown_first(rows, found)
-    shown = shown.drop(columns=[c for c in ("condition", "robot") if shown[c].nunique() == 1])
     pictures = _pictures(main, found.gammas[0])
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
         picture = Picture(
@@ -130,7 +116,7 @@ def report_sections(
         Section("Findings", findings(main, found), tables["overview"]),
         Section("Errors and consistency by sequence", pictures=tuple(pictures)),
         Section("Setting", _setting(found, rows, outcome)),
-        Section("Averages over the test sequences", SPREAD, shown, file="averages"),
+        Section("Averages over the test sequences", SPREAD, tables["averages"], file="averages"),
     ]
     if len(learnt):
         heading = "Inputs of observers, and calibration methods"

@@ -33,11 +33,9 @@ from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.samples import observer_samples
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
-from surefoot.scenarios.reporting.html import Picture, Section, write_report
+from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.sim.common.files import write_whole
+from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -46,7 +44,7 @@ from surefoot.sim.robot import Robot
 def write_calibration_report(
     out: Path, observer: Observer, bounds: Bounds, logs: Sequence[Log], page: Path | None = None
 ) -> list[Section]:
-    """Write report.html, its tables (.md, .csv) and the mixing curve into an empty folder.
+    """Write report.html, table.md, the tables (.csv) and the mixing curve into an empty folder.
 
     Raises SurefootError if a log does not match the observer.
 
@@ -61,24 +59,13 @@ def write_calibration_report(
     calibration = logs[0]
     with drawn_bar(logs, desc="walks", unit=" log") as bar:
         first, *others = [evaluate_walk(observer, bounds, log, log is calibration) for log in bar]
-    tables = {
-        "methods": methods_table(first, [w for w in others if w.role == "test"]),
-        "coverage": sequence_table(first, others),
-        "cases": case_table(others),
-    }
-    for name, table in tables.items():
-        if len(table):
-            write_whole(out / f"{name}.md", to_markdown(table) + "\n")
-            write_whole(out / f"{name}.csv", to_csv(table))
+    methods = methods_table(first, [w for w in others if w.role == "test"])
+    walks, cases = sequence_table(first, others), case_table(others)
     pictures = ()
     if bounds.mixing is not None:
         pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION, "mixing.png"),)
     sections = [
-        Section(
-            "Findings",
-            bounds_findings(first.bounds, tables["coverage"]),
-            _shown(tables["coverage"]),
-        ),
+        Section("Findings", bounds_findings(first.bounds, walks), _shown(walks)),
         Section("Spacing of the errors", _mixing_prose(bounds), None, pictures),
     ]
     tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
@@ -86,15 +73,14 @@ def write_calibration_report(
         # Bounds in the frame of that log's IMU.
         errors = observer.errors, np.vstack(tests), first.bounds.epsilon
         sections.append(replace(error_section(*errors, bounds.gamma, "test walks"), file="errors"))
-    sections.append(Section("Methods", METHODS_PROSE, tables["methods"], file="methods"))
+    sections.append(Section("Methods", METHODS_PROSE, methods, file="methods"))
     if others:
-        heading = "Where the bounds hold"
-        sections.append(Section(heading, SHIFT_PROSE, tables["coverage"], file="coverage"))
-    if len(tables["cases"]):
+        sections.append(Section("Where the bounds hold", SHIFT_PROSE, walks, file="coverage"))
+    if len(cases):
         heading = "By terrain, slip, motion and stride"
-        sections.append(Section(heading, CASES_PROSE, tables["cases"], file="cases"))
+        sections.append(Section(heading, CASES_PROSE, cases, file="cases"))
     title = f"Bounds calibrated on {calibration.name}, and where they hold"
-    write_report(out / "report.html", title, sections)
+    write_results(out, title, sections)
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
     return sections

@@ -17,9 +17,9 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
-from surefoot.scenarios.reporting.html import Picture, Section, write_report
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
+from surefoot.scenarios.reporting.html import Picture, Section
+from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
+from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
@@ -80,7 +80,8 @@ def write_loop(
     gait: GaitChoice,
     trained_on_measured: list[float] | str,
 ) -> pd.DataFrame:
-    """Write table.md, table.csv, loop.json, report.html, loop.rrd and any page; returns the table.
+    """Write table.md, tables (.csv), loop.json, report.html, loop.rrd and any page; returns the
+    errors of every filter.
 
     Args:
         log: the measured log.
@@ -93,8 +94,6 @@ def write_loop(
     """
     out = settings.out
     table = pd.DataFrame(_rows(worlds))
-    write_whole(out / "table.md", to_markdown(table) + "\n", force=True)
-    write_whole(out / "table.csv", to_csv(table), force=True)
     found = json.loads((out / "trace" / "trace.json").read_text(encoding="utf-8"))
     summary = {
         "trace": found,
@@ -111,12 +110,12 @@ def write_loop(
         Section("Findings", loop_findings(found, table, [w.name for w in worlds]), overview(table)),
         *_pictures(log, worlds, drawn),
         Section("Method", _method(worlds)),
-        Section("Errors of every filter", "", table, file="filters"),
+        Section("Errors of every filter", "", table, file="table"),
         *_of_observers(worlds, trained_on_measured),
         Section("How the simulated robot walks", gait.words, gait.rows or None, file="gait"),
         *_of_trace(found),
     ]
-    write_report(out / "report.html", LOOP_TITLE, sections, True)
+    write_results(out, LOOP_TITLE, sections, force=True)
     if settings.page:
         write_page(settings.page, LOOP_TITLE, sections, origin_of(_MODULE, "surefoot loop"))
     return table

@@ -346,13 +346,8 @@ def _method(found: Sequence[WalkComparison]) -> str:
 
 
 def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
-    """A card for each simulated robot, and the tolerances with their reasons."""
-    cards = [Section(f"Realism card: {one.words}", "", card_table(one.card)) for one in found]
-    reasons = [
-        {"quantity": r.quantity, "tolerance": r.tolerance, "unit": r.unit, "reason": r.reason}
-        for r in found[0].card.rows
-    ]
-    return [*cards, Section("Tolerances", table=reasons)]
+    """A card for each simulated robot; realism.csv has the reasons of the tolerances."""
+    return [Section(f"Realism card: {one.words}", "", card_table(one.card)) for one in found]
 
 
 def card_table(card: Card) -> list[dict[str, str | float]]:
