@@ -114,9 +114,6 @@ def _moved(source: str) -> str:
 
 def _results() -> str:
     """One line a page: its title and its main finding."""
-    sys.path[:0] = [str(ROOT)]
-    from surefoot.scenarios.reporting.pages import main_finding
-
     words = (
         "The main finding of each page. The command that measures writes the page, its tables as "
         "CSV, and at the end the commit, the machine and the command."
@@ -127,6 +124,13 @@ def _results() -> str:
     ]
     lines = ["# Results\n", f"{words}\n", "| page | main finding |", "| --- | --- |", *rows]
     return "\n".join(lines) + "\n"
+
+
+def main_finding(page: Path) -> str:
+    """The first sentence of a page of results."""
+    blocks = page.read_text(encoding="utf-8").split("\n\n")
+    text = next((one for one in blocks if not one.startswith(("#", "|", "-", "!", "["))), "")
+    return re.split(r"(?<=\.)\s+", text.strip(), maxsplit=1)[0]
 
 
 def _title(page: Path) -> str:

@@ -120,12 +120,11 @@ def _mixing_prose(bounds: Bounds) -> str:
 
 SHIFT_PROSE = (
     "Coverage is lost if the whole 95 % interval, which counts one error for each K samples, lies "
-    "below the level. The alarm, which needs no reference, compares the size of the filter's "
-    "innovations with that in the calibration; on a walk like that one it is raised with a "
-    f"probability of at most {FALSE_ALARM:g}. Widened: after the alarm, the bounds grow with the "
-    "innovations (by: the mean factor). Weighted: calibration errors are weighted by the "
-    "similarity of the inputs (volume: relative to these bounds). Neither notices a persistent "
-    "error that does not affect the inputs."
+    "below the level. The alarm compares the filter's innovations with those in the calibration; "
+    f"on a walk like that one it is raised with a probability of at most {FALSE_ALARM:g}. Widened: "
+    "after the alarm, bounds grow with the innovations (by: the mean factor). Weighted: errors of "
+    "the calibration are weighted by the similarity of the inputs (volume: relative to these "
+    "bounds). Neither notices a persistent error that does not affect the inputs."
 )
 
 

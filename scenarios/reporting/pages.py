@@ -133,13 +133,6 @@ def tables_folder(page: Path) -> Path:
     return (home.parent / "data" if home.name == "results" else home) / page.stem
 
 
-def main_finding(page: Path) -> str:
-    """The first sentence of a page of results."""
-    blocks = page.read_text(encoding="utf-8").split("\n\n")
-    text = next((one for one in blocks if not one.startswith(("#", "|", "-", "!", "["))), "")
-    return re.split(r"(?<=\.)\s+", text.strip(), maxsplit=1)[0]
-
-
 def check_page(path: Path) -> None:
     """Raise SurefootError if the path is that of a file other than a page of results."""
     refuse_input(path)

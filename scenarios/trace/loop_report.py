@@ -112,7 +112,7 @@ def write_loop(
         Section("Method", _method(worlds)),
         Section("Errors of every filter", "", table, file="table"),
         *_of_observers(worlds, trained_on_measured),
-        Section("How the simulated robot walks", gait.words, gait.rows or None, file="gait"),
+        Section("Gait", gait.words, gait.rows or None, file="gait" if gait.rows else ""),
         *_of_trace(found),
     ]
     write_results(out, LOOP_TITLE, sections, force=True)
@@ -146,26 +146,21 @@ def _of_observers(
         rows.append({"walks": "the other half of the measured walk"} | measured_only)
         words += (
             "\n\nThe last row is an observer trained on one half of the measured walk and "
-            "evaluated on the other, each in turn. If observers trained in simulation have larger "
-            "errors, the simulation lacks something. The remaining errors cannot be learnt from "
-            "a walk as short as this one."
+            "evaluated on the other: about the best that a walk as short as this allows."
         )
     last = worlds[-1]
-    parts = (
-        f"Errors of the mse observer in the world `{last.name}`, root mean square [m/s]. Those "
-        "while the robot moves are the sum of these parts: "
-    )
-    parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items())
     shares = excess(last.simulated, last.measured)
-    parts += (
-        ".\n\nShare of each part in the excess of the measured squared errors over the simulated "
-        f"ones: {', '.join(f'{name} {100 * x:.0f} %' for name, x in shares.items())}."
+    parts = (
+        f"Of the mse observer in the world `{last.name}`, root mean square [m/s]. Share of each "
+        "part in the excess of the measured squared errors over the simulated ones: "
+        f"{', '.join(f'{name} {100 * x:.0f} %' for name, x in shares.items())}.\n\n"
+        "The errors while the robot moves are the sum of these parts: "
+        f"{'; '.join(f'{name}, {what}' for name, what in ERROR_PARTS.items())}."
     )
+    table = parts_table(last.simulated, last.measured)
     return [
         Section("Observers", words, pd.DataFrame(rows), file="observers"),
-        Section(
-            "Parts of the errors", parts, parts_table(last.simulated, last.measured), file="parts"
-        ),
+        Section("Parts of the errors", parts, table, file="parts"),
     ]
 
 

@@ -26,6 +26,14 @@ def test_no_two_pages_have_the_same_title():
     assert not _more_than_once(titles)
 
 
+def test_the_main_finding_of_a_page_is_its_first_sentence(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# Title\n\n## Findings\n\nThe error is 0.5 m. It was larger.\n\nMore.\n")
+    assert hooks.main_finding(page) == "The error is 0.5 m."
+    page.write_text("# Title\n\n| a |\n| - |\n\n[![P](p.png)](p.png)\n\nNone. More.\n")
+    assert hooks.main_finding(page) == "None."
+
+
 def test_the_index_has_the_main_finding_of_every_page():
     pages = sorted((ROOT / "docs" / "results").glob("*.md"))
     lines = [line for line in hooks._results().splitlines() if line.startswith("| [")]

@@ -10,7 +10,6 @@ from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import (
     Origin,
-    main_finding,
     origin_of,
     read_origin,
     tables_folder,
@@ -35,7 +34,6 @@ def test_a_page_names_what_made_it_and_is_read_back(tmp_path):
     assert "## Errors\n\nTwo.\n\n| a \\| b |" in text
     assert "[![Errors](some_1.png)](some_1.png)\n\nA box." in text
     assert (tmp_path / "some_1.png").read_bytes().startswith(b"\x89PNG")
-    assert main_finding(path) == "Two."
 
 
 def test_further_tables_are_files_that_the_page_links_to(tmp_path):
@@ -49,7 +47,6 @@ def test_further_tables_are_files_that_the_page_links_to(tmp_path):
     ]
     write_page(page, "Some", sections, Origin(commit="1234567"))
     text = page.read_text()
-    assert main_finding(page) == "The error is small."
     assert "- [By leg](../data/some/legs.csv): One row a leg.\n" in text
     assert "## By leg\n\n[![By leg](some_1.png)]" in text
     assert "FL" not in text
