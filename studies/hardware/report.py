@@ -121,8 +121,8 @@ def _of_go1(tables: Tables, verdict: str) -> list[str]:
         f"({best['APE_trans [m]']:.3f} m).",
         f"The residual of standing legs falls {_residual(tables['residuals'], 'leg_velocity')}.",
         _verdict(verdict),
-        f"A reference that is moved by one standard deviation of its stamps changes the error to "
-        f"between {min(moved):.3f} and {max(moved):.3f} m.",
+        "With a reference that is moved by one standard deviation of its stamps, the error is "
+        f"{min(moved):.3f} to {max(moved):.3f} m.",
     ]
 
 

@@ -37,7 +37,8 @@ def write_page_of(out: Path, records: Sequence[Record], page: Path | None = None
     every = [_row(r) for r in records]
     rules = rules_of_loads(records)
     main = (
-        f"{rules[0]['rule'].capitalize()} in {rules[0]['measured']}, asked are {rules[0]['asked']}."
+        f"Loads above the least change are named on the right link in {rules[0]['measured']}; "
+        f"asked are {rules[0]['asked']}."
     )
     plan = _plan_prose(Counter(case.kind for case in drawn), len(records))
     sections = [
