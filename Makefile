@@ -81,15 +81,9 @@ study-loads: setup
 	$(BIN)/python -m studies.loads -o out/loads \
 		--data docs/data/loads --page docs/results/loads.md
 
-# What models lack of real machines, drives and the Go1 on one page, the others on one each; a study
-# whose recording is not there is skipped.
-study-hardware: HARDWARE = $(BIN)/python -m studies.hardware --force
+# What models lack of real machines, a page for each; a study whose recording is not there is skipped.
 study-hardware: setup
-	$(HARDWARE) -o out/hardware --only ak80_pendulum go2_in_air go1_square \
-		--data docs/data/hardware --page docs/results/hardware.md
-	for machine in scaler_trot icub_biped ricmonk so101; do $(HARDWARE) -o out/hardware/$$machine \
-		--only $$machine --data docs/data/hardware --page docs/results/hardware_$$machine.md \
-		|| exit 1; done
+	$(BIN)/python -m studies.hardware --force -o out/hardware --data docs/data/hardware --pages docs/results
 
 # The paper's Monte-Carlo tables, some minutes on two idle cores; finished regimes are kept.
 study-montecarlo: setup

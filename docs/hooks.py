@@ -9,11 +9,11 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {
@@ -23,7 +23,6 @@ PAGES = {
     "SECURITY.md": "security.md",
 }
 ELSEWHERE = re.compile(r"\[([^\]]+)\]\((?:LICENSE|CITATION\.cff|Makefile)\)")
-WALKER = re.compile(r"compared with \d+ simulated walks of (\w+)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -39,21 +38,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "reference/filters.md", content=filters))
     files.append(File.generated(config, "reference/effects.md", content=effects))
     return files
-
-
-def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """The text of a page, under a title that no other page has."""
-    if not page.file.src_uri.startswith("results/"):
-        return markdown
-    first, newline, rest = markdown.partition("\n")
-    return f"# {_title(markdown)}{newline}{rest}" if first.startswith("# ") else markdown
-
-
-def _title(text: str) -> str:
-    """The title of a page of results; the pages of `realism` are told apart by their robots."""
-    title = text.partition("\n")[0].removeprefix("# ")
-    walker = WALKER.search(text) if title.endswith("simulated walks") else None
-    return f"{title} of {walker.group(1)}" if walker else title
 
 
 def _maps() -> str:
@@ -129,23 +113,28 @@ def _moved(source: str) -> str:
 
 
 def _results() -> str:
-    """One line a page: its title, the commit that it was measured on, and whether it is stale."""
-    sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
-    from result_pages import pages_table
-
-    lines = [
-        "# Results",
-        "Each page is written by the command that measures, which names the commit and the digest "
-        "of the code in the page's header. A page is stale where that code has changed since, or "
-        "where the digest is not known.",
-        "| page | measured on commit | state |\n| --- | --- | --- |",
+    """One line a page: its title and its main finding."""
+    words = (
+        "The main finding of each page. The command that measures writes the page, its tables as "
+        "CSV, and at the end the commit, the machine and the command."
+    )
+    rows = [
+        f"| [{_title(page)}]({page.name}) | {main_finding(page)} |"
+        for page in sorted((ROOT / "docs" / "results").glob("*.md"))
     ]
-    rows = []
-    for row in pages_table(ROOT / "docs" / "results"):
-        page = ROOT / "docs" / "results" / row["page"]
-        title = _title(page.read_text(encoding="utf-8"))
-        rows.append(f"| [{title}]({row['page']}) | `{row['commit']}` | {row['state']} |")
-    return "\n\n".join(lines) + "\n" + "\n".join(rows) + "\n"
+    lines = ["# Results\n", f"{words}\n", "| page | main finding |", "| --- | --- |", *rows]
+    return "\n".join(lines) + "\n"
+
+
+def main_finding(page: Path) -> str:
+    """The first sentence of a page of results."""
+    blocks = page.read_text(encoding="utf-8").split("\n\n")
+    text = next((one for one in blocks if not one.startswith(("#", "|", "-", "!", "["))), "")
+    return re.split(r"(?<=\.)\s+", text.strip(), maxsplit=1)[0]
+
+
+def _title(page: Path) -> str:
+    return page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
 
 
 def _plausibility() -> str:
@@ -181,9 +170,10 @@ def _commands() -> str:
 def _help(name: str) -> str:
     made = subprocess.run(
         [sys.executable, "-m", "surefoot", name, "--help"],
-        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "100"},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "78"},
         capture_output=True,
         text=True,
         check=True,
     )
-    return re.sub(r"\x1b\[[0-9;]*m", "", made.stdout).strip()
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", made.stdout).strip().splitlines()
+    return "\n".join(textwrap.fill(line, 78) if len(line) > 78 else line for line in lines)

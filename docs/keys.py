@@ -5,27 +5,15 @@ import inspect
 import re
 import textwrap
 from collections.abc import Sequence
+from dataclasses import is_dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-_WORDS = {
-    "Annotated[int, msgspec.Meta(ge=0)]": "whole number >= 0",
-    "NonNegativeCount": "whole number >= 0",
-    "Count": "whole number >= 1",
-    "NonNegative": "number >= 0",
-    "Positive": "number > 0",
-    "Length": "number > 0",
-    "Speed": "number",
-    "Role": "text",
-    "FileName": "text",
-    "Friction": "number",
-    "OneCharacter": "one character",
-    "Name": "text",
-    "str": "text",
-    "float": "number",
-    "int": "whole number",
-    "bool": "true or false",
-    "Entries": "columns",
-    "ColumnEntry": "column",
-}
+import msgspec
+
+_WORDS = {str: "text", float: "number", int: "whole number", bool: "true or false"}
+_MOST = 2.0**53  # a limit of numbers themselves, which goes without saying
+_BOUNDS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
 def keys_page(title: str, words: str, sections: Sequence[tuple[str, type]]) -> str:
@@ -50,7 +38,7 @@ def keys(kind: type) -> list[tuple[str, str, str, str]]:
     lines = source.splitlines()
     (node,) = ast.parse(source).body
     assert isinstance(node, ast.ClassDef)
-    found = []
+    found, kinds = [], get_type_hints(kind, include_extras=True)
     for field, after in zip(node.body, [*node.body[1:], None], strict=True):
         if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
             continue
@@ -60,9 +48,8 @@ def keys(kind: type) -> list[tuple[str, str, str, str]]:
         if "bumps" in field.target.id or "ClassVar" in ast.unparse(field.annotation):
             continue
         default = "required" if field.value is None else _default(ast.unparse(field.value))
-        found.append(
-            (field.target.id, _value(ast.unparse(field.annotation)), default, _plain(comment))
-        )
+        value = _value(kinds[field.target.id])
+        found.append((field.target.id, value, default, _plain(comment)))
     for base in kind.__bases__:
         if hasattr(base, "__dataclass_fields__"):
             own = {key for key, *_ in found}
@@ -70,20 +57,29 @@ def keys(kind: type) -> list[tuple[str, str, str, str]]:
     return found
 
 
-def _value(annotation: str) -> str:
-    text = annotation.replace(" | None", "")
-    if text.startswith("Literal"):
-        return ", ".join(f"`{choice}`" for choice in re.findall(r"'([^']*)'", text))
-    array = re.match(r"tuple\[(.*), \.\.\.\]$", text)
-    if array:
-        inner = _value(array[1].strip("'\""))
-        return "array of tables" if inner.startswith(("_", "table")) else f"array of {inner}"
-    if text.startswith("tuple["):
-        return f"{text.count(',') + 1} numbers"
-    for name, word in _WORDS.items():
-        text = re.sub(rf"(?<![A-Za-z]){re.escape(name)}(?![A-Za-z])", word, text)
-    text = re.sub(r"dict\[text, ([^\]]*)\]", r"table of \1", text).replace(" | ", " or ")
-    return "table" if re.fullmatch(r"_?[A-Z]\w*|table of [A-Z]\w*", text) else text
+def _value(kind: Any) -> str:
+    """What a file may have for a type, in words."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _bounded(*parts)
+    if origin is Literal:
+        return ", ".join(f"`{choice}`" for choice in parts)
+    if origin in (Union, UnionType):
+        return " or ".join(_value(part) for part in parts if part is not NoneType)
+    if origin is tuple:
+        each = _value(parts[0]).replace("table", "tables")
+        return f"array of {each}" if ... in parts else f"{len(parts)} numbers"
+    if origin is dict and not is_dataclass(parts[1]):
+        return f"table of {_value(parts[1])}"
+    return _WORDS.get(kind, "table")
+
+
+def _bounded(kind: type, limits: msgspec.Meta) -> str:
+    if limits.pattern and not re.search(limits.pattern, "ab"):
+        return "one character"
+    named = {sign: getattr(limits, name) for name, sign in _BOUNDS.items()}
+    words = [f"{sign} {x:.10g}" for sign, x in named.items() if x is not None and abs(x) < _MOST]
+    return f"{_value(kind)} {' and '.join(words)}".strip()
 
 
 def _default(value: str) -> str:

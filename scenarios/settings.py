@@ -191,7 +191,9 @@ class GridSettings(WorkerSettings):
     no_recordings: bool = False
     """Write no rerun recordings of the sequences; by default there is one of each."""
     page: Path | None = None
-    """Page of results to write as well, such as docs/results/suite_spot.md."""
+    """Page of results to write as well, such as docs/results/suite_spot.md; its further tables are
+    CSV files in docs/data/suite_spot.
+    """
     data: Path | None = None
     """Folder of finished rows, one for each walk, which later runs reuse, such as
     docs/data/suite_spot; by default none are stored.
@@ -207,7 +209,9 @@ class WalkSettings(OutputSettings):
     seed: int = 0
     """Seed of the walks, of a training, and of the intervals."""
     page: Path | None = None
-    """Page of results to write as well, such as docs/results/loop.md."""
+    """Page of results to write as well, such as docs/results/loop.md; its further tables are CSV
+    files in docs/data/loop.
+    """
 
 
 @dataclass(frozen=True)

@@ -100,38 +100,52 @@ def observer_study(study: ObserverStudy) -> list[Section]:
         rows.append(vars(one) | row)
     found = pd.DataFrame(rows)
     sections = _sections(study, found, {role: len(logs) for role, logs in walks.items()})
-    write_results(study.out, _TITLE, sections, {"trainings": found}, force=True)
+    write_results(study.out, _TITLE, sections, force=True)
     if study.page:
         write_page(study.page, _TITLE, sections, origin_of(_MODULE, "make study-observer"))
     return sections
 
 
 def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int]) -> list[Section]:
+    """Findings with the error by inputs and walks, the setting, and all errors as CSV."""
     by_walks = found.query("model == @study.models[0]")
     alike = found.query("walks == @study.walks[-2] and inputs == @study.inputs[-1]")
     errors = {
         str(inputs): {int(str(n)): group["all"].tolist() for n, group in part.groupby("walks")}
         for inputs, part in by_walks.groupby("inputs", sort=False)
     }
+    fewest, most = min(study.walks), max(study.walks)
+    fall = "; ".join(
+        f"with `{inputs}` it falls from {np.mean(of[fewest]):.3f} to {np.mean(of[most]):.3f} m/s"
+        for inputs, of in errors.items()
+    )
+    table = mean_and_spread(by_walks, ("inputs", "walks"))
     caption = "Error on unseen walks; a small dot for each seed, lines through their means."
     sections = [
         Section(
-            "Inputs and number of walks",
+            "Findings",
+            f"Root mean square error of the velocity on unseen walks, from {fewest} to {most} "
+            f"walks to train on: {fall}.",
+            table[["inputs", "walks", "parameters", "CPU [s]", "RMSE all [m/s]"]],
+            (Picture(error_by_number(errors), caption),),
+        ),
+        Section(
+            "Setting",
             f"Observers ({study.models[0]}) of {study.robot} are trained for at most {study.steps} "
             "steps on walks drawn as `surefoot train --walks` draws them, stopped by "
             f"{counts['held_out']} others, and tested on {counts['test']} that no training has "
-            "seen. Root mean square errors, in which each walk has equal weight, by "
+            "seen. Each walk has equal weight. Errors are by "
             f"{study.seeds} seed(s) of the training: of several, mean and standard deviation.",
-            mean_and_spread(by_walks, ("inputs", "walks")),
-            (Picture(error_by_number(errors), caption),),
         ),
+        Section("Errors by axis", "", table, file="by_walks"),
         Section(
             "Architectures",
             f"All read {study.inputs[-1]}, and are trained on {study.walks[-2]} walks.",
             mean_and_spread(alike, ("model",)),
+            file="architectures",
         ),
     ]
-    return sections if len(study.models) > 1 else sections[:1]
+    return sections if len(study.models) > 1 else sections[:-1]
 
 
 def mean_and_spread(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:

@@ -136,7 +136,9 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
     on: tuple[Path, ...] = ()
     """Logs on which the report evaluates the bounds; needs --report."""
     page: Path | None = None
-    """Page of results to write as well, such as docs/results/bounds.md; needs --report."""
+    """Page of results to write as well, such as docs/results/bounds.md, with its further tables as
+    CSV files in docs/data/bounds; needs --report.
+    """
 
     def run(self) -> None:
         from surefoot.models.calibration.calibrate import (

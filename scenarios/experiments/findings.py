@@ -1,6 +1,4 @@
-"""Findings of an experiment in words: which filter has the least error, where another is better,
-and why.
-"""
+"""Findings of an experiment: sentences, and a table of errors and consistency by filter."""
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
@@ -10,114 +8,96 @@ import pandas as pd
 
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.experiments.figures import FACTOR, NOMINAL
-from surefoot.scenarios.experiments.file import Condition, Experiment
-from surefoot.scenarios.experiments.tables import SHARE
-from surefoot.scenarios.reporting.palette import estimator_label
+from surefoot.scenarios.experiments.file import Experiment
 
-DIVERGED = 5.0  # % of the path, from which a filter counts as lost on a sequence
-RANKED_BY = "APE_trans [m]"
-
-
-def findings(rows: pd.DataFrame, experiment: Experiment) -> list[tuple[str, str]]:
-    """Heading and paragraphs for each condition, from the rows of one gamma."""
-    parts = [(one, rows[rows["condition"] == one.name]) for one in experiment.conditions]
-    return [(one.name, "\n\n".join(_condition(part, one))) for one, part in parts if len(part)]
+ERROR = "APE_trans [m]"
+SHOWN = {ERROR: "APE [m]", "NEES_pos": "NEES"}
+"""Columns of all rows, and their names in the table of the findings."""
 
 
-def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
-    heading = f"{condition.name[:1].upper()}{condition.name[1:]}"
-    paragraphs = [f"{heading}: {condition.words}."] if condition.words else []
-    own = {name: traits(name) for name in dict.fromkeys(rows["filter"])}
-    unranked = [name for name in own if own[name].perceptive or own[name].floor]
-    ranked = rows[~rows["filter"].isin(unranked)]
-    test = ranked[ranked["role"] == "test"]
-    if test.empty:
-        return paragraphs
-    means = test.groupby("filter")[RANKED_BY].mean().sort_values()
-    order = ", ".join(f"{estimator_label(str(n))} {v:.3f} m" for n, v in means.items())
-    paragraphs.append(f"Position error averaged over the test sequences, lowest first: {order}.")
-    paragraphs += [_divergence(ranked), _consistency(test)]
-    ours = max(ranked["filter"].unique(), key=lambda name: own[name].proposed)
-    if own[ours].proposed:
-        paragraphs += _losses(ranked, ours, condition)
-    return [line for line in paragraphs if line]
+def overview(rows: pd.DataFrame) -> pd.DataFrame:
+    """Mean position error and NEES over the test sequences, by filter (and robot, if there are
+    several) and condition, from the rows of one gamma.
+    """
+    keys = ["robot", "filter"] if rows["robot"].nunique() > 1 else ["filter"]
+    test = rows[rows["role"] == "test"]
+    columns = {
+        f"{shown}, {condition}": part.groupby(keys, sort=False)[column].mean()
+        for condition, part in test.groupby("condition", sort=False)
+        for column, shown in SHOWN.items()
+    }
+    return pd.DataFrame(columns).reset_index()
 
 
-def _divergence(rows: pd.DataFrame) -> str:
-    kept, lost = [], []
-    for name, mine in rows.groupby("filter", sort=False):
-        label = estimator_label(str(name))
-        worst = mine.groupby("sequence", sort=False)[SHARE].max()
-        if worst.max() < DIVERGED:
-            kept.append(f"{label} ({worst.max():.1f} %)")
-        else:
-            on = ", ".join(f"{s} {v:.0f} %" for s, v in worst.items() if not v < DIVERGED)
-            lost.append(f"{label} (on {on})")
-    good = ", ".join(kept) or "none"
-    text = f"Position error below {DIVERGED:g} % of the path on every sequence: {good}."
-    return text + (f" Above it: {'; '.join(lost)}." if lost else "")
+def findings(rows: pd.DataFrame, experiment: Experiment) -> str:
+    """Sentences on the test sequences, from the rows of one gamma: which filter has the lowest
+    error, how the proposed one compares, which are consistent, and whether bounds hold.
+    """
+    own = {name: traits(name) for name in rows["filter"].unique()}
+    ranked = [name for name, one in own.items() if not (one.perceptive or one.floor)]
+    test = rows[(rows["role"] == "test") & rows["filter"].isin(ranked)]
+    parts = {
+        str(name): part
+        for name, part in test.groupby("condition", sort=False)
+        if name in {one.name for one in experiment.conditions}
+    }
+    if not parts:
+        return "No filter ran on a test sequence."
+    means = {name: part.groupby("filter", sort=False)[ERROR].mean() for name, part in parts.items()}
+    least = [f"`{m.idxmin()}` ({m.min():.3f} m, {name})" for name, m in means.items()]
+    main = (
+        "Of the proprioceptive filters, these have the lowest mean position error over the test "
+        f"sequences: {', '.join(least)}."
+    )
+    ours = max(ranked, key=lambda name: own[name].proposed)
+    rest = [_proposed(parts, means, ours)] if own[ours].proposed else []
+    rest += [_consistency(parts), *_learnt(parts, ours, experiment.gammas[0])]
+    return f"{main}\n\n{' '.join(rest)}"
 
 
-def _consistency(test: pd.DataFrame) -> str:
-    parts = []
-    for name, mine in test.groupby("filter", sort=False):
-        nees = mine["NEES_pos"].dropna()
-        if len(nees):
-            inside = ((nees > NOMINAL / FACTOR) & (nees < NOMINAL * FACTOR)).mean()
-            parts.append(f"{estimator_label(str(name))} {nees.mean():.2f} ({100 * inside:.0f} %)")
+def _proposed(parts: dict[str, pd.DataFrame], means: dict[str, pd.Series], ours: str) -> str:
+    found = []
+    for condition, part in parts.items():
+        by = part.groupby(["sequence", "filter"], sort=False)[ERROR].mean().unstack()
+        first = (by.idxmin(axis=1) == ours).sum()
+        error = means[condition].get(ours, float("nan"))
+        found.append(f"{error:.3f} m ({condition}; lowest on {first} of {len(by)} sequences)")
+    return f"`{ours}`, the proposed filter, has {', '.join(found)}."
+
+
+def _consistency(parts: dict[str, pd.DataFrame]) -> str:
+    found = []
+    for condition, part in parts.items():
+        nees = part.groupby("filter", sort=False)["NEES_pos"].mean()
+        inside = nees[(nees > NOMINAL / FACTOR) & (nees < NOMINAL * FACTOR)]
+        found.append(f"{', '.join(f'`{name}`' for name in inside.index) or 'none'} ({condition})")
     return (
-        f"Mean NEES of position, {NOMINAL:g} for a consistent filter, and the share of "
-        f"test walks within a factor of {FACTOR:g} of it: {', '.join(parts)}."
+        f"Filters whose mean NEES of position is within a factor of {FACTOR:g} of {NOMINAL:g}, "
+        f"which is consistent: {'; '.join(found)}."
     )
 
 
-def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
-    """Sequences on which another proprioceptive filter is better, by how much, and why."""
-    means = rows.groupby(["sequence", "filter"], sort=False)[RANKED_BY].mean().unstack()
-    ahead = {}
-    for sequence, values in means.iterrows():
-        best = values.idxmin()
-        if best != ours:
-            ahead.setdefault(str(best), []).append((sequence, values[ours], values[best]))
-    label = estimator_label(ours)
-    if not ahead:
-        return [f"{label} has the lowest position error of all on every sequence."]
-    paragraphs = []
-    for best, found in ahead.items():
-        where = ", ".join(f"{s} ({b:.2f} against {a:.2f} m)" for s, a, b in found)
-        winner, n = estimator_label(best), len(means)
-        paragraphs.append(
-            f"{winner} has a lower position error than {label} on {len(found)} of {n} sequences: "
-            f"{where}."
+def _learnt(parts: dict[str, pd.DataFrame], ours: str, gamma: float) -> list[str]:
+    """Coverage of the bounds, and the observer's mean error over a walk; none without observers."""
+    held, bias = [], []
+    for condition, part in parts.items():
+        bounded = part[part["coverage_n"] > 0]
+        if len(bounded):
+            one = bounded[bounded["filter"] == bounded["filter"].iloc[0]]
+            share = (one["coverage [%]"] * one["coverage_n"]).sum() / one["coverage_n"].sum()
+            held.append(f"{share:.0f} % ({condition})")
+        mine = part[(part["filter"] == ours) & part["fed_mean_x [m/s]"].notna()]
+        if len(mine):
+            size = (mine[[f"fed_mean_{a} [m/s]" for a in "xyz"]] ** 2).sum(axis=1) ** 0.5
+            bias.append(f"{1e3 * size.mean():.1f} mm/s ({condition})")
+    sentences = []
+    if held:
+        sentences.append(
+            f"Bounds calibrated for {100 * gamma:.0f} % of the observer's velocity errors contain "
+            f"{', '.join(held)}."
         )
-    if any(traits(name).of_legs for name in ahead):
-        paragraphs.append(_why_legs(rows, condition))
-    paragraphs.append(_why_learnt(rows, ours))
-    return paragraphs
-
-
-def _why_legs(rows: pd.DataFrame, condition: Condition) -> str:
-    walks = rows.drop_duplicates(["sequence", "seed"])
-    if condition.effects or condition.imperfections or condition.walked:
-        model = "The leg filter's model of the legs is wrong only by the robot's imperfections"
-        so = "leg kinematics remain more accurate than an observer trained on so little walking"
-    else:
-        model = "The leg filter has a perfect model of the legs, the radius of the feet included"
-        so = "velocities from leg kinematics are nearly exact"
-    return (
-        f"{model}; a standing foot creeps by {walks['creep [mm/s]'].median():.1f} mm/s on dry "
-        f"ground (median) and slides on {walks['slip [%]'].mean():.1f} % of its samples: {so}."
-    )
-
-
-def _why_learnt(rows: pd.DataFrame, ours: str) -> str:
-    mine = rows[(rows["filter"] == ours) & rows["fed_mean_x [m/s]"].notna()]
-    if mine.empty:
-        return ""
-    bias = (mine[[f"fed_mean_{a} [m/s]" for a in "xyz"]] ** 2).sum(axis=1) ** 0.5
-    drift = bias * mine["duration [s]"]
-    return (
-        f"The observer's velocity errors do not average out over a walk: their mean is "
-        f"{1e3 * bias.mean():.1f} mm/s on average, {1e3 * bias.max():.1f} mm/s at worst; "
-        f"integrated over a walk, it would move an estimate by {drift.mean():.2f} m on average."
-    )
+    if bias:
+        sentences.append(
+            f"These errors do not average out: their mean over a walk is {', '.join(bias)}."
+        )
+    return sentences

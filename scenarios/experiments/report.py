@@ -32,9 +32,9 @@ from surefoot.scenarios.experiments.tables import (
     slug,
     tidy,
 )
-from surefoot.scenarios.reporting.html import Picture, Section, markdown_report, write_report
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.reporting.html import Picture, Section
+from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
+from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
@@ -43,10 +43,9 @@ from surefoot.sim.common.files import (
     refuse_overwrite,
     whole_file,
     whole_folder,
-    write_whole,
 )
 
-PATHS = "Paths: "
+SPREAD = "Mean ± standard deviation over seeds."
 LEARNT = (
     "Averages over the test sequences. inputs: those of the observers, q,dq,tau in the paper; feet "
     "is leg odometry computed with the model as drawn. method: how the bound of each axis is "
@@ -69,7 +68,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         found = found.with_seeds(tuple(seed_range(settings.seeds)))
     if (out / "report.html").exists() and not force:
         raise SurefootError(f"{out}: has a finished run; give {force_option()} to write it again")
-    names = "results.csv", "results.parquet", "averages.csv", "report.md", "report.html"
+    names = "results.csv", "results.parquet", "averages.csv", "table.md", "report.html"
     for path in (*(out / name for name in names), *out.glob("recordings/*.rrd")):
         refuse_overwrite(path, force=True)
     folder = settings.cache or out / "cache"
@@ -77,19 +76,18 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     outcome = run(found, folder, settings)
     rows = tidy(outcome)
     with whole_folder(out, force=True) as made:
-        tables = report_tables(rows, found)
-        write_tables(tables, made)
+        with whole_file(made / "results.parquet") as temporary:
+            rows.to_parquet(temporary, index=False)
         for name, recording in outcome.recordings.items():
             with whole_file(made / "recordings" / f"{name}.rrd") as temporary:
                 copyfile(recording.path, temporary)
+        tables = report_tables(rows, found)
         pages = report_sections(tables, outcome, found)
-        write_whole(made / "report.md", markdown_report(found.title, pages))
-        write_report(made / "report.html", found.title, pages)
+        shown = [*pages, *_walks(outcome, found)]
+        write_results(made, found.title, shown, {"results": rows})
     if settings.page:
-        # Dozens of path plots are for the report only.
-        kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
-        write_page(settings.page, found.title, kept, origin_of(__name__, command))
+        write_page(settings.page, found.title, pages, origin_of(__name__, command))
     print("\n" + to_markdown(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
@@ -100,52 +98,40 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     return rows
 
 
-def write_tables(tables: Mapping[str, pd.DataFrame], out: Path) -> None:
-    """Write results.csv and .parquet with every row, and the tables that the report shows."""
-    with whole_file(out / "results.parquet") as temporary:
-        tables["results"].to_parquet(temporary, index=False)
-    for name, table in tables.items():
-        write_whole(out / f"{name}.csv", to_csv(table))
-        if name != "results" and len(table):
-            write_whole(out / f"{name}.md", to_markdown(table) + "\n")
-
-
 def report_sections(
     tables: Mapping[str, pd.DataFrame], outcome: Outcome, found: Experiment
 ) -> list[Section]:
-    """Sections of the report: averages, findings, errors by sequence, consistency, sweep, paths,
-    rows.
-    """
-    rows, shown, learnt, swept = (
-        tables[name] for name in ("results", "averages", "learning", "sweep")
-    )
+    """Sections of report and page: findings, figures, setting, and the tables behind them."""
+    rows, learnt, swept = (tables[name] for name in ("results", "learning", "sweep"))
     main = shown_first(rows, found)
-    shown = shown.drop(columns=[c for c in ("condition", "robot") if shown[c].nunique() == 1])
-    pages = [Section("Averages over the test sequences", _setting(found, rows), shown)]
-    pages += [
-        Section(f"Findings: {name}", "\n\n".join(filter(None, (text, falls(outcome, name)))))
-        for name, text in findings(main, found)
-    ]
-    if len(learnt):
-        pages.append(Section("Inputs of observers, and calibration methods", LEARNT, learnt))
-    if found.published:
-        pages += _published(found.published)
     pictures = _pictures(main, found.gammas[0])
-    pages.append(Section("Errors and consistency by sequence", pictures=tuple(pictures)))
     if len(found.gammas) + len(found.sweep.gammas) > 1 and len(swept):
         picture = Picture(
             gamma_sweep(swept, "Influence of γ, on average over the test sequences"),
             "Bounds are calibrated for each γ; filters without bounds do not depend on it.",
             "figures/gamma.png",
         )
-        pages.append(Section("The level γ", "", swept, (picture,)))
-    pages += _walks(outcome, found)
+        pictures.append(picture)
+    pages = [
+        Section("Findings", findings(main, found), tables["overview"]),
+        Section("Errors and consistency by sequence", pictures=tuple(pictures)),
+        Section("Setting", _setting(found, rows, outcome)),
+        Section("Averages over the test sequences", SPREAD, tables["averages"], file="averages"),
+    ]
+    if len(learnt):
+        heading = "Inputs of observers, and calibration methods"
+        pages.append(Section(heading, LEARNT, learnt, file="learning"))
+    if len(swept):
+        pages.append(Section("The level γ", "", swept, file="sweep"))
     for condition in found.conditions:
-        text = "Test sequences in bold. Mean ± standard deviation over seeds."
-        table = tables[f"sequences_{slug(condition.name)}"]
-        pages.append(Section(f"Every sequence: {condition.name}", text, table))
-    pages.append(Section("How to read the tables", "", _glossary(main, outcome)))
-    return pages
+        name = f"sequences_{slug(condition.name)}"
+        text = f"Test sequences in bold. {SPREAD}"
+        pages.append(Section(f"Every sequence: {condition.name}", text, tables[name], file=name))
+    if found.published:
+        pages += _published(found.published)
+    if sizes := _sizes(found):
+        pages.append(Section("Sources of the sizes", "", sizes, file="sources"))
+    return [*pages, Section("How to read the tables", "", _glossary(main, outcome), file="columns")]
 
 
 def falls(outcome: Outcome, condition: str) -> str:
@@ -155,37 +141,38 @@ def falls(outcome: Outcome, condition: str) -> str:
         if cell.condition.name == condition and result.walk["falls"]:
             role = f", to {cell.scenario.role} with" if cell.learnt_from else ""
             seeds.setdefault(cell.scenario.name + role, []).append(str(cell.seed))
-    if not seeds:
-        return ""
     walks = "; ".join(f"{name} (seed {', '.join(own)})" for name, own in seeds.items())
-    return (
-        f"The robot fell on these walks: {walks}. There is nothing to estimate or to learn from, "
-        "so filters that learn from such a walk have no row for that seed."
-    )
+    return f"The robot fell on {walks}, which leaves nothing to learn from." if walks else ""
 
 
-def _setting(found: Experiment, rows: pd.DataFrame) -> str:
+def _setting(found: Experiment, rows: pd.DataFrame, outcome: Outcome) -> str:
     roles = rows.drop_duplicates("sequence").groupby("role", sort=False)["sequence"].agg(list)
-    learnt = ", ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
-    walked = [c.walked for c in found.conditions if c.walked]
-    sized = [*(one for c in found.conditions for one in c.imperfections), *walked]
-    sources = sorted({one.source for one in (*sized, *(s for w in walked for s in w.size))})
+    learnt = "; ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
     seeds = ", ".join(map(str, found.seeds))
     text = f"{learnt}. Joint level γ = {found.gammas[0]:g}; seeds {seeds}."
-    words = "\n\n".join(f"{c.name}: {c.words}." for c in found.conditions if c.words)
-    from_where = f"Sizes are from: {'; '.join(sources)}." if sources else ""
-    return "\n\n".join([text, words, from_where])
+    words = [(one, f"{one.name}: {one.words}." if one.words else "") for one in found.conditions]
+    said = [" ".join(filter(None, (text, falls(outcome, one.name)))) for one, text in words]
+    return "\n\n".join([text, *filter(None, said)])
+
+
+def _sizes(found: Experiment) -> list[dict[str, str]]:
+    """The effects of the conditions, each with the source of its size."""
+    walked = [c.walked for c in found.conditions if c.walked]
+    sized = [(one.effect, one.source) for c in found.conditions for one in c.imperfections]
+    sized += [("gait and sensors", one.source) for one in walked]
+    sized += [(size.effect, size.source) for one in walked for size in one.size]
+    return [{"effect": effect, "source": source} for effect, source in dict.fromkeys(sized)]
 
 
 def _published(name: str) -> list[Section]:
     rows, both, note = published(name)
     text = (
-        f"{note}\n\nThe averages are given as printed and as computed from the rows, since the two "
+        f"{note} The averages are given as printed and as computed from the rows, since the two "
         "do not always agree. Do not rank simulated and real figures against each other."
     )
     return [
-        Section("The paper's own figures, of real robots", text, both),
-        Section("The paper's rows", "", rows),
+        Section("The paper's averages", text, both, file="paper_averages"),
+        Section("The paper's rows", "", rows, file="paper_rows"),
     ]
 
 
@@ -241,7 +228,7 @@ def _walks(outcome: Outcome, found: Experiment) -> list[Section]:
             )
             for name, by_filter in series.items()
         ]
-        pages.append(Section(PATHS + condition.name, "", None, (errors, *pictures)))
+        pages.append(Section(f"Paths: {condition.name}", "", None, (errors, *pictures)))
     return pages
 
 

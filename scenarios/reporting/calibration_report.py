@@ -33,11 +33,9 @@ from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.samples import observer_samples
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
-from surefoot.scenarios.reporting.html import Picture, Section, write_report
+from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
-from surefoot.sim.common.files import write_whole
+from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -51,7 +49,7 @@ def write_calibration_report(
     logs: Sequence[Log],
     page: Path | None = None,
 ) -> list[Section]:
-    """Write report.html, its tables (.md, .csv) and the mixing curve into an empty folder.
+    """Write report.html, table.md, the tables (.csv) and the mixing curve into an empty folder.
 
     Raises SurefootError if a log does not match the observer.
 
@@ -69,37 +67,28 @@ def write_calibration_report(
         walks = [evaluate_walk(observer, bounds, log, k < count) for k, log in enumerate(bar)]
     known, others = walks[:count], walks[count:]
     first = known[0]
-    tables = {
-        "methods": methods_table(known, [w for w in others if w.role == "test"]),
-        "coverage": sequence_table(known, others),
-        "cases": case_table(others),
-    }
-    for name, table in tables.items():
-        if len(table):
-            write_whole(out / f"{name}.md", to_markdown(table) + "\n")
-            write_whole(out / f"{name}.csv", to_csv(table))
+    methods = methods_table(known, [w for w in others if w.role == "test"])
+    coverage, cases = sequence_table(known, others), case_table(others)
     pictures = ()
     if bounds.mixing is not None:
         pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION, "mixing.png"),)
-    # In the frame of that log's IMU.
-    epsilon = first.bounds.epsilon
     sections = [
-        Section("The bounds", _bounds_prose(first.bounds)),
+        Section("Findings", bounds_findings(first.bounds, coverage), _shown(coverage)),
         Section("Spacing of the errors", _mixing_prose(bounds), None, pictures),
-        Section("Methods", METHODS_PROSE, tables["methods"]),
     ]
     tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
     if tests:
-        errors = observer.errors, np.vstack(tests)
-        sections.append(error_section(*errors, epsilon, bounds.gamma, "test walks"))
+        # Bounds in the frame of that log's IMU.
+        errors = observer.errors, np.vstack(tests), first.bounds.epsilon
+        sections.append(replace(error_section(*errors, bounds.gamma, "test walks"), file="errors"))
+    sections.append(Section("Methods", METHODS_PROSE, methods, file="methods"))
     if others:
-        sections.append(Section("Where the bounds hold", _shift_prose(tables), tables["coverage"]))
-    if len(tables["cases"]):
-        sections.append(
-            Section("By terrain, slip, motion and stride", CASES_PROSE, tables["cases"])
-        )
+        sections.append(Section("Where the bounds hold", SHIFT_PROSE, coverage, file="coverage"))
+    if len(cases):
+        heading = "By terrain, slip, motion and stride"
+        sections.append(Section(heading, CASES_PROSE, cases, file="cases"))
     title = f"Bounds calibrated on {bounds.log}, and where they hold"
-    write_report(out / "report.html", title, sections)
+    write_results(out, title, sections)
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
     return sections
@@ -122,17 +111,6 @@ CASES_PROSE = (
 )
 
 
-def _bounds_prose(bounds: Bounds) -> str:
-    x, y, z = bounds.epsilon
-    sure = "" if bounds.confidence is None else f", with confidence {bounds.confidence:g}"
-    return (
-        f"|error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), jointly with "
-        f"probability {bounds.gamma:g}{sure}. They are from {bounds.n} errors, {bounds.K} steps of "
-        f"10 ms apart, by the method {bounds.method}. The statement is about walks like "
-        f"{bounds.log}; the tables below show the coverage on other walks."
-    )
-
-
 def _mixing_prose(bounds: Bounds) -> str:
     if bounds.mixing is None:
         return f"K = {bounds.K} was given."
@@ -148,23 +126,46 @@ def _mixing_prose(bounds: Bounds) -> str:
     return text
 
 
-def _shift_prose(tables: dict[str, pd.DataFrame]) -> str:
-    found = tables["coverage"]
-    lost = [] if "bounds" not in found else list(found.walk[found.bounds == "lost"])
-    verdict = f"Coverage is lost on {', '.join(lost)}." if lost else "Coverage is lost on no walk."
-    return (
-        f"{verdict} Coverage is lost if the whole 95 % interval lies below the level. The interval "
-        "counts one error for each K samples.\n\n"
-        "The alarm needs no reference: it compares the size of the filter's innovations, second by "
-        "second, with that in the calibration. On a walk like that one it is raised with a "
-        f"probability of at most {FALSE_ALARM:g}. It tests whether walks are alike, not the "
-        "coverage.\n\n"
-        "Two remedies need no reference either. Widened: after the alarm, the bounds grow with the "
-        "innovations (by: the mean factor). Weighted: calibration errors are weighted by the "
-        "similarity of the inputs (volume: relative to these bounds); there are no bounds if the "
-        "calibration has too few seconds like this walk. Neither notices a persistent error that "
-        "does not affect the inputs."
+SHIFT_PROSE = (
+    "Coverage is lost if the whole 95 % interval, which counts one error for each K samples, lies "
+    "below the level. The alarm compares the filter's innovations with those in the calibration; "
+    f"on a walk like that one it is raised with a probability of at most {FALSE_ALARM:g}. Widened: "
+    "after the alarm, bounds grow with the innovations (by: the mean factor). Weighted: errors of "
+    "the calibration are weighted by the similarity of the inputs (volume: relative to these "
+    "bounds). Neither notices a persistent error that does not affect the inputs."
+)
+
+
+def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
+    """Sentences: on which walks the bounds hold, their size, and whether the alarm noticed."""
+    x, y, z = bounds.epsilon
+    sure = "" if bounds.confidence is None else f", with confidence {bounds.confidence:g}"
+    size = (
+        f"The bounds are |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), "
+        f"jointly with probability {bounds.gamma:g}{sure}, from {bounds.n} errors that are "
+        f"{bounds.K} steps of 10 ms apart, by the method {bounds.method}."
     )
+    if "bounds" not in walks or not (walks["role"] == "test").any():
+        return size
+    tests = walks[(walks["role"] == "test") & walks["bounds"].notna()]
+    lost = tests[tests["bounds"] == "lost"]
+    raised = lost["alarm"].str.startswith("after").sum()
+    other = tests["alarm"].str.startswith("after").sum() - raised
+    main = (
+        f"Bounds calibrated on {bounds.log} are lost on {len(lost)} of {len(tests)} test walks"
+        f"{': ' + ', '.join(lost['walk']) if len(lost) else ''}."
+    )
+    return (
+        f"{main}\n\n{size} The alarm, which needs no reference, is raised on {raised} of the "
+        f"{len(lost)} walks on which they are lost and on {other} of the {len(tests) - len(lost)} "
+        "others. Bounds are a statement on walks like that of the calibration."
+    )
+
+
+def _shown(walks: pd.DataFrame) -> pd.DataFrame:
+    """The columns of coverage that a reader needs first."""
+    names = ("walk", "role", "coverage [%]", "95 % interval", "bounds", "alarm")
+    return walks[[name for name in names if name in walks]]
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,8 @@ class Step:
 class Section:
     """A part of a report. `prose` is plain text; an empty line starts a new paragraph. `level` is
     that of the heading: 3 for a part of the last section of level 2. `steps` are numbered. One that
-    is `folded` shows its heading until it is opened.
+    is `folded` shows its heading until it is opened. `file` names the CSV that has the table where
+    a page of results links to it instead of showing it.
     """
 
     heading: str
@@ -54,6 +55,7 @@ class Section:
     level: int = 2
     steps: tuple[Step, ...] = ()
     folded: bool = False
+    file: str = ""
 
 
 def nested(sections: Sequence[Section]) -> list[Section]:

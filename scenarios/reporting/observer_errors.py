@@ -45,7 +45,7 @@ def error_section(
         return Section("The observer's errors", str(error))
     rows = [*error_table(of_train, "training"), *error_table(of_test, where)]
     bound = bound_words(train, test, epsilon, gamma)
-    words = f"{error_words(of_train, of_test, where)}\n\n{bound}"
+    words = f"{bound}\n\n{error_words(of_train, of_test, where)}"
     pictures = (
         Picture(
             error_distributions(train, test, epsilon, gamma),

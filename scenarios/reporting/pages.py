@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 
 from surefoot.scenarios.reporting.html import Section, heading, markdown_report, write_report
 from surefoot.scenarios.reporting.plotting import png
@@ -50,21 +51,24 @@ def write_results(
     out: Path,
     title: str,
     sections: Sequence[Section],
-    tables: Mapping[str, Table],
+    tables: Mapping[str, Table] = MappingProxyType({}),
     force: bool = False,
 ) -> str:
-    """Write a study's report.html and table.md, and one CSV per table; returns the text of
-    table.md.
+    """Write a study's report.html and table.md, and the CSV of each section with a `file`; returns
+    the text of table.md.
 
     Args:
         out: folder.
         title: of the report.
         sections: of the report.
-        tables: by the name of their CSV.
+        tables: further ones, by the name of their CSV.
         force: whether files may be replaced.
     """
     text = markdown_report(title, sections)
-    contents = {"table.md": text} | {f"{name}.csv": to_csv(t) for name, t in tables.items()}
+    filed = {s.file: s.table for s in sections if s.file and s.table is not None}
+    contents = {"table.md": text} | {
+        f"{n}.csv": to_csv(t) for n, t in (filed | dict(tables)).items()
+    }
     for name, content in contents.items():
         write_whole(out / name, content, force)
     write_report(out / "report.html", title, sections, force)
@@ -72,24 +76,61 @@ def write_results(
 
 
 def write_page(path: Path, title: str, sections: Sequence[Section], origin: Origin) -> None:
-    """Write a page of results in Markdown, with its pictures next to it as PNG; replaces an older
-    one.
+    """Write a page of results in Markdown; replaces an older one.
+
+    Its first paragraph is the main finding, which the index of results repeats. Tables of sections
+    with a `file` are CSV files in `tables_folder`, listed at the end; pictures are PNG files beside
+    the page, which link to themselves in full size.
 
     Raises SurefootError if another file than a page of results has this path.
     """
     check_page(path)
-    parts = [f"# {title}", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
-    for number, section in enumerate(sections, 1):
-        parts += [heading(section), section.prose.strip()]
-        if section.table is not None:
-            parts.append(to_markdown(section.table))
-        for place, picture in enumerate(section.pictures, 1):
-            name = f"{path.stem}_{number}_{place}.png"
+    links = _write_tables(path, [s for s in sections if s.file and s.table is not None])
+    parts, drawn = [f"# {title}"], 0
+    for section in sections:
+        shown = section if not section.file else Section(section.heading)
+        if shown is section or section.pictures:
+            parts += [heading(section), shown.prose.strip()]
+        if shown.table is not None:
+            parts.append(to_markdown(shown.table))
+        for picture in section.pictures:
+            drawn += 1
+            name = f"{path.stem}_{drawn}.png"
             with kept_file(path.with_name(name)) as temporary:
                 temporary.write_bytes(png(picture.figure))
-            parts += [f"![{section.heading}]({name})", picture.caption]
+            parts += [f"[![{section.heading}]({name})]({name})", picture.caption]
+    if links:
+        parts += ["## Further tables", "\n".join(links)]
+    parts += ["## Origin", "\n".join(["| | |", "| --- | --- |", *_header(origin)])]
     with kept_file(path) as temporary:
         temporary.write_text("\n\n".join(p for p in parts if p) + "\n", encoding="utf-8")
+
+
+def _write_tables(page: Path, sections: Sequence[Section]) -> list[str]:
+    """Write the table of each section as CSV; returns a line for each, with a link and the first
+    paragraph of its prose.
+
+    Raises SurefootError if a file has that name and there is no page yet.
+    """
+    files = [tables_folder(page) / f"{section.file}.csv" for section in sections]
+    if found := next((file for file in files if file.exists() and not page.exists()), None):
+        raise SurefootError(f"page {page}: its table {found} is another file; move it away")
+    lines = []
+    for section, file in zip(sections, files, strict=True):
+        with kept_file(file) as temporary:
+            temporary.write_text(to_csv(section.table), encoding="utf-8")
+        address = Path(os.path.relpath(file, page.parent)).as_posix()
+        words = section.prose.strip().partition("\n\n")[0]
+        lines.append(f"- [{section.heading}]({address}){f': {words}' if words else ''}")
+    return lines
+
+
+def tables_folder(page: Path) -> Path:
+    """Folder of a page's CSV files: docs/data/NAME for docs/results/NAME.md, and NAME beside a page
+    in a folder of another name.
+    """
+    home = page.parent
+    return (home.parent / "data" if home.name == "results" else home) / page.stem
 
 
 def check_page(path: Path) -> None:

@@ -17,9 +17,9 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
-from surefoot.scenarios.reporting.html import Picture, Section, nested, write_report
-from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
+from surefoot.scenarios.reporting.html import Picture, Section
+from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
+from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
@@ -42,6 +42,12 @@ _MODULE = "surefoot.scenarios.trace.loop"
 LOOP_METRICS = {
     name: METRICS[name]
     for name in ("APE_trans [m]", "APE_rot [deg]", "RPE_trans [m]", "NEES_pos", "NEES_vel")
+}
+
+WORLD_WORDS = {
+    "before": "the robot as declared, in the plain gait",
+    "effects": "with the effects that were found",
+    "after": "with the effects that were found, in the gait that is more like the log's",
 }
 
 
@@ -74,7 +80,8 @@ def write_loop(
     gait: GaitChoice,
     trained_on_measured: list[float] | str,
 ) -> pd.DataFrame:
-    """Write table.md, table.csv, loop.json, report.html, loop.rrd and any page; returns the table.
+    """Write table.md, tables (.csv), loop.json, report.html, loop.rrd and any page; returns the
+    errors of every filter.
 
     Args:
         log: the measured log.
@@ -87,8 +94,6 @@ def write_loop(
     """
     out = settings.out
     table = pd.DataFrame(_rows(worlds))
-    write_whole(out / "table.md", to_markdown(table) + "\n", force=True)
-    write_whole(out / "table.csv", to_csv(table), force=True)
     found = json.loads((out / "trace" / "trace.json").read_text(encoding="utf-8"))
     summary = {
         "trace": found,
@@ -102,13 +107,15 @@ def write_loop(
     walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)
     write_recording(out / "loop.rrd", walk, force=True)
     sections = [
-        Section("Before and after", _prose(found, worlds), table),
-        *_of_observers(worlds, trained_on_measured),
-        Section("How the simulated robot walks", gait.words, gait.rows or None),
-        *_of_trace(found),
+        Section("Findings", loop_findings(found, table, [w.name for w in worlds]), overview(table)),
         *_pictures(log, worlds, drawn),
+        Section("Method", _method(worlds)),
+        Section("Errors of every filter", "", table, file="table"),
+        *_of_observers(worlds, trained_on_measured),
+        Section("Gait", gait.words, gait.rows or None, file="gait" if gait.rows else ""),
+        *_of_trace(found),
     ]
-    write_report(out / "report.html", LOOP_TITLE, sections, True)
+    write_results(out, LOOP_TITLE, sections, force=True)
     if settings.page:
         write_page(settings.page, LOOP_TITLE, sections, origin_of(_MODULE, "surefoot loop"))
     return table
@@ -139,24 +146,21 @@ def _of_observers(
         rows.append({"walks": "the other half of the measured walk"} | measured_only)
         words += (
             "\n\nThe last row is an observer trained on one half of the measured walk and "
-            "evaluated on the other, each in turn. If observers trained in simulation have larger "
-            "errors, the simulation lacks something. The remaining errors cannot be learnt from "
-            "a walk as short as this one."
+            "evaluated on the other: about the best that a walk as short as this allows."
         )
     last = worlds[-1]
-    parts = (
-        f"Errors of the mse observer in the world `{last.name}`, root mean square [m/s]. Those "
-        "while the robot moves are the sum of these parts: "
-    )
-    parts += "; ".join(f"{name}, {what}" for name, what in ERROR_PARTS.items())
     shares = excess(last.simulated, last.measured)
-    parts += (
-        ".\n\nShare of each part in the excess of the measured squared errors over the simulated "
-        f"ones: {', '.join(f'{name} {100 * x:.0f} %' for name, x in shares.items())}."
+    parts = (
+        f"Of the mse observer in the world `{last.name}`, root mean square [m/s]. Share of each "
+        "part in the excess of the measured squared errors over the simulated ones: "
+        f"{', '.join(f'{name} {100 * x:.0f} %' for name, x in shares.items())}.\n\n"
+        "The errors while the robot moves are the sum of these parts: "
+        f"{'; '.join(f'{name}, {what}' for name, what in ERROR_PARTS.items())}."
     )
+    table = parts_table(last.simulated, last.measured)
     return [
-        Section("Observers, simulated and measured", words, pd.DataFrame(rows)),
-        Section("Parts of the errors", parts, parts_table(last.simulated, last.measured)),
+        Section("Observers", words, pd.DataFrame(rows), file="observers"),
+        Section("Parts of the errors", parts, table, file="parts"),
     ]
 
 
@@ -180,13 +184,13 @@ def _three(values: Sequence[float] | np.ndarray) -> str:
 
 def _of_trace(found: dict[str, Any]) -> list[Section]:
     """Sections on the channels of a trace.json, of the held-out logs where there are any."""
-    words = "".join(f"Because {why}.\n\n" for why in found["reasons"])
-    whole = Section("The trace", f"{words}The full report is trace/report.html.")
+    words = " ".join(f"Because {why}." for why in found["reasons"])
+    whole = Section("The trace", f"{words} The full report is trace/report.html.".strip())
     held_out = found.get("holdout", {})
     unseen = "Logs" if held_out else "Blocks of the log"
     rows = [channel_row(*one) for one in held_out.get("channels", found["channels"]).items()]
-    residuals = [Section("Residuals", f"{unseen} that no fit uses.", rows)] if rows else []
-    return [whole, *nested(residuals)]
+    residuals = Section("Residuals", f"{unseen} that no fit uses.", rows, file="residuals")
+    return [whole, *([residuals] if rows else [])]
 
 
 def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
@@ -229,24 +233,55 @@ def _trajectories(worlds: Sequence[LoopWorld]) -> dict[str, Trajectory]:
     }
 
 
-def _prose(found: dict[str, Any], worlds: Sequence[LoopWorld]) -> str:
+def overview(table: pd.DataFrame) -> pd.DataFrame:
+    """The columns of position error and consistency, before and after, of the whole table."""
+    shown = [c for c in table if str(c).startswith(("filter", "APE_trans", "NEES_pos"))]
+    return table[shown].rename(columns=lambda c: str(c).replace("_trans", "").replace("_pos", ""))
+
+
+def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[str]) -> str:
+    """Sentences: how many filters gain, what was added, the best filter, and whether bounds hold.
+
+    Args:
+        found: contents of trace.json.
+        table: errors of every filter in every world.
+        worlds: their names, `before` first.
+    """
+    ranked = table[[not traits(name).floor for name in table["filter"]]].set_index("filter")
+    errors = {name: ranked[f"APE_trans [m] {name}"].dropna() for name in worlds}
+    first, last = worlds[0], worlds[-1]
+    gain = (ranked[f"APE_trans [m] {last}"] < ranked[f"APE_trans [m] {first}"]).sum()
+    main = (
+        f"With what `trace` found put into the simulation, {gain} of {len(errors[first])} filters "
+        "have a lower position error on the measured walk."
+    )
+    best = [f"`{e.idxmin()}` {name} ({e.min():.3f} m)" for name, e in errors.items()]
+    rest = [f"The lowest errors are those of {', '.join(best)}."]
     form = "{name} of {target}, {value:.4g} {unit}"
     zeros = [one for run in found["runs"] for one in run if one["compensated"]]
     added = [form.format(**effect) for effect in (*found["effects"], *zeros)]
-    text = f"The trace's verdict: {found['verdict']}. "
-    text += f"Added to the simulation: {'; '.join(added)}." if added else "Nothing was added."
+    rest.append(f"Added were: {'; '.join(added)}." if added else "Nothing was added.")
     if warned := caution(found):
-        text += f"\n\n{warned[0].upper()}{warned[1:]}."
-    text += (
-        "\n\nObservers are trained and calibrated in simulation only, on walks with the speeds, "
-        "stride and posture of the measured one, each with sizes drawn from the intervals of those "
-        "found. The coverage is the share of the measured errors within the bounds; their level "
-        "holds only as far as the simulation resembles the robot."
+        rest.append(f"{warned[0].upper()}{warned[1:]}.")
+    held = ranked[[f"coverage [%] {name}" for name in worlds]].dropna()
+    for name, shares in zip(held.index, held.to_numpy(), strict=True):
+        of = [f"{share:.1f} % {world}" for share, world in zip(shares, worlds, strict=True)]
+        rest.append(f"The bounds of `{name}` contain {', '.join(of)} of the measured errors.")
+    return f"{main}\n\n{' '.join(rest)}"
+
+
+def _method(worlds: Sequence[LoopWorld]) -> str:
+    left_out = {
+        f"{name} ({why})": None
+        for world in worlds
+        for name, why in world.comparison.left_out.items()
+    }
+    text = (
+        "Observers are trained and calibrated in simulation only, on walks with the speeds, stride "
+        "and posture of the measured one, each with sizes drawn from the intervals of those found. "
+        f"{'; '.join(f'{one.name}: {WORLD_WORDS[one.name]}' for one in worlds)}."
     )
-    for world in worlds:
-        for name, why in world.comparison.left_out.items():
-            text += f"\n\n{world.name}: {name} was left out ({why})."
-    return text
+    return text + (f"\n\nLeft out: {'; '.join(left_out)}." if left_out else "")
 
 
 def _pictures(log: Log, worlds: Sequence[LoopWorld], drawn: dict[str, Trajectory]) -> list[Section]:

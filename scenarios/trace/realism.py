@@ -5,7 +5,7 @@ The drift of the leg filter only evaluates a simulated robot. Its effects and ga
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -39,13 +39,14 @@ WALKS_EACH = 3
 """Simulated walks in a comparison, each with a seed of its own."""
 REALISM_PACES = (1.0, 0.9, 0.8, 0.7)
 """Factors on the measured velocities, tried in turn until no simulated robot falls."""
-TITLE = "Realism: a measured walk compared with simulated walks"
 REALISM_FILES = ("realism.json", "realism.csv", "drift.csv", "table.md", "report.html")
-DRIFT_WORDS = (
-    "RPE over 1 m [m/m] on the measured and on the simulated walks, with a model that does not "
-    "include the effects of the simulated robot. If the simulated robot walks like the measured "
-    "one, both are alike. The 95 % interval of their ratio is over the seeds of the simulated "
-    "walks; where it contains values on both sides of the limit, the result is open."
+METHOD = (
+    "Simulated walks have the gait, speeds, columns, rate and reference of the measured one. A "
+    "quantity is like the measured one if the whole 95 % interval of the difference, by bootstrap "
+    "over strides, is within its tolerance, unlike if none of it is, and undecided otherwise. "
+    "Tolerances were set before any walk. Drift is the RPE over 1 m [m/m], with a model that does "
+    "not include the effects of the simulated robot; the interval of its ratio is over the seeds "
+    "of the simulated walks."
 )
 FILTER = "leg"
 WITHIN = 0.15
@@ -148,19 +149,21 @@ def realism(
         walked = load_as_walked() if settings.as_walked else None
         compared.append(SimulatedRobot("as walked", effects, walked, walker))
     found = _compared(log, robot, compared, seed, progress)
-    parts = card_sections(found)
     drifts = drift_table(found)
-    parts.insert(0, Section(f"Drift of the {FILTER} filter", DRIFT_WORDS, drifts))
-    tables = {
-        "realism": [{"walk": c.words, **asdict(r)} for c in found for r in c.card.rows],
-        "drift": drifts,
-    }
+    rows = [{"walk": c.words, **asdict(r)} for c in found for r in c.card.rows]
+    title = realism_title(found[0])
+    parts = realism_sections(found, drifts)
     with whole_folder(out, force) as folder:
-        write_results(folder, TITLE, parts, tables)
+        tables = {"realism": rows, "drift": drifts}
+        write_results(folder, title, [*parts, *card_sections(found)], tables)
         text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
         write_whole(folder / "realism.json", text + "\n")
     if settings.page:
-        write_page(settings.page, TITLE, parts, origin_of(__name__, "surefoot realism"))
+        filed = [
+            Section("Realism card", "Every quantity.", rows, file="realism"),
+            Section("Drift", f"The `{FILTER}` filter on each walk.", drifts, file="drift"),
+        ]
+        write_page(settings.page, title, [*parts, *filed], origin_of(__name__, "surefoot realism"))
     return tuple(found)
 
 
@@ -281,36 +284,70 @@ def _walks(
     )
 
 
-def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
-    """The report: a card for each simulated robot, pictures, and the tolerances with reasons."""
-    parts = []
-    for one in found:
-        card, log = one.card, one.measured.log
-        counts = ", ".join(f"{n} {word}" for word, n in card.counts.items())
-        words = (
-            f"{log.name}, with {len(one.measured.clock)} strides, compared with "
-            f"{len(one.simulated)} simulated walks of {one.simulated[0].robot.name} at "
-            f"{100 * one.pace:.0f} % of its velocities, with the columns, rate and reference of "
-            f"the log. Number of rows: {counts}. The 95 % intervals are from a bootstrap over "
-            "strides. A row is `like` if the whole interval of the difference is within the "
-            "tolerance, and `unlike` if none of it is. Tolerances were set before any walk."
-        )
-        if one.simulated[0].robot.name != one.measured.robot.name:
-            words += (
-                "\n\nThe simulated robot is not the measured one. Measured values, tolerances and "
-                "velocities are scaled to it by leg length and stride period."
-            )
-        if card.missing:
-            words += "\n\nMissing: " + "; ".join(f"{n} ({why})" for n, why in card.missing.items())
-            words += "."
-        parts.append(Section(f"{one.words[:1].upper()}{one.words[1:]}", words, card_table(card)))
+def realism_title(found: WalkComparison) -> str:
+    """Title of report and page: the measured log and the robot that is simulated."""
+    walker = found.simulated[0].robot.name
+    return f"Realism: {found.measured.log.name} beside simulated walks of {walker}"
+
+
+def realism_sections(
+    found: Sequence[WalkComparison], drifts: Sequence[Mapping[str, Any]]
+) -> list[Section]:
+    """The sections that report and page share: findings with the drifts, figures, and method."""
+    shown = [{k: v for k, v in row.items() if k != "each walk"} for row in drifts]
     drawn = pictures(found[0].measured, {one.words: one.simulated for one in found})
-    parts.append(Section("Pictures", pictures=tuple(drawn)))
-    reasons = [
-        {"quantity": r.quantity, "tolerance": r.tolerance, "unit": r.unit, "reason": r.reason}
-        for r in found[0].card.rows
+    return [
+        Section("Findings", findings(found, drifts), shown),
+        Section("The walks compared", pictures=tuple(drawn)),
+        Section("Method", _method(found)),
     ]
-    return [*parts, Section("Tolerances", table=reasons)]
+
+
+def findings(found: Sequence[WalkComparison], drifts: Sequence[Mapping[str, Any]]) -> str:
+    """Sentences: how many quantities are alike, how the drifts compare, and which are unlike."""
+    of = found[0]
+    counts = [(c.card.counts["like"], c.card.counts["unlike"], c.words) for c in found]
+    main = (
+        f"Of {len(of.card.rows)} quantities, simulated walks of {of.simulated[0].robot.name} are "
+        f"like {of.measured.log.name} in "
+        f"{', '.join(f'{like} and unlike in {unlike} ({w})' for like, unlike, w in counts)}."
+    )
+    first = {row["simulated robot"]: row for row in reversed(drifts)}
+    ratios = [f"{first[c.words]['ratio']:.2f} ({c.words})" for c in found]
+    rest = [
+        f"The `{FILTER}` filter drifts by {first[of.words]['measured']:.3f} m/m on the measured "
+        f"walk; on simulated walks, by {', '.join(ratios)} times as much."
+    ]
+    for one in found:
+        unlike = [row for row in one.card.rows if row.verdict == "unlike"]
+        unlike.sort(key=lambda row: -abs(row.difference) / row.tolerance)
+        worst = "; ".join(
+            f"{r.quantity} ({r.simulated:.3g}, {r.measured:.3g} {r.unit})" for r in unlike[:3]
+        )
+        if unlike:
+            rest.append(f"Most unlike {one.words} (simulated, measured): {worst}.")
+    return f"{main}\n\n{' '.join(rest)}"
+
+
+def _method(found: Sequence[WalkComparison]) -> str:
+    one = found[0]
+    paces = ", ".join(f"{100 * c.pace:.0f} % ({c.words})" for c in found)
+    words = (
+        f"{len(one.measured.clock)} measured strides, and {len(one.simulated)} simulated walks of "
+        f"each robot at {paces} of the measured velocities. {METHOD}"
+    )
+    if one.simulated[0].robot.name != one.measured.robot.name:
+        words += (
+            "\n\nThe simulated robot is not the measured one. Measured values, tolerances and "
+            "velocities are scaled to it by leg length and stride period."
+        )
+    missing = "; ".join(f"{name} ({why})" for name, why in one.card.missing.items())
+    return words + (f"\n\nMissing: {missing}." if missing else "")
+
+
+def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
+    """A card for each simulated robot; realism.csv has the reasons of the tolerances."""
+    return [Section(f"Realism card: {one.words}", "", card_table(one.card)) for one in found]
 
 
 def card_table(card: Card) -> list[dict[str, str | float]]:

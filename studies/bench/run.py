@@ -4,7 +4,7 @@ The two run alternately, under the same conditions; the smallest time of each co
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -117,11 +117,25 @@ def bench(rounds: int, only: Sequence[str] = (), page: Path | None = None) -> st
         with percent_bar(name) as progress:
             rows += [ratio.as_row() for ratio in ROWS[name](rounds, progress)]
     if page:
-        text = (
-            "Each ratio is measured in one run, with ours and its peer in turn; the smallest of "
-            f"{rounds} times counts for each. gtsam is the extra `gtsam`."
-        )
         write_page(
-            page, "Speed", [Section("Ratios", text, rows)], origin_of(__name__, "make study-bench")
+            page, "Speed", ratio_sections(rows, rounds), origin_of(__name__, "make study-bench")
         )
     return to_markdown(rows)
+
+
+def ratio_sections(rows: Sequence[Mapping[str, str]], rounds: int) -> list[Section]:
+    """Findings with the ratios, how they are measured, and the ratios with notes."""
+    asked = [row for row in rows if row[""] != "-"]
+    missed = [row for row in asked if row[""] == "missed"]
+    names = "; ".join(f"{r['what']} ({r['times as fast']}, target {r['target']})" for r in missed)
+    main = f"{len(asked) - len(missed)} of {len(asked)} ratios of run times reach their targets."
+    method = (
+        "Each ratio is measured in one run, with ours and its peer in turn; the smallest of "
+        f"{rounds} times counts for each. gtsam is the extra `gtsam`."
+    )
+    shown = [{key: value for key, value in row.items() if key != "note"} for row in rows]
+    return [
+        Section("Findings", f"{main}\n\nMissed: {names or 'none'}.", shown),
+        Section("Method", method),
+        Section("Ratios with times", "", list(rows), file="ratios"),
+    ]

@@ -62,6 +62,28 @@ def held_out_table(found: Mapping[str, Said]) -> pd.DataFrame:
     )
 
 
+def levels_table(parts: Mapping[str, Mapping[str, Said]]) -> pd.DataFrame:
+    """One row for each channel: its residual without and with the effects found, and its floor.
+
+    parts: words -> the `channels` of a trace.json.
+    """
+    return pd.DataFrame(
+        {
+            "rows": words,
+            "channel": f"{channel} [{level['unit']}]",
+            "declared model": _or_dash(level["before"]),
+            "with the effects found": _or_dash(level["after"]),
+            "noise floor": _or_dash(level["noise_floor"]),
+        }
+        for words, channels in parts.items()
+        for channel, level in channels.items()
+    )
+
+
+def _or_dash(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
 def sizes_table(found: Mapping[str, Said]) -> pd.DataFrame:
     """One row for each effect: its size, with a 95 % interval, by each trace that found it."""
     rows: dict[str, dict[str, str]] = {}

@@ -35,17 +35,22 @@ def write_page_of(out: Path, records: Sequence[Record], page: Path | None = None
     """
     drawn = draw_load_cases(read_toml(PLAN, "study"))
     every = [_row(r) for r in records]
+    rules = rules_of_loads(records)
+    main = (
+        f"Loads above the least change are named on the right link in {rules[0]['measured']}; "
+        f"asked are {rules[0]['asked']}."
+    )
+    plan = _plan_prose(Counter(case.kind for case in drawn), len(records))
     sections = [
-        Section("The plan", _plan_prose(Counter(case.kind for case in drawn), len(records))),
-        Section("Rules and results", RULES_PROSE, rules_of_loads(records)),
-        Section("By machine", table=by_machine(records)),
-        Section("Every miss", table=[r for r in every if r["right"] not in (1.0, None)]),
+        Section("Findings", main, rules),
+        Section("Method", f"{plan}\n\n{RULES_PROSE}"),
+        Section("By machine", "", by_machine(records), file="machines"),
+        Section("Every case", "", every, file="cases"),
     ]
     title = "Loads tied to links, and machines on fixed bases"
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-loads"))
-    shown = [*sections, Section("Every case", table=every)]
-    return write_results(out, title, shown, {"cases": every}, force=True)
+    return write_results(out, title, sections, force=True)
 
 
 def _plan_prose(count: Mapping[str, int], finished: int) -> str:

@@ -122,12 +122,7 @@ def write_study(
         fewer = f"python -m studies.montecarlo --trials {results.study.trials}"
         command = "make study-montecarlo" if whole else fewer
         write_page(page, _TITLE, sections, origin_of(__name__, command))
-    tables = {
-        "runtime": runtime_table(runtime),
-        "table": numbers_table(results.paper),
-        "beyond": numbers_table(results.beyond),
-        "iterations": iteration_table(results.iterated),
-    }
+    tables = {"table": numbers_table(results.paper), "beyond": numbers_table(results.beyond)}
     with whole_folder(out, force) as folder:
         for name, picture in pictures.items():
             save_png(picture.figure, folder / "figures" / f"{name}.png")
@@ -166,85 +161,91 @@ def study_pictures(results: Results, runtime: Sequence[Accuracy]) -> dict[str, P
 def study_sections(
     results: Results, runtime: Sequence[Accuracy], pictures: dict[str, Picture]
 ) -> list[Section]:
-    """The report's sections."""
+    """The report's sections: findings at one gamma, figures, setting, and the whole tables."""
     s = results.study
+    paper = consistency_table(results.paper)
+    rest = f"{paper_findings(results.paper, s.beyond.gamma)} {runtime_findings(runtime)}"
     return [
         Section(
-            "What was run",
+            "Findings", f"{beyond_findings(results)}\n\n{rest}", at_gamma(paper, s.beyond.gamma)
+        ),
+        Section("Figures", pictures=tuple(pictures.values())),
+        Section(
+            "Setting",
             f"{s.trials} trials of {s.duration:g} s, the IMU at {s.imu_rate:g} Hz and the velocity "
             f"pseudo-measurement at {s.update_rate:g} Hz, seed {s.seed}; all else is in "
-            "montecarlo.toml.\n\n"
-            "Position errors and NEES are against the truth in G, without alignment: each trial's "
-            "start is drawn from the filter's own prior. Mean ± standard deviation over trials.",
+            "montecarlo.toml. Position errors and NEES are against the truth in G, without "
+            "alignment: each trial's start is drawn from the filter's own prior. Mean ± standard "
+            "deviation over trials.\n\n"
+            "velocity is the EKF with a Gaussian velocity update. Bounds are each axis' quantile "
+            "of |e|, at gamma, at gamma^(1/3), or the outer quantiles that the paper names for its "
+            "biased regime. The filters with a persistent state take its prior from "
+            f"{s.calibration_trials} separate calibration trials; the bounds of "
+            "coverage_persistent are quantiles of the mixing part's mean over "
+            f"{BOUNDED_MEAN:g} s. The paper does not give its duration, densities or mixture: its "
+            "columns show trends.",
         ),
         Section(
             "Runtime and accuracy of box moments",
             "Randomized quasi-Monte Carlo (Genz's separation of variables on a shifted lattice) "
-            "and our deterministic rule, compiled and timed in one run on the same ten boxes; "
-            "errors are root mean squares over boxes and shifts, in units of the prior's "
-            "standard deviations. Columns named (paper) are the paper's own numbers, of other "
-            "boxes and another machine.",
+            "and our deterministic rule, timed in one run on the same ten boxes; errors are root "
+            "mean squares in units of the prior's standard deviations. The paper's own numbers are "
+            "of other boxes and another machine.",
             runtime_table(runtime),
-            (pictures["runtime"],),
+            file="runtime",
         ),
-        Section(
-            "Unbiased and biased errors",
-            "velocity is the EKF with a Gaussian velocity update. Bounds are each axis' quantile "
-            "of |e|, read in four ways: at gamma, at gamma^(1/3), and as the outer quantiles that "
-            "the paper names for its biased regime. The filters with a persistent "
-            f"state take its prior from {s.calibration_trials} separate calibration trials; the "
-            "bounds of coverage_persistent are quantiles of the mixing part's mean over "
-            f"{BOUNDED_MEAN:g} s. The paper does not give its duration, densities or mixture: its "
-            "columns show trends.\n\n" + paper_findings(results.paper),
-            consistency_table(results.paper),
-            (pictures["nees_by_gamma"], pictures["over_time"]),
-        ),
+        Section("Unbiased and biased errors", "At every gamma.", paper, file="paper"),
         Section(
             "Beyond the paper",
             f"{s.beyond.trials} trials a regime, joint gamma {s.beyond.gamma:g}, bounds at "
-            "gamma^(1/3); the filters were calibrated as the regime's name says. Each cell is "
-            "RMSE [m] | NEES; coverage once more with outer quantiles. The last column sets "
-            "coverage_persistent beside "
-            "velocity_persistent on the same trials: more or less accurate where the mean "
-            "difference of RMSE is beyond two of its standard errors, more or less consistent "
-            "likewise by how far, as a factor, each trial's NEES lies from 3.\n\n"
-            + beyond_findings(results),
+            "gamma^(1/3); calibrated as the regime's name says. Cells: RMSE [m] | NEES. The last "
+            "column compares coverage_persistent with velocity_persistent on the same trials: more "
+            "or less accurate where the mean difference of RMSE is beyond two standard errors, "
+            "more or less consistent likewise by how far each NEES is from 3, as a factor.",
             beyond_table(results),
+            file="regimes",
         ),
         Section(
-            "One update, and iterated projections",
-            "The projection repeated within one update (`iterations`), bounds at gamma^(1/3), on "
-            "the first trials of the tables above. Mean ± standard deviation over trials.",
+            "Iterated projections",
+            "The projection repeated within one update, bounds at gamma^(1/3), on the first trials "
+            "of the tables above.",
             iteration_table(results.iterated),
-            (pictures["update"],),
+            file="iterations",
         ),
     ]
 
 
-def paper_findings(rows: Sequence[FilterScores]) -> str:
-    """Description of each regime: NEES and RMSE relative to the EKF's by reading, with the paper's,
-    and the reading whose NEES is nearest to the paper's.
+def at_gamma(table: pd.DataFrame, gamma: float) -> pd.DataFrame:
+    """The rows of a consistency table at one gamma or none, with RMSE and NEES alone."""
+    shown = [name for name in table if not name.endswith("(paper)") and "active" not in name]
+    return table.loc[table["gamma"].isin(["–", f"{gamma:.2f}"]), shown].drop(columns="gamma")
+
+
+def paper_findings(rows: Sequence[FilterScores], gamma: float) -> str:
+    """Sentences on each regime: NEES of the EKF and, with the reading of the bounds that is nearest
+    to the paper over all gammas, NEES and RMSE of coverage at one gamma; with the paper's.
     """
-    parts = []
+    sentences = []
     for k, regime in enumerate(("unbiased", "biased")):
         own = [row for row in rows if row.regime == regime]
         (ekf,) = (row for row in own if row.filter == "velocity")
-        paper = {g: (_number(row[k]), _number(row[2 + k])) for g, row in PAPER_ROWS.items()}
+        paper = {g: _number(row[2 + k]) for g, row in PAPER_ROWS.items()}
         base = paper.pop(None)
-        lines, off = [], {}
+        off, at = {}, {}
         for reading in READINGS:
             of = [r for r in own if (r.filter, r.reading) == ("coverage", reading)]
-            found = [(r.rmse[0], r.nees[0]) for r in of]
-            lines.append(f"coverage, bounds at {reading}: {_span(found, ekf.rmse[0])}")
-            known = [np.log(r.nees[0] / paper[r.gamma][1]) for r in of if r.gamma in paper]
+            known = [np.log(r.nees[0] / paper[r.gamma]) for r in of if r.gamma in paper]
             off[reading] = np.mean(np.abs(known))
-        lines.append(f"the paper's coverage: {_span(list(paper.values()), base[0])}")
-        parts.append(
-            f"{regime.capitalize()}. NEES of the EKF {ekf.nees[0]:.1f} (the paper: {base[1]:.1f}); "
-            + "; ".join(lines)
-            + f". Nearest to the paper's NEES are bounds at {min(off, key=lambda name: off[name])}."
+            at[reading] = min(of, key=lambda r: abs(r.gamma - gamma))
+        near = min(off, key=lambda name: off[name])
+        row = at[near]
+        sentences.append(
+            f"With {regime} errors the EKF has a NEES of {ekf.nees[0]:.1f} (the paper: "
+            f"{base:.1f}). Nearest to the paper's NEES of coverage are bounds at {near}: at γ = "
+            f"{row.gamma:g} a NEES of {row.nees[0]:.1f} (the paper: {paper[row.gamma]:.1f}) with "
+            f"{row.rmse[0] / ekf.rmse[0]:.1f} times the EKF's RMSE."
         )
-    return "\n\n".join(parts)
+    return " ".join(sentences)
 
 
 def beyond_findings(results: Results) -> str:
@@ -252,9 +253,22 @@ def beyond_findings(results: Results) -> str:
     words = []
     for k, what in enumerate(("accurate", "consistent")):
         verdicts = [text.split(", ")[k].split()[0] for text in results.beside.values()]
-        counts = ", ".join(f"{word} in {verdicts.count(word)}" for word in ("more", "as", "less"))
-        words.append(f"{what}: {counts}")
-    return f"Of {len(results.beside)} regimes, coverage_persistent is " + "; ".join(words) + "."
+        more, same, less = (verdicts.count(word) for word in ("more", "as", "less"))
+        words.append(f"more {what} in {more}, as {what} in {same} and less in {less}")
+    return (
+        f"Compared with `velocity_persistent` in {len(results.beside)} regimes beyond the paper's "
+        f"two, `coverage_persistent` is {', and '.join(words)}."
+    )
+
+
+def runtime_findings(rows: Sequence[Accuracy]) -> str:
+    """Sentence: time and error of our box moments, and of the paper's sampling with N = 1000."""
+    (ours,), (theirs,) = ([r for r in rows if r.samples == n] for n in (None, 1000))
+    return (
+        f"Moments of a box take {1e3 * ours.milliseconds:.1f} us with an error of the covariance "
+        f"of {ours.covariance:.0e}; quasi-Monte Carlo with {theirs.samples} samples takes "
+        f"{1e3 * theirs.milliseconds:.1f} us with an error of {theirs.covariance:.0e}."
+    )
 
 
 def consistency_table(rows: Sequence[FilterScores]) -> pd.DataFrame:
@@ -326,12 +340,3 @@ def runtime_table(rows: Sequence[Accuracy]) -> pd.DataFrame:
 def _number(text: str) -> float:
     """The mean of "0.61 ± 0.25"."""
     return float(text.split()[0])
-
-
-def _span(found: Sequence[tuple[float, float]], base: float) -> str:
-    """Ranges of the RMSE relative to the EKF's, `base` [m], and of the NEES."""
-    rmse, own_nees = zip(*found, strict=True)
-    return (
-        f"NEES {min(own_nees):.1f} to {max(own_nees):.1f}, RMSE {min(rmse) / base:.1f} to "
-        f"{max(rmse) / base:.1f} times the EKF's"
-    )

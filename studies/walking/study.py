@@ -4,13 +4,14 @@ After each walk the bare engine steps the same model through the same torques, o
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import thread_time
 from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
 from tyro.conf import UseAppendAction, arg
 
 from studies.bench.walking import COURSE, Replay
@@ -47,6 +48,8 @@ from surefoot.sim.walking.batch import Job, known_robot, on_threads
 MEAN_OVER = 1.0  # s, two gait cycles or more: the velocity's bob within them does not count
 _MODULE = "studies.walking.study"
 _TITLE = "How the robots walk"
+DIGITS = {"velocity error [m/s]": 3, "slipping [%]": 2, "creep [mm/s]": 2, "pace": 0}
+"""Columns of the page's table, and their decimals."""
 LEGEND = (
     "Means over the seeds that did not fall. Velocity error: root mean square of the base's "
     f"velocity, averaged over {MEAN_OVER:g} s, less the commanded one. Slipping: share of the "
@@ -145,8 +148,8 @@ def walking_study(options: WalkingStudy) -> list[WalkRow]:
         (made / rows.name).write_text(to_csv([asdict(w) for w in walks]), encoding="utf-8")
         (made / table.name).write_text(report(walks), encoding="utf-8")
     if options.page:
-        section = Section("Means over the seeds", LEGEND, _lines(walks))
-        write_page(options.page, _TITLE, [section], origin_of(_MODULE, "make study-walking"))
+        sections = walking_sections(_lines(walks))
+        write_page(options.page, _TITLE, sections, origin_of(_MODULE, "make study-walking"))
     return walks
 
 
@@ -208,6 +211,34 @@ def velocity_error(made: Plan, motion: Motion) -> float:
 def report(walks: Sequence[WalkRow]) -> str:
     """The table in Markdown, with the meaning of its columns."""
     return f"# {_TITLE}\n\n{to_markdown(_lines(walks))}\n\n{LEGEND}\n"
+
+
+def walking_sections(lines: Sequence[Mapping[str, Any]]) -> list[Section]:
+    """Findings with medians over the robots by ground and course, and every robot's line."""
+    frame = pd.DataFrame(lines)
+    fell, walked = frame["falls"].str.split(" of ", expand=True).astype(int).to_numpy().T
+    numbers = frame[[*DIGITS, "bare"]].apply(pd.to_numeric, errors="coerce")
+    frame = frame[["walk"]].assign(walks=walked, falls=fell).join(numbers)
+    by = frame.groupby("walk", sort=False)
+    table = by[["walks", "falls"]].sum()
+    for name, digits in DIGITS.items():
+        table[name] = by[name].median().map(f"{{:.{digits}f}}".format)
+    fallen = [f"{row['robot']} on {row['walk']}" for row, n in zip(lines, fell, strict=True) if n]
+    names = f": {', '.join(fallen)}" if fallen else ""
+    text = (
+        f"{fell.sum()} of {walked.sum()} walks end in a fall{names}.\n\n"
+        f"In the median over robots and courses, the base misses the commanded velocity by "
+        f"{numbers['velocity error [m/s]'].median():.3f} m/s, loaded feet slip on "
+        f"{numbers['slipping [%]'].median():.2f} % of their samples, and standing feet creep by "
+        f"{numbers['creep [mm/s]'].median():.2f} mm/s. A thread simulates "
+        f"{numbers['pace'].median():.0f} s of walking in one second; the bare engine, on the same "
+        f"work, {numbers['bare'].median():.0f} s."
+    )
+    return [
+        Section("Findings", text, table.reset_index()),
+        Section("Columns", LEGEND),
+        Section("Every robot and course", "", list(lines), file="robots"),
+    ]
 
 
 def _lines(walks: Sequence[WalkRow]) -> list[dict[str, Any]]:

@@ -45,6 +45,7 @@ def test_every_key_is_listed_with_its_meaning(kind):
     assert all(len(meaning) >= 1 for *_, meaning in found), found
     page = keys_page("Title", "Words.", [("[table]", kind)])
     assert page.count("\n| `") == len(found)
+    assert not any("[" in value for _, value, *_ in found)
 
 
 def test_values_and_defaults_are_in_the_words_of_a_file():
@@ -54,3 +55,7 @@ def test_values_and_defaults_are_in_the_words_of_a_file():
     assert table["on"][1] == "required"
     assert {k: v for k, v, *_ in keys(sections.RobotTable)}["imu_position"] == "3 numbers"
     assert {k: v for k, v, *_ in keys(map.MapFile)}["sources"] == "table"
+    assert {k: v for k, v, *_ in keys(sections.Source)}[
+        "skip"
+    ] == "whole number >= 0 and <= 1000000"
+    assert {k: v for k, v, *_ in keys(scenario._File)}["segment"] == "array of tables"

@@ -18,17 +18,41 @@ def _more_than_once(titles):
 
 
 def test_no_two_pages_have_the_same_title():
-    texts = [path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md")]
-    texts += [(ROOT / page).read_text(encoding="utf-8") for page in hooks.PAGES]
-    texts += [hooks._maps(), hooks._scenario_files(), *hooks._catalogues(), hooks._plausibility()]
-    titles = [hooks._title(text) for text in texts] + ["Commands", "Results"]
+    paths = [*(ROOT / "docs").rglob("*.md"), *(ROOT / page for page in hooks.PAGES)]
+    made = [hooks._maps(), hooks._scenario_files(), *hooks._catalogues(), hooks._plausibility()]
+    titles = [hooks._title(path) for path in paths] + [text.partition("\n")[0][2:] for text in made]
+    titles += ["Commands", "Results"]
     assert len(titles) > 60
     assert not _more_than_once(titles)
 
 
-def test_pages_of_walkers_are_told_apart():
-    text = "# Realism: simulated walks\n\ncompared with 3 simulated walks of {}"
-    assert hooks._title(text.format("go1")) != hooks._title(text.format("go2"))
+def test_the_main_finding_of_a_page_is_its_first_sentence(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# Title\n\n## Findings\n\nThe error is 0.5 m. It was larger.\n\nMore.\n")
+    assert hooks.main_finding(page) == "The error is 0.5 m."
+    page.write_text("# Title\n\n| a |\n| - |\n\n[![P](p.png)](p.png)\n\nNone. More.\n")
+    assert hooks.main_finding(page) == "None."
+
+
+def test_the_index_has_the_main_finding_of_every_page():
+    pages = sorted((ROOT / "docs" / "results").glob("*.md"))
+    lines = [line for line in hooks._results().splitlines() if line.startswith("| [")]
+    assert len(lines) == len(pages)
+    for page, line in zip(pages, lines, strict=True):
+        link, finding = line.strip("| ").split(" | ", maxsplit=1)
+        assert f"({page.name})" in link
+        assert finding in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "results").glob("*.md")), ids=str)
+def test_pages_of_results_are_short_and_their_tables_fit(page):
+    if page.stem.startswith("blind"):
+        pytest.skip("of the earlier form")
+    text = page.read_text(encoding="utf-8")
+    tables = [part for part in text.split("\n\n") if part.startswith("| ") and part[2] != "|"]
+    assert len(tables) == 1
+    assert tables[0].splitlines()[0].count("|") <= 8
+    assert len(text.split()) < 1500
 
 
 def test_no_two_entries_of_the_navigation_have_the_same_title():

@@ -35,13 +35,17 @@ def main() -> None:
         for case, one in outcomes
         if not one.refused
     ]
-    words = (
-        "Each case is a file or a command that must be refused: one line, no traceback, every file "
-        "as it was. Seconds are of the processor.\n\n"
-        + (f"Not refused: {'; '.join(missed)}." if missed else "All were refused.")
-    )
     origin = origin_of("surefoot.scenarios.cli.main", "python tests/hostile/page.py")
-    write_page(PAGE, "Hostile input", [Section("Cases by what is hostile", words, rows)], origin)
+    write_page(PAGE, "Hostile input", [Section("Findings", _words(rows, missed), rows)], origin)
+
+
+def _words(rows: list[dict[str, object]], missed: list[str]) -> str:
+    cases, refused = (rows[-1][name] for name in ("cases", "refused"))
+    return (
+        f"{refused} of {cases} files and commands that must be refused are refused.\n\n"
+        "Refused means: one line, no traceback, every file as it was. Seconds are of the "
+        "processor." + (f"\n\nNot refused: {'; '.join(missed)}." if missed else "")
+    )
 
 
 def _row(kind: str, outcomes: list[Outcome]) -> dict[str, object]:

@@ -230,15 +230,13 @@ def write_mutants_page(
     killed, survived, uncovered = (len(of[k]) for k in ("killed", "survived", "uncovered"))
     seconds = sum(row["seconds"] for row in rows)
     words = (
-        f"{len(rows)} of the {drawn_in_all} mutants that were drawn are finished: {killed} killed, "
-        f"{sum(row['outcome'] == 'timeout' for row in rows)} of them by the time they took, "
-        f"{survived} survived, of {uncovered} no test that is quick enough calls the function, "
-        f"{len(equivalent)} are equivalent to the code. "
-        f"Killed of those that are not equivalent: {_share(killed, survived + uncovered)} %. "
-        f"{seconds / max(len(rows), 1):.1f} s of the processor a mutant, {seconds / 60:.0f} min in "
-        "all."
+        f"{killed} of the {killed + survived + uncovered} mutants that are not equivalent to the "
+        f"code are killed ({_share(killed, survived + uncovered)} %).\n\n"
+        f"{len(rows)} of the {drawn_in_all} mutants that were drawn are finished; {survived} "
+        f"survived, of {uncovered} no test that is quick enough calls the function, and "
+        f"{len(equivalent)} are equivalent. {_first_words(first)} A mutant takes "
+        f"{seconds / max(len(rows), 1):.1f} s of the processor, all take {seconds / 60:.0f} min."
     )
-    words += "\n\n" + _first_words(first)
     how = (
         "A mutant is one change of a line: a sign, a constant by a tenth or by one, a comparison, "
         "two swapped arguments, a statement left out. `tests/mutation/plan.toml` says which files "
@@ -246,23 +244,27 @@ def write_mutants_page(
         "tests that import the module and least else, until one fails."
     )
     sections = [
-        Section("Share killed", f"{words}\n\n{how}", _counts(rows, reasons, "folder")),
-        Section("By kind of change", "", _counts(rows, reasons, "kind")),
-        Section("By file", "", _counts(rows, reasons, "file")),
+        Section("Findings", words, _counts(rows, reasons, "folder")),
+        Section("Method", how),
+        Section("By kind of change", "", _counts(rows, reasons, "kind"), file="kinds"),
+        Section("By file", "", _counts(rows, reasons, "file"), file="files"),
         Section(
             "Survivors",
-            "What no test notices." if survived else "None.",
+            "What no test notices.",
             [{**_change(row), "tests": row["tests"]} for row in _by_place(of["survived"])] or None,
+            file="survivors",
         ),
         Section(
             "Without a test",
-            "Functions that no test calls within its time." if uncovered else "None.",
+            "Functions that no test calls within its time.",
             [_change(row) for row in _by_place(of["uncovered"])] or None,
+            file="without_a_test",
         ),
         Section(
             "Equivalent",
-            "Changes that no test can notice, and why." if equivalent else "None.",
+            "Changes that no test can notice, and why.",
             [{**_change(row), "why": reasons[row["key"]].reason} for row in equivalent] or None,
+            file="equivalent",
         ),
     ]
     origin = origin_of("surefoot.scenarios.cli.main", "make mutants")

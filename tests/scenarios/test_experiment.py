@@ -140,14 +140,13 @@ def test_the_folder_holds_tables_report_figures_and_recordings(grid, rows):
     files = {
         "results.csv",
         "averages.csv",
-        "averages.md",
-        "sweep.md",
-        "sequences_as_built.md",
-        "report.md",
+        "sweep.csv",
+        "sequences_as_built.csv",
+        "table.md",
     }
     assert files <= {p.name for p in out.iterdir()}
     page = (out / "report.html").read_text()
-    assert "perfect model of the legs" in page
+    assert page.index("Findings") < page.index("Setting") < page.index("Averages")
     assert "<strong>try</strong>" in page
     assert page.count("<img") == len(list((out / "figures").glob("*.png")))
     assert {p.stem for p in (out / "recordings").glob("*.rrd")} == {
@@ -214,7 +213,7 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
     first = shown_first(more, Experiment.load(grid / "further.toml"))
     same = shown_first(rows, Experiment.load(grid / "grid.toml"))
     assert len(first) == len(same)
-    assert "Inputs of observers" in (out / "report.md").read_text()
+    assert "Inputs of observers" in (out / "table.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,20 @@
 import json
 from dataclasses import replace
 
+import pandas as pd
+import pytest
+
 from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.reporting.html import Picture, Section
-from surefoot.scenarios.reporting.pages import Origin, origin_of, read_origin, write_page
+from surefoot.scenarios.reporting.pages import (
+    Origin,
+    origin_of,
+    read_origin,
+    tables_folder,
+    write_page,
+)
 from surefoot.scenarios.reporting.plotting import new_figure
+from surefoot.sim.common.errors import SurefootError
 
 MODULE = "surefoot.scenarios.reporting.tables"
 
@@ -20,10 +30,41 @@ def test_a_page_names_what_made_it_and_is_read_back(tmp_path):
     assert origin.commit
     assert origin.machine.endswith("cores")
     text = path.read_text()
-    assert text.startswith("# Some study\n\n| | |\n")
+    assert text.startswith("# Some study\n\n## Errors\n\nTwo.\n\n")
     assert "## Errors\n\nTwo.\n\n| a \\| b |" in text
-    assert "![Errors](some_1_1.png)\n\nA box." in text
-    assert (tmp_path / "some_1_1.png").read_bytes().startswith(b"\x89PNG")
+    assert "[![Errors](some_1.png)](some_1.png)\n\nA box." in text
+    assert (tmp_path / "some_1.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_further_tables_are_files_that_the_page_links_to(tmp_path):
+    page = tmp_path / "docs" / "results" / "some.md"
+    rows = [{"leg": "FL", "error": 0.123456789}, {"leg": "FR", "error": None}]
+    picture = Picture(new_figure()[0], "A box.")
+    sections = [
+        Section("Findings", "The error is small. It was larger.", [{"error": 0.12}]),
+        Section("By leg", "One row a leg.\n\nMore.", rows, (picture,), file="legs"),
+        Section("Nothing", "No rows.", file="none"),
+    ]
+    write_page(page, "Some", sections, Origin(commit="1234567"))
+    text = page.read_text()
+    assert "- [By leg](../data/some/legs.csv): One row a leg.\n" in text
+    assert "## By leg\n\n[![By leg](some_1.png)]" in text
+    assert "FL" not in text
+    assert "Nothing" not in text
+    table = pd.read_csv(tmp_path / "docs" / "data" / "some" / "legs.csv")
+    pd.testing.assert_frame_equal(table, pd.DataFrame(rows))
+    elsewhere = tmp_path / "page.md"
+    assert tables_folder(elsewhere) == tmp_path / "page"
+
+
+def test_a_table_of_a_page_replaces_no_other_file(tmp_path):
+    mine = tmp_path / "some" / "legs.csv"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    with pytest.raises(SurefootError, match=r"legs\.csv is another file"):
+        write_page(tmp_path / "some.md", "S", [Section("L", "", [{"a": 1}], file="legs")], Origin())
+    assert mine.read_text() == "mine"
+    assert not (tmp_path / "some.md").exists()
 
 
 def test_a_page_is_stale_once_its_code_differs_or_is_unknown(tmp_path):
@@ -45,7 +86,8 @@ def test_what_was_written_by_hand_goes_when_a_page_is_made_again(tmp_path):
     write_page(path, "Some", [Section("Old")], origin_of(MODULE, "x"))
     path.write_text(f"{path.read_text()}\n0.12 m, typed by hand\n")
     write_page(path, "Some", [Section("New")], origin_of(MODULE, "x"))
-    assert path.read_text().endswith("## New\n")
+    assert "## New\n\n## Origin" in path.read_text()
+    assert "typed by hand" not in path.read_text()
     assert "Old" not in path.read_text()
 
 

@@ -9,7 +9,7 @@ import pytest
 from surefoot.scenarios.estimate import bundled
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, Traits, traits
 from surefoot.scenarios.experiments.file import Condition, Experiment
-from surefoot.scenarios.experiments.findings import findings
+from surefoot.scenarios.experiments.findings import findings, overview
 
 MODULES = (
     "viewer/recording.py",
@@ -45,17 +45,33 @@ def test_no_list_of_filters_is_written_by_hand(module):
     assert compared == []
 
 
-def test_findings_rank_an_own_estimator_and_say_why_legs_win(monkeypatch):
+def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch):
     monkeypatch.setitem(ESTIMATORS.bundled, "mine", Mine)
     names = ["coverage", "coverage_persistent", "mine", "imu", "radar_leg"]
-    columns = {"condition": "plain", "role": "test", "sequence": "walk", "seed": 0}
-    columns |= {"NEES_pos": 3.0, "creep [mm/s]": 1.0, "slip [%]": 1.0, "duration [s]": 10.0}
+    columns = {"condition": "plain", "role": "test", "sequence": "walk", "seed": 0, "robot": "r"}
+    columns |= {"coverage_n": 0, "coverage [%]": float("nan"), "fed_mean_x [m/s]": float("nan")}
     rows = pd.DataFrame({"filter": names, "APE_trans [m]": [0.4, 0.3, 0.1, 9.0, 0.01]})
-    rows = rows.assign(**columns, **{"APE [% of path]": rows["APE_trans [m]"]})
-    rows["fed_mean_x [m/s]"] = float("nan")
-    ((_, text),) = findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
-    assert "lowest first: My own 0.100 m" in text
-    assert "My own has a lower position error than Coverage, persistent error on 1 of 1" in text
-    assert "creeps by 1.0 mm/s" in text
-    assert "Radar" not in text
-    assert "IMU" not in text
+    rows = rows.assign(**columns, NEES_pos=[3.0, 5.9, 6.1, 3.0, 3.0])
+    text = findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
+    main, rest = text.split("\n\n")
+    assert "`mine` (0.100 m, plain)" in main
+    assert "`coverage_persistent`" in rest
+    assert "0.300 m (plain; lowest on 0 of 1" in rest
+    assert "`coverage`, `coverage_persistent` (plain)" in rest  # within a factor of two of 3
+    assert "radar_leg" not in text
+    assert "imu" not in text
+    shown = overview(rows).set_index("filter")
+    assert shown.loc["imu", "APE [m], plain"] == 9.0
+    assert list(shown.columns) == ["APE [m], plain", "NEES, plain"]
+
+
+def test_findings_say_how_often_bounds_hold_and_how_the_observer_errs():
+    names = ["coverage", "coverage", "coverage_persistent"]
+    rows = pd.DataFrame({"filter": names, "sequence": ["a", "b", "a"], "seed": 0, "robot": "r"})
+    rows = rows.assign(condition="plain", role="test", NEES_pos=3.0, **{"APE_trans [m]": 1.0})
+    rows["coverage_n"], rows["coverage [%]"] = [10, 30, 0], [100.0, 60.0, float("nan")]
+    for axis, size in zip("xyz", (3e-3, 4e-3, 0.0), strict=True):
+        rows[f"fed_mean_{axis} [m/s]"] = size
+    text = findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
+    assert "70 % (plain)" in text  # (10 * 100 + 30 * 60) / 40
+    assert "5.0 mm/s (plain)" in text

@@ -1,6 +1,8 @@
 """The studies of real hardware: without the recordings they skip; with them, what they find."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,17 +11,21 @@ from pendulum import swung
 
 from studies.hardware import traces
 from studies.hardware.go1 import ladder, rolling_table
-from studies.hardware.study import MEASURED, RUNS, STUDIES, Chapter, HardwareStudy, run_hardware
+from studies.hardware.machines import MACHINES, RUNS, Measured
+from studies.hardware.report import FINDINGS, WORDS
+from studies.hardware.study import MEASURED, HardwareStudy, run_hardware
 from studies.measured import measured_folder
-from surefoot.scenarios.reporting.pages import read_origin
+from surefoot.scenarios.reporting.pages import read_origin, tables_folder
 from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
+ROOT = Path(__file__).resolve().parents[2]
 needs_measured = pytest.mark.skipif(
     not MEASURED.is_dir(), reason=f"the measured logs are not here ({MEASURED})"
 )
@@ -28,7 +34,7 @@ needs_measured = pytest.mark.skipif(
 def test_a_study_without_its_recording_is_skipped_with_a_line(tmp_path, capsys):
     assert run_hardware(HardwareStudy(tmp_path / "out", measured=tmp_path / "nowhere")) == []
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == len(STUDIES)
+    assert len(lines) == len(MACHINES)
     assert lines[0].startswith("ak80_pendulum: skipped, its recording is not in")
     assert not (tmp_path / "out").exists()
 
@@ -37,12 +43,14 @@ def test_an_unknown_study_and_files_in_the_way_are_one_line(tmp_path):
     with pytest.raises(SurefootError, match="--only arm: unknown; choose ak80_pendulum"):
         run_hardware(HardwareStudy(tmp_path, only=("arm",)))
     (tmp_path / "measured" / "ak80_pendulum").mkdir(parents=True)
-    (tmp_path / "report.html").write_text("mine")
+    report = tmp_path / "ak80_pendulum" / "report.html"
+    report.parent.mkdir()
+    report.write_text("mine")
     with pytest.raises(SurefootError, match=r"report\.html: exists already"):
         run_hardware(
             HardwareStudy(tmp_path, measured=tmp_path / "measured", only=("ak80_pendulum",))
         )
-    assert (tmp_path / "report.html").read_text() == "mine"
+    assert report.read_text() == "mine"
 
 
 def test_a_finished_study_is_kept_until_its_recording_changes(tmp_path, monkeypatch):
@@ -51,25 +59,57 @@ def test_a_finished_study_is_kept_until_its_recording_changes(tmp_path, monkeypa
     (folder / "run.csv").write_text("1")
     ran = []
 
-    def chapter(*_) -> Chapter:
+    def measured(_) -> Measured:
         ran.append(1)
-        sizes = {"Sizes": pd.DataFrame({"a": [1.5]})}
-        return Chapter("One", "Words.", sizes, new_figure()[0], "What it shows.")
+        held_out = pd.DataFrame([held_out_row("pd", 1.5), held_out_row("ilqr", 0.1)])
+        return Measured({"held_out": held_out}, new_figure()[0], "attributed: it explains the log")
 
-    monkeypatch.setitem(STUDIES, "ak80_pendulum", chapter)
-    options = HardwareStudy(
-        tmp_path, tmp_path / "measured", ("ak80_pendulum",), page=tmp_path / "page.md", force=True
-    )
-    tables = [run_hardware(options)[1].table for _ in range(2)]
-    assert tables == [[{"a": 1.5}]] * 2
+    monkeypatch.setitem(MACHINES, "ak80_pendulum", measured)
+    out, pages = tmp_path / "out", tmp_path / "results"
+    options = HardwareStudy(out, tmp_path / "measured", ("ak80_pendulum",), pages=pages, force=True)
+    for _ in range(2):
+        assert run_hardware(options) == ["ak80_pendulum"]
     assert len(ran) == 1
-    assert not read_origin(tmp_path / "page.md").stale
-    assert "What it shows." in (tmp_path / "page.md").read_text()
-    (tmp_path / "cases" / "ak80_pendulum.png").unlink()
+    page = pages / "hardware_ak80_pendulum.md"
+    assert not read_origin(page).stale
+    assert "the torque of 1 of 2 runs" in page.read_text()
+    assert "`pd`: 1.500 N m" in page.read_text()
+    table = pd.read_csv(tmp_path / "data" / page.stem / "held_out.csv")
+    assert list(table["against them"]) == ["much", "much"]
+    (out / "cases" / "ak80_pendulum.png").unlink()
     run_hardware(options)
     (folder / "run.csv").write_text("2")
     run_hardware(options)
     assert len(ran) == 3
+
+
+def held_out_row(run: str, residual: float) -> dict[str, str]:
+    return {
+        "run held out": run,
+        "verdict of the others": "attributed",
+        "channel": "joint_torque [N m]",
+        "declared model": f"{residual:.3f}",
+        "with the others' effects": "0.100",
+        "noise floor": "0.200",
+        "against them": "much",
+    }
+
+
+def test_every_machine_has_words_and_findings():
+    words = read_toml(WORDS, "pages")
+    assert list(words) == list(FINDINGS) == list(MACHINES)
+    for one in words.values():
+        assert {"title", "machine", "method", "caption", "shown", "columns"} == set(one)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_page_links_to_every_table_beside_it(name):
+    page = ROOT / "docs" / "results" / f"hardware_{name}.md"
+    folder = tables_folder(page)
+    shown = read_toml(WORDS, "pages")[name]
+    files = {path.stem for path in folder.glob("*.csv")}
+    assert files == set(re.findall(r"/(\w+)\.csv\)", page.read_text()))
+    assert (shown["shown"] in files) == bool(shown["columns"])
 
 
 def test_a_held_out_run_is_judged_by_what_the_others_show(tmp_path):
@@ -89,11 +129,10 @@ def test_a_held_out_run_is_judged_by_what_the_others_show(tmp_path):
 @pytest.mark.slow
 @needs_measured
 def test_the_chapter_of_a_real_drive_has_a_row_for_each_run(tmp_path):
-    sections = run_hardware(HardwareStudy(tmp_path, only=("ak80_pendulum",)))
-    table = pd.DataFrame(sections[1].table).set_index("run held out")
-    assert tuple(table.index) == RUNS
+    run_hardware(HardwareStudy(tmp_path, only=("ak80_pendulum",)))
+    table = pd.read_csv(tmp_path / "ak80_pendulum" / "held_out.csv")
+    assert tuple(dict.fromkeys(table["run held out"])) == RUNS
     assert (tmp_path / "cases" / "ak80_pendulum.png").stat().st_size > 10_000
-    assert "held out" in (tmp_path / "table.md").read_text()
 
 
 def test_measured_logs_are_looked_for_beside_the_project():
