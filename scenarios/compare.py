@@ -147,7 +147,7 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
     for path, name in zip(settings.logs, names, strict=True):
         if names.count(name) > 1:
             raise SurefootError(f"{path}: another log has the same name; rename one of them")
-    chosen = read_settings(settings.settings, settings.set)
+    chosen = read_settings(settings.settings, settings.entries)
     warnings = not_plausible(logs, settings.robot, settings.strict)
     found = []
     for log in logs:

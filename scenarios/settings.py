@@ -6,6 +6,7 @@ Nothing heavy is imported here, so that `--help` and a mistyped option are answe
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +55,15 @@ class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
     """One setting as in the file of settings, which it overrides, such as noise.gyro=1e-3
     [rad/s/sqrt(Hz)].
     """
+    start: Literal["reference", "rest", "moving"] | None = None
+    """What the first state is taken from: the reference; gravity, of a robot at rest; or gravity and
+    legs over the first second. By default the reference, or else what the first rows show.
+    """
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Lines that override those of the file of settings."""
+        return self.set if self.start is None else (*self.set, f'start.kind="{self.start}"')
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ _METAVARS = {
     "device": "DEVICE",
     "set": "KEY=VALUE",
     "filter": "NAME",
+    "start": "reference|rest|moving",
 } | dict.fromkeys(("robot", "map", "walker"), "NAME|FILE")
 
 

@@ -26,12 +26,12 @@ from surefoot.scenarios.estimate.run import (
     health_of,
     joined_trajectory,
     robot_of,
+    start_note,
 )
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import refuse_overwrite, whole_file
-from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log, LogReader
 
 LONG = 1800.0
@@ -69,7 +69,7 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
         for path in (settings.out, settings.out.with_suffix(".tum")):
             refuse_overwrite(path, settings.force)
     learnt = learnt_from(settings.observer, settings.bounds)
-    chosen = read_settings(settings.settings, settings.set)
+    chosen = read_settings(settings.settings, settings.entries)
     whole = reader.rows / reader.meta.rate <= LONG
     first = next(Log.chunks(reader, np.inf if whole else CHECKED))
     doubts = not_plausible([first], settings.robot, settings.strict).get(first.name, ())
@@ -77,9 +77,8 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
     first, robot = declared_model(first, robot_of(first, settings.robot))
-    starts_at_rest = not first.has("reference") and chosen.state.v_GI is None
-    if starts_at_rest and chosen.start.velocity is None and (moves := start_line(first, robot)):
-        print(f"note: {first.name}: {moves}", file=sys.stderr)
+    if note := start_note(first, robot, chosen):
+        print(f"note: {first.name}: {note}", file=sys.stderr)
     judge = _Judge(None if whole else reader)
     parts: list[RunSummary] = []
     waiting: deque[Log] = deque()  # pieces that were read but not estimated

@@ -16,6 +16,7 @@ from surefoot.estimator.evaluation.health import Health, health
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord, reference
+from surefoot.estimator.initial import start_of
 from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.estimator.run import output_stride, state_parts
 from surefoot.scenarios.estimate.contract import (
@@ -31,7 +32,9 @@ from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.effects import compensate_all, declared_effects
+from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log
+from surefoot.sim.robot.feet import Feet, PointFeet
 from surefoot.sim.robot.robot import NO_ROBOT, Robot
 
 _R = TypeVar("_R", Robot, Robot | None)
@@ -257,13 +260,40 @@ def begin(
     """
     estimator.needs.check(log, robot)
     values = parameters_of(estimator, robot, settings)
-    state, covariance = (settings or FilterSettings()).beginning(log)
+    feet = feet_of(log, robot)
+    state, covariance = (settings or FilterSettings()).beginning(log, feet)
     joints = log.joints if log.has("q") else ()
-    by_joints = robot is not None and log.has("q")  # they say how feet roll, too
-    feet = log.legs if log.has("foot") and not by_joints else ()
-    at = Beginning(state, covariance, log.rate, joints, log.meta.derived, feet)
+    given = log.legs if isinstance(feet, PointFeet) else ()
+    at = Beginning(state, covariance, log.rate, joints, log.meta.derived, given)
     # The robot is None for those alone whose needs say that it may be.
     return estimator.start(cast(Robot, robot), learnt, values, at)
+
+
+def feet_of(log: Log, robot: Robot | None) -> Feet | None:
+    """How a log shows the feet of its robot: by joint angles if it can, which also say how feet
+    roll; None if it does not.
+    """
+    if robot is not None and log.has("q"):
+        return robot.feet
+    return PointFeet() if log.has("foot") else None
+
+
+def start_note(log: Log, robot: Robot | None, settings: FilterSettings) -> str:
+    """Say how filters start on a log whose robot moves in the first rows and whose reference is not
+    used; "" if it rests.
+    """
+    kind = settings.start.kind or start_of(log)
+    given = settings.start.velocity is not None or settings.state.v_GI is not None
+    if given or kind == "reference" or not start_line(log):
+        return ""
+    state, covariance = settings.beginning(log, feet_of(log, robot))
+    speed, std = np.linalg.norm(state.v_GI), np.sqrt(covariance[3, 3])
+    taken = "over the first second" if kind == "moving" else "as if at rest (start: rest)"
+    legs = " and legs" if speed else ""
+    return (
+        f"start: the robot moves already in the first rows; filters start from gravity{legs} {taken}, "
+        f"at {speed:.2f} m/s with a standard deviation of {std:.2f} m/s"
+    )
 
 
 def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:
