@@ -18,7 +18,13 @@ from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
-from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
+from surefoot.scenarios.estimate.run import (
+    Result,
+    declared_model,
+    robot_of,
+    run_all,
+    start_note,
+)
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
     height_figure,
@@ -80,6 +86,7 @@ class Comparison:
     bounds: "Bounds | None"
     held: dict[str, "EmpiricalCoverage"]  # filter -> empirical coverage of its bounds
     warnings: tuple[str, ...] = ()  # what in the log is not plausible
+    notes: tuple[str, ...] = ()  # what else to know when comparing
 
     @property
     def doubts(self) -> list[str]:
@@ -118,6 +125,8 @@ def compare_log(
 
         results, left_out = run_all(log, robot, learnt, names, progress, settings)
     known, model = declared_model(log, robot)  # as the filters see it
+    start = start_note(known, model, settings or FilterSettings()) if results else ""
+    notes = tuple(filter(None, [start]))
     prediction, bounds = None, None
     held: dict[str, EmpiricalCoverage] = {}
     for name in reversed([result.filter for result in results]):  # the first one's are drawn
@@ -131,7 +140,7 @@ def compare_log(
         prediction = predict(observer, known, model)
         if log.has("reference"):
             held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
-    return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held)
+    return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held, notes=notes)
 
 
 def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Comparison]]:
@@ -232,6 +241,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
     first += [
         f"Not plausible in {c.log.name}: {words}." for c in comparisons for words in c.warnings
     ]
+    first += [f"On {c.log.name}: {words}." for c in comparisons for words in c.notes]
     left_out = [
         f"{line[0].upper()}{line[1:]}."
         for c in comparisons
@@ -253,7 +263,7 @@ def _walk_prose(comparison: Comparison) -> str:
     text = f"{name}, {log.t[-1] - log.t[0]:.1f} s"
     if log.has("reference"):
         text += f", {path_length(log.t, log.ref_p):.1f} m"
-    if log.has("truth"):
+    if log.has("truth") and log.has("reference"):
         facts = walk_facts([log])
         text += (
             f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * facts['slip_share']:.1f} % "

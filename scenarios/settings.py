@@ -56,8 +56,8 @@ class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
     [rad/s/sqrt(Hz)].
     """
     start: Literal["reference", "rest", "moving"] | None = None
-    """What the first state is taken from: the reference; gravity, of a robot at rest; or gravity and
-    legs over the first second. By default the reference, or else what the first rows show.
+    """What the first state is taken from: the reference; gravity, of a robot at rest; or gravity
+    and legs over the first second. By default the reference, or else what the first rows show.
     """
 
     @property

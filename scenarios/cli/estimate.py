@@ -218,15 +218,16 @@ class Compare(CompareSettings, options.JsonOption):
 
         results, found = compare_files(self)
         if self.json:
-            left_out = {one.log.name: one.left_out for one in found}
-            doubts = {one.log.name: one.doubts for one in found}
-            rows = results.to_dict(orient="records")
-            options.print_json({"results": rows, "left_out": left_out, "doubts": doubts})
+            each = {
+                name: {one.log.name: getattr(one, name) for one in found}
+                for name in ("left_out", "doubts", "notes")
+            }
+            options.print_json({"results": results.to_dict(orient="records"), **each})
             return
         print("\n" + to_markdown(results))
         for comparison in found:
             for line in left_out_lines(comparison.log.name, comparison.left_out):
                 print(line)
-            for words in comparison.doubts:
+            for words in (*comparison.notes, *comparison.doubts):
                 print(f"{comparison.log.name}: {words}")
         print(f"\nreport: {self.out / 'report.html'}")

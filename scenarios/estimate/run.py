@@ -278,21 +278,28 @@ def feet_of(log: Log, robot: Robot | None) -> Feet | None:
     return PointFeet() if log.has("foot") else None
 
 
+STARTS = {
+    "reference": "the reference",
+    "rest": "gravity, as if at rest",
+    "moving": "gravity and legs over the first second",
+}
+"""What a first state is taken from, in words."""
+
+
 def start_note(log: Log, robot: Robot | None, settings: FilterSettings) -> str:
-    """Say how filters start on a log whose robot moves in the first rows and whose reference is not
-    used; "" if it rests.
+    """Say how filters start on a log whose robot moves in the first rows; "" if it rests, or if the
+    settings give its velocity.
     """
-    kind = settings.start.kind or start_of(log)
     given = settings.start.velocity is not None or settings.state.v_GI is not None
-    if given or kind == "reference" or not start_line(log):
+    if given or not start_line(log):
         return ""
     state, covariance = settings.beginning(log, feet_of(log, robot))
-    speed, std = np.linalg.norm(state.v_GI), np.sqrt(covariance[3, 3])
-    taken = "over the first second" if kind == "moving" else "as if at rest (start: rest)"
-    legs = " and legs" if speed else ""
+    std = np.sqrt(covariance.diagonal())
     return (
-        f"start: the robot moves already in the first rows; filters start from gravity{legs} {taken}, "
-        f"at {speed:.2f} m/s with a standard deviation of {std:.2f} m/s"
+        "start: the robot moves already in the first rows; filters start from "
+        f"{STARTS[settings.start.kind or start_of(log)]}, at {np.linalg.norm(state.v_GI):.2f} ± "
+        f"{std[3]:.2f} m/s, with a gyro bias known to {np.degrees(std[12]):.1g} deg/s; begin the "
+        "log where it stands, if you can"
     )
 
 
