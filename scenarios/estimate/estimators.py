@@ -13,7 +13,7 @@ from surefoot.sim.common.sources import code_digest
 if TYPE_CHECKING:  # names alone come without compiled kernels, which are slow to load
     from surefoot.scenarios.estimate.contract import Estimator
 
-REQUIRED = ("name", "label", "description", "needs", "parameters", "start")
+REQUIRED = ("name", "description", "needs", "parameters", "start")
 """Members that an estimator's class must have; see `surefoot.scenarios.estimate.contract`."""
 
 ESTIMATORS = Registry(

@@ -12,7 +12,6 @@ from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.experiments.figures import FACTOR, NOMINAL
 from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.tables import SHARE
-from surefoot.scenarios.reporting.palette import estimator_label
 
 DIVERGED = 5.0  # % of the path, from which a filter counts as lost on a sequence
 RANKED_BY = "APE_trans [m]"
@@ -34,7 +33,7 @@ def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
     if test.empty:
         return paragraphs
     means = test.groupby("filter")[RANKED_BY].mean().sort_values()
-    order = ", ".join(f"{estimator_label(str(n))} {v:.3f} m" for n, v in means.items())
+    order = ", ".join(f"{n} {v:.3f} m" for n, v in means.items())
     paragraphs.append(f"Position error averaged over the test sequences, lowest first: {order}.")
     paragraphs += [_divergence(ranked), _consistency(test)]
     ours = max(ranked["filter"].unique(), key=lambda name: own[name].proposed)
@@ -46,13 +45,12 @@ def _condition(rows: pd.DataFrame, condition: Condition) -> list[str]:
 def _divergence(rows: pd.DataFrame) -> str:
     kept, lost = [], []
     for name, mine in rows.groupby("filter", sort=False):
-        label = estimator_label(str(name))
         worst = mine.groupby("sequence", sort=False)[SHARE].max()
         if worst.max() < DIVERGED:
-            kept.append(f"{label} ({worst.max():.1f} %)")
+            kept.append(f"{name} ({worst.max():.1f} %)")
         else:
             on = ", ".join(f"{s} {v:.0f} %" for s, v in worst.items() if not v < DIVERGED)
-            lost.append(f"{label} (on {on})")
+            lost.append(f"{name} (on {on})")
     good = ", ".join(kept) or "none"
     text = f"Position error below {DIVERGED:g} % of the path on every sequence: {good}."
     return text + (f" Above it: {'; '.join(lost)}." if lost else "")
@@ -64,7 +62,7 @@ def _consistency(test: pd.DataFrame) -> str:
         nees = mine["NEES_pos"].dropna()
         if len(nees):
             inside = ((nees > NOMINAL / FACTOR) & (nees < NOMINAL * FACTOR)).mean()
-            parts.append(f"{estimator_label(str(name))} {nees.mean():.2f} ({100 * inside:.0f} %)")
+            parts.append(f"{name} {nees.mean():.2f} ({100 * inside:.0f} %)")
     return (
         f"Mean NEES of position, {NOMINAL:g} for a consistent filter, and the share of "
         f"test walks within a factor of {FACTOR:g} of it: {', '.join(parts)}."
@@ -79,15 +77,13 @@ def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
         best = values.idxmin()
         if best != ours:
             ahead.setdefault(str(best), []).append((sequence, values[ours], values[best]))
-    label = estimator_label(ours)
     if not ahead:
-        return [f"{label} has the lowest position error of all on every sequence."]
+        return [f"{ours} has the lowest position error of all on every sequence."]
     paragraphs = []
     for best, found in ahead.items():
         where = ", ".join(f"{s} ({b:.2f} against {a:.2f} m)" for s, a, b in found)
-        winner, n = estimator_label(best), len(means)
         paragraphs.append(
-            f"{winner} has a lower position error than {label} on {len(found)} of {n} sequences: "
+            f"{best} has a lower position error than {ours} on {len(found)} of {len(means)} sequences: "
             f"{where}."
         )
     if any(traits(name).of_legs for name in ahead):

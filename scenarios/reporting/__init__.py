@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         OUTSIDE,
         TRUTH,
         estimator_color,
-        estimator_label,
         estimator_look,
     )
     from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title

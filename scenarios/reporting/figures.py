@@ -15,7 +15,6 @@ from surefoot.scenarios.reporting.palette import (
     OUTSIDE,
     TRUTH,
     estimator_color,
-    estimator_label,
     estimator_look,
     friction_color,
 )
@@ -143,7 +142,7 @@ def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     figure, ax = single_axes(7.5, 4.0)
     top = 0.0
     for name, error in errors.items():
-        color, label = estimator_color(name), estimator_label(name)
+        color, label = estimator_color(name), name
         sigma = error.distance_sigma
         if sigma is not None:
             inside = 100.0 * (error.distance <= 3.0 * sigma).mean()

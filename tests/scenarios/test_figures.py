@@ -18,7 +18,7 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
 from surefoot.scenarios.reporting import figures, observer_errors
-from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_png
 from surefoot.scenarios.trace.report import candidate_gains, residuals
 from surefoot.sim.common.errors import SurefootError
@@ -81,9 +81,9 @@ def test_a_figure_says_what_it_shows(drawn, name, said):
 def test_every_estimator_keeps_its_colour(drawn, name):
     (ax,) = drawn[name].axes
     for line in ax.get_lines():
-        for estimator in ("coverage", "leg"):
-            if str(line.get_label()).startswith(estimator_label(estimator)):
-                assert to_hex(line.get_color()).upper() == estimator_color(estimator)
+        estimator = str(line.get_label()).split(" (")[0]
+        if estimator in ESTIMATORS:
+            assert to_hex(line.get_color()).upper() == estimator_color(estimator)
 
 
 def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
@@ -167,8 +167,8 @@ def test_the_height_panel_fits_the_estimates_but_those_that_are_lost():
 def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):
     lines = {str(line.get_label()).split(" (")[0]: line for line in drawn["height"].axes[0].lines}
     np.testing.assert_allclose(lines["Truth"].get_ydata(), walk.log.ref_p[:, 2])
-    np.testing.assert_allclose(lines["Leg IEKF"].get_ydata(), errors["leg"].p_GI[:, 2])
-    assert "Leg IEKF (+0.080 m at the end)" in words(drawn["height"])
+    np.testing.assert_allclose(lines["leg"].get_ydata(), errors["leg"].p_GI[:, 2])
+    assert "leg (+0.080 m at the end)" in words(drawn["height"])
 
 
 def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
@@ -191,7 +191,6 @@ def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk)
 
 def test_unknown_estimators_keep_one_colour_and_style():
     assert estimator_color("my_filter") == estimator_color("my_filter")
-    assert estimator_label("my_filter") == "my_filter"
     assert estimator_line("my_filter") in ("-", "--", "-.", ":")
 
 
@@ -201,7 +200,6 @@ def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
         estimator_color(name) for name in ("leg", "coverage")
     ]
     assert len({(estimator_color(name), estimator_line(name)) for name in shown}) == 4
-    assert estimator_label("leg before") == f"{estimator_label('leg')}, before"
 
 
 def test_the_mixing_figure_shows_the_curve_and_where_k_was_read_from_it():
