@@ -18,13 +18,8 @@ from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
-from surefoot.scenarios.estimate.run import (
-    Result,
-    declared_model,
-    robot_of,
-    run_all,
-    start_note,
-)
+from surefoot.scenarios.estimate.notes import notes_on
+from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
     height_figure,
@@ -33,7 +28,14 @@ from surefoot.scenarios.reporting.figures import (
     velocity_figure,
 )
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
-from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
+from surefoot.scenarios.reporting.tables import (
+    LOST_FROM,
+    METRICS,
+    cell,
+    metrics_row,
+    to_csv,
+    to_markdown,
+)
 from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.errors import SurefootError
@@ -50,7 +52,6 @@ if TYPE_CHECKING:  # only a filter that has learnt needs torch
     from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
     from surefoot.models.observer.predict import Prediction
 
-LOST_FROM = "not to be trusted from [s]"
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
     "APE_rot [deg]": "attitude RMSE after the same alignment",
@@ -125,8 +126,9 @@ def compare_log(
 
         results, left_out = run_all(log, robot, learnt, names, progress, settings)
     known, model = declared_model(log, robot)  # as the filters see it
-    start = start_note(known, model, settings or FilterSettings()) if results else ""
-    notes = tuple(filter(None, [start]))
+    notes = _identical(results)
+    if results:
+        notes = (*notes_on(known, model, learnt, settings or FilterSettings()), *notes)
     prediction, bounds = None, None
     held: dict[str, EmpiricalCoverage] = {}
     for name in reversed([result.filter for result in results]):  # the first one's are drawn
@@ -141,6 +143,16 @@ def compare_log(
         if log.has("reference"):
             held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
     return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held, notes=notes)
+
+
+def _identical(results: Sequence[Result]) -> tuple[str, ...]:
+    """Lines on filters with the same estimates and covariances."""
+    same: dict[bytes, list[str]] = {}
+    for one in results:
+        each = one.trajectory.p_GI, one.trajectory.R_GI, one.trajectory.covariance
+        same.setdefault(b"".join(x.tobytes() for x in each if x is not None), []).append(one.filter)
+    groups = [names for names in same.values() if len(names) > 1]
+    return tuple(f"identical: {' and '.join(names)} give the same estimates" for names in groups)
 
 
 def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Comparison]]:
@@ -160,7 +172,9 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
     warnings = not_plausible(logs, settings.robot, settings.strict)
     found = []
     for log in logs:
-        one = compare_log(log, robot_of(log, settings.robot), learnt, settings=chosen)
+        one = compare_log(
+            log, robot_of(log, settings.robot), learnt, settings.filters or None, chosen
+        )
         found.append(replace(one, warnings=warnings.get(log.name, ())))
     if not any(one.results for one in found):
         reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]

@@ -44,6 +44,14 @@ class LearntSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChosenFilters:
+    """Which filters run."""
+
+    filters: tuple[str, ...] = ()
+    """Filters to run, separated by commas; by default all that the inputs allow."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
     """What filters run with, besides a log."""
 
@@ -81,7 +89,7 @@ class EstimateSettings(FilterFiles):
 
 
 @dataclass(frozen=True)
-class CompareSettings(FilterFiles):
+class CompareSettings(FilterFiles, ChosenFilters):
     """Comparison of filters on logs, for `scenarios.compare.compare_files`."""
 
     logs: tuple[Path, ...]
@@ -197,13 +205,11 @@ class RealismSettings(WalkSettings):
 
 
 @dataclass(frozen=True)
-class TuneSettings(RobotSettings, WorkerSettings, OutputSettings):
+class TuneSettings(RobotSettings, WorkerSettings, ChosenFilters, OutputSettings):
     """A search of parameters, for `scenarios.tune.tune`."""
 
     out: Path
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
-    filter: tuple[str, ...] = ()
-    """Filter to tune; by default all that the inputs allow."""
     budget: int = 16
     """Number of runs of each filter over all logs of a robot."""
     longest: float = 120.0

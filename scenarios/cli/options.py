@@ -17,6 +17,7 @@ from typing import (
 )
 
 from tyro.conf import Positional, UseAppendAction, arg
+from tyro.constructors import PrimitiveConstructorSpec
 from tyro.extras import literal_type_from_choices
 
 from surefoot.scenarios.settings import RobotSettings
@@ -32,7 +33,7 @@ FLAG = ""
 """Text of --help for a flag, instead of tyro's `(default: False)`."""
 BY_NAME = ("out", "filter", "robot")
 """Required options that are given by name; every other one is positional."""
-REPEATED = ("observer", "bounds", "set", "filter")
+REPEATED = ("observer", "bounds", "set")
 """Lists that are given one by one, each with the option's name."""
 _METAVARS = {
     "seeds": "SEEDS",
@@ -41,8 +42,17 @@ _METAVARS = {
     "device": "DEVICE",
     "set": "KEY=VALUE",
     "filter": "NAME",
+    "filters": "NAME,NAME",
     "start": "reference|rest|moving",
 } | dict.fromkeys(("robot", "map", "walker"), "NAME|FILE")
+
+_BY_COMMAS = PrimitiveConstructorSpec(
+    nargs=1,
+    metavar=_METAVARS["filters"],
+    instance_from_str=lambda given: tuple(filter(None, given[0].split(","))),
+    is_instance=lambda value: isinstance(value, tuple),
+    str_from_instance=lambda value: [",".join(value)],
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +61,14 @@ class JsonOption:
 
     json: bool = False
     """Print the results as JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOption(JsonOption):
+    """How tables are printed."""
+
+    wide: bool = False
+    """Print every column of a table; by default those that fit into 100 characters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +109,9 @@ def _shown(field: Field, kind: Any) -> Any:
         shown["metavar"] = f"{name.removesuffix('s').upper()}..." if several else name.upper()
         if several:
             shown["help_behavior_hint"] = NEEDED
+    elif name == "filters":
+        kind = Annotated[kind, _BY_COMMAS]
+        shown["help_behavior_hint"] = OPTIONAL
     elif name in REPEATED and several:
         kind = UseAppendAction[kind]
     elif several:

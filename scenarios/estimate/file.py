@@ -20,13 +20,13 @@ from surefoot.estimator.evaluation.trajectory import (
 from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible
+from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.run import (
     declared_model,
     estimated_in_chunks,
     health_of,
     joined_trajectory,
     robot_of,
-    start_note,
 )
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.scenarios.settings import EstimateSettings
@@ -55,9 +55,9 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
 
     Returns its metrics, None where it has no reference or the filter diverged, and its health. A
     log longer than LONG is processed in pieces, using the memory of one, unless it declares
-    effects, whose compensation needs the whole log. What is implausible in its start, and that it
-    starts in motion where the filter assumes rest, is printed to stderr. Raises SurefootError
-    saying what is missing or wrong.
+    effects, whose compensation needs the whole log. What is implausible in its start, and
+    what else is to be known (`notes_on`), is printed to stderr. Raises SurefootError saying what is
+    missing or wrong.
     """
     reader = LogReader(settings.log)
     if settings.out:
@@ -77,7 +77,7 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
     first, robot = declared_model(first, robot_of(first, settings.robot))
-    if note := start_note(first, robot, chosen):
+    for note in notes_on(first, robot, learnt, chosen):
         print(f"note: {first.name}: {note}", file=sys.stderr)
     judge = _Judge(None if whole else reader)
     parts: list[RunSummary] = []

@@ -16,7 +16,6 @@ from surefoot.estimator.evaluation.health import Health, health
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord, reference
-from surefoot.estimator.initial import start_of
 from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.estimator.run import output_stride, state_parts
 from surefoot.scenarios.estimate.contract import (
@@ -32,7 +31,6 @@ from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.effects import compensate_all, declared_effects
-from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, PointFeet
 from surefoot.sim.robot.robot import NO_ROBOT, Robot
@@ -276,31 +274,6 @@ def feet_of(log: Log, robot: Robot | None) -> Feet | None:
     if robot is not None and log.has("q"):
         return robot.feet
     return PointFeet() if log.has("foot") else None
-
-
-STARTS = {
-    "reference": "the reference",
-    "rest": "gravity, as if at rest",
-    "moving": "gravity and legs over the first second",
-}
-"""What a first state is taken from, in words."""
-
-
-def start_note(log: Log, robot: Robot | None, settings: FilterSettings) -> str:
-    """Say how filters start on a log whose robot moves in the first rows; "" if it rests, or if the
-    settings give its velocity.
-    """
-    given = settings.start.velocity is not None or settings.state.v_GI is not None
-    if given or not start_line(log):
-        return ""
-    state, covariance = settings.beginning(log, feet_of(log, robot))
-    std = np.sqrt(covariance.diagonal())
-    return (
-        "start: the robot moves already in the first rows; filters start from "
-        f"{STARTS[settings.start.kind or start_of(log)]}, at {np.linalg.norm(state.v_GI):.2f} ± "
-        f"{std[3]:.2f} m/s, with a gyro bias known to {np.degrees(std[12]):.1g} deg/s; begin the "
-        "log where it stands, if you can"
-    )
 
 
 def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:

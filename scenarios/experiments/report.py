@@ -34,7 +34,7 @@ from surefoot.scenarios.experiments.tables import (
 )
 from surefoot.scenarios.reporting.html import Picture, Section, markdown_report, write_report
 from surefoot.scenarios.reporting.pages import origin_of, write_page
-from surefoot.scenarios.reporting.tables import to_csv, to_markdown
+from surefoot.scenarios.reporting.tables import in_terminal, to_csv, to_markdown
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
@@ -90,7 +90,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
         kept = [one for one in pages if not one.heading.startswith(PATHS)]
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
         write_page(settings.page, found.title, kept, origin_of(__name__, command))
-    print("\n" + to_markdown(tables["averages"]))
+    print("\n" + in_terminal(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
     for cell, result in outcome.cells.items():
