@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.estimator.metrics import Metrics, path_length
+from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_length
 from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
@@ -65,12 +64,6 @@ MEANINGS = {
     LOST_FROM: "when innovations, biases or rejected measurements showed that the filter was lost",
     "step [us]": "computing time per IMU sample, observer and legs included (varies by machine)",
 }
-CONSISTENT = 3.0
-"""NEES of three axes if a filter's covariance is that of its error."""
-ONE_WALK = tuple(float(edge) for edge in chi2.ppf((0.025, 0.975), CONSISTENT))
-"""95 % interval of the NEES of a consistent filter on one walk, whose persistent error is one
-draw.
-"""
 _LEAST = [name for name in METRICS if name.startswith(("APE", "RPE"))]
 _CONSISTENCY = [name for name in METRICS if name.startswith("NEES")]
 

@@ -159,17 +159,21 @@ class Estimate(EstimateSettings, options.TableOption):
     def run(self) -> None:
         from surefoot.scenarios.estimate.file import estimate_file
 
-        found, health = estimate_file(self)
+        found, health, advice = estimate_file(self)
         if self.json:
             values = {"log": self.log, "filter": self.filter, "trajectory": self.out}
             why = {"trusted": not health.lost, "why_not": health.sentence(self.filter)}
-            options.print_json(values | why | {"metrics": found, "health": health})
+            options.print_json(
+                values | why | {"advice": advice, "metrics": found, "health": health}
+            )
         else:
             self._show(found, health)
             tum = "" if self.out is None else self.out.with_suffix(".tum")
             print(
                 f"trajectory: {self.out}, {tum}" if tum else "no trajectory is kept: give -o FILE"
             )
+        if advice:
+            print(f"advice: {advice}", file=sys.stderr)
         if health.lost:
             print(health.sentence(self.filter), file=sys.stderr)
             sys.exit(NOT_TRUSTED)

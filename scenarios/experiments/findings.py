@@ -83,8 +83,8 @@ def _losses(rows: pd.DataFrame, ours: str, condition: Condition) -> list[str]:
     for best, found in ahead.items():
         where = ", ".join(f"{s} ({b:.2f} against {a:.2f} m)" for s, a, b in found)
         paragraphs.append(
-            f"{best} has a lower position error than {ours} on {len(found)} of {len(means)} sequences: "
-            f"{where}."
+            f"{best} has a lower position error than {ours} on {len(found)} of {len(means)} "
+            f"sequences: {where}."
         )
     if any(traits(name).of_legs for name in ahead):
         paragraphs.append(_why_legs(rows, condition))

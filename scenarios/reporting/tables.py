@@ -98,11 +98,11 @@ def to_markdown(table: Table, digits: int = 3, markup: bool = False) -> str:
 
 
 def in_terminal(table: Table, wide: bool = False) -> str:
-    """The table in at most WIDTH columns of text, without LEAST_NEEDED where it is wider.
+    """The table without empty columns and, where it is wider than WIDTH, without LEAST_NEEDED.
 
     wide: whether to keep all columns.
     """
-    frame = as_frame(table)
+    frame = as_frame(table).dropna(axis=1, how="all")
     text = to_markdown(frame)
     for name in LEAST_NEEDED:
         if wide or text.index("\n") <= WIDTH:

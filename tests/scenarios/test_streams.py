@@ -217,11 +217,11 @@ def test_the_relative_errors_of_a_long_log_are_of_all_estimates(tmp_path, monkey
     """However few are judged otherwise; only segments that end in another piece are left out."""
     path = tmp_path / "walk.parquet"
     walk(Scenario("long", (Segment(30.0, 0.5),), Ground(0.8)), robot, 0).write(path)
-    whole, _ = file.estimate_file(EstimateSettings(path, "leg"))
+    whole, *_ = file.estimate_file(EstimateSettings(path, "leg"))
     monkeypatch.setattr(file, "LONG", 0.0)
     monkeypatch.setattr(file, "LOG_PIECE", 20.0)
     monkeypatch.setattr(file, "JUDGED", 100)
-    pieces, _ = file.estimate_file(EstimateSettings(path, "leg"))
+    pieces, *_ = file.estimate_file(EstimateSettings(path, "leg"))
     assert whole is not None
     assert pieces is not None
     assert pieces.samples <= 102 < 0.8 * whole.segments < pieces.segments < whole.segments
