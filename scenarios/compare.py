@@ -15,7 +15,7 @@ from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_lengt
 from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
-from surefoot.scenarios.estimate.estimators import estimator_named, traits
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
 from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
@@ -27,6 +27,7 @@ from surefoot.scenarios.reporting.figures import (
     velocity_figure,
 )
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
+from surefoot.scenarios.reporting.progress import counted_bar
 from surefoot.scenarios.reporting.tables import (
     LOST_FROM,
     METRICS,
@@ -39,7 +40,6 @@ from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_full, whole_folder, write_whole
-from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -111,12 +111,7 @@ def compare_log(
         names: of the filters; by default all.
         settings: noise, priors and start; by default those tuned for the robot.
     """
-    with drawn_bar(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
-
-        def progress(name: str) -> None:
-            bar.set_postfix_str(name, refresh=False)  # or a pipe has a line a filter
-            bar.update()
-
+    with counted_bar(f"filters on {log.name}", len(names or ESTIMATORS)) as progress:
         results, left_out = run_all(log, robot, learnt, names, progress, settings)
     known, model = declared_model(log, robot)  # as the filters see it
     notes = _identical(results)

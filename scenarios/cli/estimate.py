@@ -241,4 +241,6 @@ class Compare(CompareSettings, options.TableOption):
                 print(line)
             for words in (*comparison.notes, *comparison.doubts):
                 print(f"{comparison.log.name}: {words}")
+        if any(comparison.doubts for comparison in found):
+            print("surefoot estimate LOG --filter NAME tries what would mend a filter")
         print(f"\nreport: {self.out / 'report.html'}")

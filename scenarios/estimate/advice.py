@@ -164,7 +164,7 @@ def _with_noise(plain: Remedy, value: float) -> Remedy:
 
 
 def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
-    """The log with the columns of these kinds earlier by a delay [s], or later if it is negative."""
+    """The log with the columns of these kinds earlier by a delay [s], or later if negative."""
     log, shift = plain.log, round(delay * plain.log.rate)
     at = np.clip(np.arange(len(log.t)) + shift, 0, len(log.t) - 1)
     names = [n for n in map(str, log.frame) if n.startswith(tuple(f"{one}_" for one in kinds))]
