@@ -15,12 +15,18 @@ from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_lengt
 from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
-from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
+from surefoot.scenarios.estimate.estimators import (
+    ESTIMATORS,
+    estimator_named,
+    shown_at_first,
+    traits,
+)
 from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, read_logs
 from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
+    errors_by_axis,
     height_figure,
     position_error,
     trajectories,
@@ -168,7 +174,7 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
         reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]
         raise SurefootError(f"no filter ran: {'; '.join(reasons)}")
     with whole_folder(settings.out, settings.force) as folder:
-        return write_comparison(found, folder, "Filters compared"), found
+        return write_comparison(found, folder, "Filters compared", kind=settings.figures), found
 
 
 def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
@@ -198,6 +204,7 @@ def write_comparison(
     title: str,
     ground: Ground | None = None,
     extra: Sequence[Section] = (),
+    kind: str = "png",
 ) -> pd.DataFrame:
     """Write table.md, table.csv, figures/, report.html and one recording per log into `out`.
 
@@ -207,13 +214,14 @@ def write_comparison(
         title: of the report.
         ground: drawn in figures and recordings; None for that of each log, if any.
         extra: sections added to the report.
+        kind: of the files of the figures: png, pdf or svg.
     """
     found = table(comparisons)
     write_whole(out / "table.md", to_markdown(found) + "\n")
     write_whole(out / "table.csv", to_csv(found))
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
-        pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
+        pictures = _pictures(comparison, ground or ground_of_log(comparison.log), kind)
         heading = f"The log '{comparison.log.name}'"
         sections.append(Section(heading, _walk_prose(comparison), pictures=tuple(pictures)))
         if comparison.drawn is not None:
@@ -284,7 +292,7 @@ def _walk_prose(comparison: Comparison) -> str:
     return text + "."
 
 
-def _pictures(comparison: Comparison, ground: Ground | None) -> list[Picture]:
+def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") -> list[Picture]:
     if not (comparison.log.has("reference") and comparison.results):
         return []
     truth = reference(comparison.log)
@@ -298,24 +306,28 @@ def _pictures(comparison: Comparison, ground: Ground | None) -> list[Picture]:
         Picture(
             trajectories(comparison.log, errors, patches, fields),
             "The walk from above: truth and every estimate, aligned at the start.",
-            f"{files}_trajectories.png",
+            f"{files}_trajectories.{kind}",
         ),
         Picture(
             height_figure(comparison.log, errors),
             "Height over time: no sensor on board measures it, so every filter drifts.",
-            f"{files}_height.png",
+            f"{files}_height.{kind}",
         ),
         Picture(
             position_error(errors),
             "Distance from the truth, and the three sigma each filter claims for itself.",
-            f"{files}_position_error.png",
+            f"{files}_position_error.{kind}",
         ),
     ]
+    few = {name: errors[name] for name in shown_at_first(tuple(errors))}
+    which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
+    words = f"Errors of position, attitude and velocity, with three sigma.{which}"
+    pictures.append(Picture(errors_by_axis(few), words, f"{files}_errors.{kind}"))
     prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
     if prediction is not None and bounds is not None and robot is not None:
         velocity = velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI))
         words = "Body velocity: the observer's prediction, its calibrated bounds, and the truth."
-        pictures.append(Picture(velocity, words, f"{files}_velocity.png"))
+        pictures.append(Picture(velocity, words, f"{files}_velocity.{kind}"))
     return pictures
 
 

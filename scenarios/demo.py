@@ -16,7 +16,7 @@ from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.first_use import compile_filters
 from surefoot.scenarios.reporting.html import Picture, Section, nested
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
-from surefoot.scenarios.reporting.plotting import save_png
+from surefoot.scenarios.reporting.plotting import save_figure
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import in_terminal
 from surefoot.scenarios.stages import processes, submitted
@@ -161,7 +161,7 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
     tested = observer.errors, test_errors
     errors = error_section(*tested, bounds.epsilon, bounds.gamma, "the third walk")
     for k, picture in enumerate(errors.pictures):
-        save_png(picture.figure, out / "figures" / f"observer_errors_{k + 1}.png")
+        save_figure(picture.figure, out / "figures" / f"observer_errors_{k + 1}.png")
     return [learning, errors]
 
 

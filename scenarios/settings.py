@@ -96,6 +96,8 @@ class CompareSettings(FilterFiles, ChosenFilters):
     """Logs to compare the filters on; errors are computed for those with a reference."""
     out: Path
     """Folder for table.csv, table.md, report.html, figures and recordings."""
+    figures: Literal["png", "pdf", "svg"] = "png"
+    """Kind of the files of the figures; the report has them as PNG."""
 
 
 @dataclass(frozen=True)

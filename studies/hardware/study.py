@@ -37,7 +37,7 @@ from surefoot.scenarios.reporting import (
     finished_case,
     origin_of,
     refuse_overwrite,
-    save_png,
+    save_figure,
     write_page,
     write_results,
 )
@@ -354,7 +354,7 @@ def run_hardware(options: HardwareStudy) -> list[Section]:
 def _chapter(name: str, folder: Path, options: HardwareStudy, picture: Path) -> dict[str, Any]:
     """The stored row of a study; its figure is written to `picture`."""
     done = STUDIES[name](folder, options)
-    save_png(done.figure, picture, force=True)
+    save_figure(done.figure, picture, force=True)
     tables = {heading: table.to_dict("records") for heading, table in done.tables.items()}
     return {"title": done.title, "words": done.words, "tables": tables, "caption": done.caption}
 

@@ -32,7 +32,7 @@ from surefoot.scenarios.reporting import (
     origin_of,
     percent_bar,
     refuse_full,
-    save_png,
+    save_figure,
     whole_folder,
     write_page,
     write_results,
@@ -130,7 +130,7 @@ def write_study(
     }
     with whole_folder(out, force) as folder:
         for name, picture in pictures.items():
-            save_png(picture.figure, folder / "figures" / f"{name}.png")
+            save_figure(picture.figure, folder / "figures" / f"{name}.png")
         return write_results(folder, _TITLE, sections, tables)
 
 

@@ -1,4 +1,4 @@
-"""Advice on an estimate that is not to be trusted names what is wrong, and what it tries mends it."""
+"""Advice on an estimate that is not to be trusted names what is wrong with it."""
 
 import numpy as np
 import pytest

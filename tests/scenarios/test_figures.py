@@ -19,7 +19,7 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
 from surefoot.scenarios.reporting import figures, observer_errors
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
-from surefoot.scenarios.reporting.plotting import png, save_png
+from surefoot.scenarios.reporting.plotting import png, save_figure
 from surefoot.scenarios.trace.report import candidate_gains, residuals
 from surefoot.sim.common.errors import SurefootError
 
@@ -175,9 +175,9 @@ def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
     data = png(drawn["height"])
     assert data.startswith(b"\x89PNG")
     assert data == png(drawn["height"])
-    save_png(drawn["height"], tmp_path / "height.png")
+    save_figure(drawn["height"], tmp_path / "height.png")
     with pytest.raises(SurefootError, match="exists already"):
-        save_png(drawn["height"], tmp_path / "height.png")
+        save_figure(drawn["height"], tmp_path / "height.png")
 
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
