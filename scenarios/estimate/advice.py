@@ -24,19 +24,18 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
-TRIED = 120.0
+TRIED = 60.0
 """Part of a log, from its start, on which remedies are tried [s]."""
 DRIFTING = 2.0
 """Drift of a sensor's innovations from which advice is looked for, 1 if noise is as claimed."""
-NOISE_STEP, NOISE_MOST = 10.0**0.1, 30.0
-"""Factor between two values of a noise, and the largest factor that is tried."""
+NOISE_STEPS = 10.0 ** np.arange(0.1, 1.5, 0.1)
+"""Factors of a noise that are tried."""
 DELAYS = (0.01, 0.02, 0.04, 0.06)
 """Delays of a stream that are tried [s], in both directions."""
 GAIN = 0.02
 """Least gain of `likelihood`: with four feet, fourteen nats in a minute."""
 FAR = 0.1
 """Share of the path from which a position error is a reason for advice."""
-KINDS = "contact noise, times of joints and contacts, start, leg_slip"
 NO_WORSE = 1.1
 """Largest factor of the position error with a remedy, compared with that without."""
 
@@ -49,6 +48,30 @@ class Remedy:
     filter: str
     log: Log
     settings: FilterSettings
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A remedy, the filter's result with it, and the `likelihood` of its innovations."""
+
+    remedy: Remedy
+    result: Result
+    likelihood: float
+
+    @property
+    def drift(self) -> float:
+        """The largest of a sensor; NaN without innovations."""
+        return max((sensor.drift for sensor in self.result.health.sensors), default=np.nan)
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """NEES of the position, and position error [m]; NaN without a reference."""
+        found = self.result.metrics
+        return (np.nan, np.nan) if found is None else (found.nees_position, found.ape_trans)
+
+
+Try = Callable[[Remedy], Trial | None]
+"""Runs the filter with a remedy; None where it cannot run."""
 
 
 def needs_advice(name: str, metrics: Metrics | None, health: Health) -> bool:
@@ -65,8 +88,8 @@ def needs_advice(name: str, metrics: Metrics | None, health: Health) -> bool:
 def advice(
     name: str, log: Log, robot: Robot | None, learnt: Learnt, settings: FilterSettings
 ) -> str:
-    """The remedy with the highest likelihood among those that mend an estimate, with its effect, or
-    that none of them does.
+    """The remedy that mends an estimate best, with its effect, or that none of them does: the one
+    with the least error or, without a reference, the highest likelihood.
 
     Args:
         name: of the filter.
@@ -81,24 +104,25 @@ def advice(
             "it is the baseline of the filters that have legs or an observer"
         )
 
-    def tried(remedy: Remedy) -> Result | None:
+    def tried(remedy: Remedy) -> Trial | None:
         try:
-            return run_filter(remedy.filter, remedy.log, robot, learnt, remedy.settings)
+            result = run_filter(remedy.filter, remedy.log, robot, learnt, remedy.settings)
         except SurefootError:
             return None
+        return Trial(remedy, result, likelihood(result.trajectory))
 
     plain = Remedy("", name, log.rows(log.t <= log.t[0] + TRIED), settings)
     before = tried(plain)
     if before is None:
         return ""
-    each = [(one, after) for one in _remedies(plain, robot, tried) if (after := tried(one))]
-    mending = [
-        (likelihood(after.trajectory), one, after) for one, after in each if _mends(before, after)
-    ]
+    contact = parameters_of(estimator_named(name), robot, settings).get("contact")
+    mending = [one for one in _trials(plain, contact, tried) if _mends(before, one)]
     if not mending:
-        return f"no single change mends it; tried: {KINDS}"
-    _, one, after = max(mending, key=lambda found: found[0])
-    return f"{one.words}; tried on this log: {_effect(before, after)}"
+        return "no single change of contact noise, times of joints and contacts or start mends it"
+    best = max(mending, key=lambda one: one.likelihood)
+    if best.result.metrics is not None:
+        best = min(mending, key=lambda one: one.errors[1])
+    return f"{best.remedy.words}; tried on this log: {_effect(before, best)}"
 
 
 def likelihood(trajectory: Trajectory) -> float:
@@ -118,42 +142,37 @@ def likelihood(trajectory: Trajectory) -> float:
     return float(-0.5 * np.mean(squared + np.log(variance / sums[:, COUNT : COUNT + 1] ** 2)))
 
 
-def _remedies(
-    plain: Remedy, robot: Robot | None, tried: Callable[[Remedy], Result | None]
-) -> Iterator[Remedy]:
-    """Remedies of a filter on a log: the likeliest of each kind, and those that are not sized."""
-    estimator, log, settings = estimator_named(plain.filter), plain.log, plain.settings
-    values = parameters_of(estimator, robot, settings)
-    if "contact" in values:
-        least = values["contact"]
-        steps = NOISE_STEP ** np.arange(1, 1 + round(np.log(NOISE_MOST) / np.log(NOISE_STEP)))
-        yield from _likeliest(
-            (_with_noise(plain, float(f"{least * step:.2g}")) for step in steps), tried
-        )
+def _trials(plain: Remedy, contact: float | None, tried: Try) -> Iterator[Trial]:
+    """Remedies of a filter on a log, tried: the likeliest of each kind, and those without a size.
+
+    contact: noise of contacts with which the filter ran; None without any.
+    """
+    log, settings = plain.log, plain.settings
+    if contact is not None:
+        sizes = [float(f"{contact * step:.2g}") for step in NOISE_STEPS]
+        yield from _likeliest((_with_noise(plain, size) for size in sizes), tried)
     for kinds in (tuple(filter(log.has, ("q", "dq", "foot"))), ("contact",)):
         if all(map(log.has, kinds)):
             yield from _likeliest((_earlier(plain, kinds, d) for d in DELAYS), tried)
             yield from _likeliest((_earlier(plain, kinds, -d) for d in DELAYS), tried)
+    others = []
     own = replace(settings, start=StartSettings(), state=StateSettings())
     if own != settings:
-        yield replace(plain, words="leave out start and state of the settings", settings=own)
+        others.append(replace(plain, words="leave out start and state", settings=own))
     if plain.filter == "leg":
         words = "use leg_slip, which rejects feet whose contacts are wrong"
-        yield replace(plain, words=words, filter="leg_slip")
+        others.append(replace(plain, words=words, filter="leg_slip"))
+    yield from filter(None, map(tried, others))
 
 
-def _likeliest(
-    remedies: Iterator[Remedy], tried: Callable[[Remedy], Result | None]
-) -> Iterator[Remedy]:
-    """The remedy up to which the likelihood rises; none where it falls at once."""
-    best, highest = None, -np.inf
-    for one in remedies:
-        result = tried(one)
-        if result is None or (value := likelihood(result.trajectory)) < highest:
+def _likeliest(remedies: Iterator[Remedy], tried: Try) -> list[Trial]:
+    """The remedy up to which the likelihood rises; none where the first fails."""
+    best: list[Trial] = []
+    for one in map(tried, remedies):
+        if one is None or (best and one.likelihood < best[0].likelihood):
             break
-        best, highest = one, value
-    if best is not None:
-        yield best
+        best = [one]
+    return best
 
 
 def _with_noise(plain: Remedy, value: float) -> Remedy:
@@ -177,23 +196,21 @@ def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
     return replace(plain, words=words, log=moved)
 
 
-def _mends(before: Result, after: Result) -> bool:
-    """Whether a remedy makes an estimate trusted, or consistent, and does not make it worse."""
-    if after.health.lost or likelihood(after.trajectory) < likelihood(before.trajectory) + GAIN:
+def _mends(before: Trial, after: Trial) -> bool:
+    """Whether a remedy makes an estimate trusted and nearer to consistent, and no worse."""
+    if after.result.health.lost or after.likelihood < before.likelihood + GAIN:
         return False
-    old, new = before.metrics, after.metrics
-    if old is None or new is None:
+    if before.result.metrics is None or after.result.metrics is None:
         return True
-    nees = [abs(np.log(one.nees_position / CONSISTENT)) for one in (old, new)]
-    return bool(nees[1] < nees[0] and new.ape_trans <= NO_WORSE * old.ape_trans)
+    (old, far), (new, farther) = before.errors, after.errors
+    nearer = abs(np.log(new / CONSISTENT)) < abs(np.log(old / CONSISTENT))
+    return bool(nearer and farther <= NO_WORSE * far)
 
 
-def _effect(before: Result, after: Result) -> str:
+def _effect(before: Trial, after: Trial) -> str:
     """What a remedy changes, in figures."""
-    drifts = [max((s.drift for s in one.health.sensors), default=np.nan) for one in (before, after)]
-    pairs = {"drift": drifts}
-    if before.metrics is not None and after.metrics is not None:
-        each = before.metrics, after.metrics
-        pairs["NEES_pos"] = [one.nees_position for one in each]
-        pairs["APE_trans [m]"] = [one.ape_trans for one in each]
+    pairs = {"drift": (before.drift, after.drift)}
+    if before.result.metrics is not None and after.result.metrics is not None:
+        names = "NEES_pos", "APE_trans [m]"
+        pairs |= dict(zip(names, zip(before.errors, after.errors, strict=True), strict=True))
     return ", ".join(f"{name} {new:.3g} instead of {old:.3g}" for name, (old, new) in pairs.items())

@@ -115,7 +115,10 @@ def estimate_file(settings: EstimateSettings) -> Estimated:
         metrics = None if parts[-1].diverged else judge.metrics()
     found = health_of(parts, estimator, model, first, chosen)
     advised = whole and needs_advice(settings.filter, metrics, found)
-    words = advice(settings.filter, read, robot, learnt, chosen) if advised else ""
+    words = ""
+    if advised:
+        print("trying what would mend the estimate", file=sys.stderr)
+        words = advice(settings.filter, read, robot, learnt, chosen)
     return Estimated(metrics, found, words)
 
 

@@ -27,7 +27,7 @@ EXACT = {"encoder": 1e-4, "kinematics": 1e-4}
 @pytest.fixture(scope="module")
 def walked() -> tuple[Log, Robot]:
     robot = Robot.load("spot_class")
-    return walk(Scenario("advice", (Segment(5.0, 0.8, 0.0, 0.0),), Ground(0.8)), robot, 0), robot
+    return walk(Scenario("advice", (Segment(3.0, 0.8, 0.0, 0.0),), Ground(0.8)), robot, 0), robot
 
 
 def _advised(log: Log, robot: Robot, settings: FilterSettings) -> str:
