@@ -50,7 +50,7 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
                 file_there(one)
                 if option in _LOGS and is_file(one):
                     logs.append(one)
-                elif option in _LOGS:
+                elif option in _LOGS and one.is_dir():
                     _refuse_folder(one)
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)

@@ -49,7 +49,9 @@ _METAVARS = {
 _BY_COMMAS = PrimitiveConstructorSpec(
     nargs=1,
     metavar=_METAVARS["filters"],
-    instance_from_str=lambda given: tuple(filter(None, given[0].split(","))),
+    instance_from_str=lambda given: tuple(
+        filter(None, dict.fromkeys(given[0].replace(" ", "").split(",")))
+    ),
     is_instance=lambda value: isinstance(value, tuple),
     str_from_instance=lambda value: [",".join(value)],
 )

@@ -158,7 +158,9 @@ def _trials(plain: Remedy, contact: float | None, tried: Try) -> Iterator[Trial]
     others = []
     own = replace(settings, start=StartSettings(), state=StateSettings())
     if own != settings:
-        others.append(replace(plain, words="leave out start and state", settings=own))
+        others.append(
+            replace(plain, words="leave out what the settings say of start and state", settings=own)
+        )
     if plain.filter == "leg":
         words = "use leg_slip, which rejects feet whose contacts are wrong"
         others.append(replace(plain, words=words, filter="leg_slip"))

@@ -43,7 +43,7 @@ def _other_robot(log: Log, robot: Robot | None) -> str:
 def _trained_on(log: Log, learnt: Learnt) -> str:
     if not learnt.observers:
         return ""
-    from surefoot.models.observer.data import log_digest
+    from surefoot.models.observer.observer import log_digest
 
     digest = log_digest(log)
     losses = [one.loss for one in learnt.observers if digest in {x.sha256 for x in one.logs}]
@@ -59,9 +59,10 @@ def _start(log: Log, robot: Robot | None, settings: FilterSettings) -> str:
         return ""
     state, covariance = settings.beginning(log, feet_of(log, robot))
     std = np.sqrt(covariance.diagonal())
+    taken = STARTS[settings.start.kind or start_of(log)]
+    taken = taken if state.v_GI.any() else taken.replace(" and legs", "")
     return (
-        "start: the robot moves already in the first rows; filters start from "
-        f"{STARTS[settings.start.kind or start_of(log)]}, at {np.linalg.norm(state.v_GI):.2f} ± "
-        f"{std[3]:.2f} m/s, with a gyro bias known to {np.degrees(std[12]):.1g} deg/s; begin the "
-        "log where it stands, if you can"
+        f"start: the robot moves already in the first rows; filters start from {taken}, at "
+        f"{np.linalg.norm(state.v_GI):.2f} ± {std[3]:.2f} m/s, with a gyro bias known to "
+        f"{np.degrees(std[12]):.1g} deg/s; begin the log where it stands, if you can"
     )

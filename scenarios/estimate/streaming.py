@@ -120,18 +120,18 @@ class StreamingEstimator:
                     self._waiting = []
                 raise
         elapsed = checked.t - self._waiting[0].t if self._waiting else 0.0
-        if elapsed > STILL_WINDOW and self.start is None:
-            first = log_of_samples(self._waiting, self._robot)
-            self.start = self._settings.start.kind or start_of(first)
-        early = elapsed <= (MOVING_WINDOW if self.start == "moving" else STILL_WINDOW)
-        if early and len(self._waiting) >= MOST_WAITING:
+        if elapsed <= MOVING_WINDOW and len(self._waiting) >= MOST_WAITING:
             raise SampleError(f"more than {MOST_WAITING} samples before the start")
         self._waiting.append(checked)
         self._t = checked.t
-        if early:
+        if elapsed <= (MOVING_WINDOW if self.start == "moving" else STILL_WINDOW):
             return None
+        log = log_of_samples(self._waiting, self._robot)
+        if self.start is None:
+            self.start = self._settings.start.kind or start_of(log)
+            if self.start == "moving" and elapsed <= MOVING_WINDOW:
+                return None
         waiting, self._waiting = self._waiting, []
-        log = log_of_samples(waiting, self._robot)
         stream = begin(self._estimator, log, self._robot, self._learnt, settings=self._settings)
         for one in waiting:
             stream.step(one)
