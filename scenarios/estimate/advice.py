@@ -2,9 +2,10 @@
 
 A remedy is a change of one thing: the noise of contacts, the times of joints or contacts, the first
 state, or a filter that rejects slipping feet. The filter runs again with each, and its innovations
-judge: the sum of a window's innovations is normal with the variance that the filter claims, so that
-their likelihood is highest where noise, times and contacts are right. Advice is given only if the
-estimate is then to be trusted and, where there is a reference, has no larger error.
+judge. The sum of a window's innovations is normal with the variance that the filter claims if noise
+and times are right: a noise is sized by the likelihood of these sums, a delay by their drift, since
+it changes which samples count. Advice is given only if the estimate is then to be trusted and,
+where there is a reference, has no larger error.
 """
 
 from collections.abc import Callable, Iterator
@@ -69,6 +70,14 @@ class Trial:
         found = self.result.metrics
         return (np.nan, np.nan) if found is None else (found.nees_position, found.ape_trans)
 
+    @property
+    def cost(self) -> float:
+        """Position error times the factor by which the filter is overconfident; without a
+        reference, the drift.
+        """
+        nees, far = self.errors
+        return self.drift if np.isnan(far) else far * np.sqrt(max(nees / CONSISTENT, 1.0))
+
 
 Try = Callable[[Remedy], Trial | None]
 """Runs the filter with a remedy; None where it cannot run."""
@@ -88,8 +97,7 @@ def needs_advice(name: str, metrics: Metrics | None, health: Health) -> bool:
 def advice(
     name: str, log: Log, robot: Robot | None, learnt: Learnt, settings: FilterSettings
 ) -> str:
-    """The remedy that mends an estimate best, with its effect, or that none of them does: the one
-    with the least error or, without a reference, the highest likelihood.
+    """The remedy that mends an estimate best (`Trial.cost`), with its effect, or that none does.
 
     Args:
         name: of the filter.
@@ -116,20 +124,16 @@ def advice(
     if before is None:
         return ""
     contact = parameters_of(estimator_named(name), robot, settings).get("contact")
-    mending = [one for one in _trials(plain, contact, tried) if _mends(before, one)]
+    mending = [one for one in _trials(before, contact, tried) if _mends(before, one)]
     if not mending:
         return "no single change of contact noise, times of joints and contacts or start mends it"
-    best = max(mending, key=lambda one: one.likelihood)
-    if best.result.metrics is not None:
-        best = min(mending, key=lambda one: one.errors[1])
+    best = min(mending, key=lambda one: one.cost)
     return f"{best.remedy.words}; tried on this log: {_effect(before, best)}"
 
 
 def likelihood(trajectory: Trajectory) -> float:
-    """Mean log likelihood of a sensor's sum of innovations over a window, per axis and up to a
-    constant; -inf without innovations.
-
-    The sums are divided by their counts, so that remedies with other counts can be compared.
+    """Mean log likelihood of a sensor's mean innovation in a window, per axis and up to a constant;
+    -inf without innovations.
     """
     if trajectory.innovations is None:
         return -np.inf
@@ -142,36 +146,37 @@ def likelihood(trajectory: Trajectory) -> float:
     return float(-0.5 * np.mean(squared + np.log(variance / sums[:, COUNT : COUNT + 1] ** 2)))
 
 
-def _trials(plain: Remedy, contact: float | None, tried: Try) -> Iterator[Trial]:
-    """Remedies of a filter on a log, tried: the likeliest of each kind, and those without a size.
+def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial]:
+    """Remedies of a filter on a log, tried: the best of each kind, and those without a size.
 
     contact: noise of contacts with which the filter ran; None without any.
     """
+    plain = before.remedy
     log, settings = plain.log, plain.settings
     if contact is not None:
         sizes = [float(f"{contact * step:.2g}") for step in NOISE_STEPS]
-        yield from _likeliest((_with_noise(plain, size) for size in sizes), tried)
+        noises = (_with_noise(plain, size) for size in sizes)
+        yield from _least(noises, tried, lambda one: -one.likelihood)
     for kinds in (tuple(filter(log.has, ("q", "dq", "foot"))), ("contact",)):
-        if all(map(log.has, kinds)):
-            yield from _likeliest((_earlier(plain, kinds, d) for d in DELAYS), tried)
-            yield from _likeliest((_earlier(plain, kinds, -d) for d in DELAYS), tried)
+        for sign in (1.0, -1.0) if all(map(log.has, kinds)) else ():
+            delays = (_earlier(plain, kinds, sign * delay) for delay in DELAYS)
+            yield from _least(delays, tried, lambda one: one.drift)
     others = []
     own = replace(settings, start=StartSettings(), state=StateSettings())
     if own != settings:
-        others.append(
-            replace(plain, words="leave out what the settings say of start and state", settings=own)
-        )
+        words = "leave out what the settings say of start and state"
+        others.append(replace(plain, words=words, settings=own))
     if plain.filter == "leg":
         words = "use leg_slip, which rejects feet whose contacts are wrong"
         others.append(replace(plain, words=words, filter="leg_slip"))
     yield from filter(None, map(tried, others))
 
 
-def _likeliest(remedies: Iterator[Remedy], tried: Try) -> list[Trial]:
-    """The remedy up to which the likelihood rises; none where the first fails."""
+def _least(remedies: Iterator[Remedy], tried: Try, cost: Callable[[Trial], float]) -> list[Trial]:
+    """The remedy up to which the cost falls; none where the first fails."""
     best: list[Trial] = []
     for one in map(tried, remedies):
-        if one is None or (best and one.likelihood < best[0].likelihood):
+        if one is None or (best and cost(one) > cost(best[0])):
             break
         best = [one]
     return best
@@ -199,14 +204,14 @@ def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
 
 
 def _mends(before: Trial, after: Trial) -> bool:
-    """Whether a remedy makes an estimate trusted and nearer to consistent, and no worse."""
-    if after.result.health.lost or after.likelihood < before.likelihood + GAIN:
+    """Whether an estimate is then to be trusted, and neither less likely nor worse."""
+    lost, likelier = before.result.health.lost, after.likelihood - before.likelihood
+    if after.result.health.lost or likelier < (0.0 if lost else GAIN):
         return False
     if before.result.metrics is None or after.result.metrics is None:
         return True
     (old, far), (new, farther) = before.errors, after.errors
-    nearer = abs(np.log(new / CONSISTENT)) < abs(np.log(old / CONSISTENT))
-    return bool(nearer and farther <= NO_WORSE * far)
+    return max(new, CONSISTENT) <= max(old, CONSISTENT) and farther <= NO_WORSE * far
 
 
 def _effect(before: Trial, after: Trial) -> str:
