@@ -171,7 +171,7 @@ def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:
     """Errors of position in G, attitude about the heading's axes, and velocity in I, one panel for
     each axis, with the filter's own 3 sigma as a band.
     """
-    title = "Errors by axis, and each filter's own 3σ (bands)"
+    title = "Errors by axis, and each filter's own 3σ (dashed)"
     figure, axes = new_figure(3, 3, size=(10.0, 6.5), share_x=True, title=title)
     for column, (field, words, names, factor) in enumerate(QUANTITIES):
         for k, axis in enumerate(names):
@@ -181,9 +181,11 @@ def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:
                 ax.plot(series.t, factor * error[:, k], linewidth=1.2, **estimator_look(name))
                 most = max(most, float(np.abs(factor * error[:, k]).max()))
                 if sigma is not None:
-                    band = 3.0 * factor * sigma[:, k]
-                    shown = ax.fill_between(series.t, -band, band, color=estimator_color(name))
-                    shown.set(alpha=0.15, linewidth=0, zorder=0.5)
+                    band, color = 3.0 * factor * sigma[:, k], estimator_color(name)
+                    shown = ax.fill_between(series.t, -band, band, color=color, zorder=0.5)
+                    shown.set(alpha=0.08, linewidth=0)
+                    edges = np.stack([-band, band], axis=1)
+                    ax.plot(series.t, edges, color=color, linewidth=0.8, linestyle=(0, (4, 2)))
             ax.set_ylim(*np.clip(ax.get_ylim(), -6.0 * most, 6.0 * most) if most else (-1.0, 1.0))
             set_title(ax, f"{words.partition(' [')[0]}, {axis}", 9.0)
             ax.set_ylabel(words.partition(" ")[2].strip("[]"))
