@@ -10,6 +10,7 @@ from pathlib import Path
 from readme_table import with_table
 
 from surefoot import FilterSettings, Log, Robot, StartSettings, run_filter
+from surefoot.estimator.initial import Start
 from surefoot.scenarios.reporting.pages import origin_of
 from surefoot.scenarios.reporting.tables import to_markdown
 
@@ -17,7 +18,7 @@ GUIDE = Path(__file__).resolve().parent / "guides" / "compare.md"
 MARKERS = "<!-- table of starts: made by `make readme` -->", "<!-- end of the table -->"
 WALKS_FROM = 3.0
 """Time after which the robot of the demo walks steadily [s]."""
-CASES = (
+CASES: tuple[tuple[str, Start], ...] = (
     ("standing", "reference"),
     ("standing", "rest"),
     ("walking", "reference"),
@@ -26,7 +27,7 @@ CASES = (
 )
 
 
-def row(log: Log, robot: Robot, case: tuple[str, str]) -> dict[str, object]:
+def row(log: Log, robot: Robot, case: tuple[str, Start]) -> dict[str, object]:
     """Errors of two filters on a log that begins standing or walking."""
     begins, kind = case
     part = log if begins == "standing" else log.rows(log.t >= log.t[0] + WALKS_FROM)
@@ -34,6 +35,7 @@ def row(log: Log, robot: Robot, case: tuple[str, str]) -> dict[str, object]:
     settings = FilterSettings(start=StartSettings(kind=kind))
     for name in ("leg", "imu"):
         found = run_filter(name, part, robot, settings=settings).metrics
+        assert found is not None  # the log has a reference
         values[f"`{name}`: APE_trans [m]"] = found.ape_trans
         values[f"`{name}`: APE_rot [deg]"] = found.ape_rot
     return values
