@@ -159,7 +159,7 @@ def _velocity_of_legs(first: Log, feet: Feet | None, up: np.ndarray) -> np.ndarr
     shown = shown_feet(first, feet)
     if shown is None or not first.has("contact"):
         return np.full((len(first.t), 3), np.nan)
-    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
     by_foot = shown.imu_velocity(*shown.readings(first), first.gyro, up, first.contact)
     count = np.isfinite(by_foot[..., 0]).sum(axis=1)
     return np.nansum(by_foot, axis=1) / np.where(count, count, np.nan)[:, None]

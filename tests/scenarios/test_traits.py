@@ -21,7 +21,6 @@ MODULES = (
 
 
 class Mine:
-    label = "My own"
     of_legs = True
 
 
@@ -54,8 +53,8 @@ def test_findings_rank_an_own_estimator_and_say_why_legs_win(monkeypatch):
     rows = rows.assign(**columns, **{"APE [% of path]": rows["APE_trans [m]"]})
     rows["fed_mean_x [m/s]"] = float("nan")
     ((_, text),) = findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
-    assert "lowest first: My own 0.100 m" in text
-    assert "My own has a lower position error than Coverage, persistent error on 1 of 1" in text
+    assert "lowest first: mine 0.100 m" in text
+    assert "mine has a lower position error than coverage_persistent on 1 of 1" in text
     assert "creeps by 1.0 mm/s" in text
-    assert "Radar" not in text
-    assert "IMU" not in text
+    assert "radar_leg" not in text
+    assert "imu" not in text
