@@ -166,9 +166,9 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial]
     if own != settings:
         words = "leave out what the settings say of start and state"
         others.append(replace(plain, words=words, settings=own))
-    if plain.filter == "leg":
-        words = "use leg_slip, which rejects feet whose contacts are wrong"
-        others.append(replace(plain, words=words, filter="leg_slip"))
+    if other := traits(plain.filter).rejecting:
+        words = f"use {other}, which rejects feet whose contacts are wrong"
+        others.append(replace(plain, words=words, filter=other))
     yield from filter(None, map(tried, others))
 
 

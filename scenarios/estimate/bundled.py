@@ -199,7 +199,7 @@ class Leg:
     description = "Contact-aided leg IEKF (Hartley)."
     needs = Needs(log=("imu", "contact"), robot=False, feet=True)
     parameters = LEG
-    of_legs = True
+    of_legs, rejecting = True, "leg_slip"
 
     def start(
         self, robot: Robot | None, learnt: Learnt, parameters: Parameters, beginning: Beginning
@@ -214,7 +214,7 @@ class LegSlip(Leg):
     name, color, line = "leg_slip", "#3663EC", "--"
     description = "Leg IEKF that restarts a contact whose innovation fails a chi-square gate."
     parameters = LEG_SLIP
-    variant = True
+    variant, rejecting = True, ""
 
 
 class RadarLeg(Leg):
@@ -233,7 +233,7 @@ class RadarLeg(Leg):
         Parameter("radar", 16.0, "1", "factor of the covariance of a radar frame"),
     )
     needs = Needs(log=("imu", "contact"), feet=True)
-    variant = perceptive = True
+    variant, perceptive, rejecting = True, True, ""
 
     def prepare(self, log: Log, robot: Robot) -> Log:
         """Add the velocities of a simulated radar to a log without any."""
