@@ -42,6 +42,7 @@ docs: setup
 # The README's table and picture from a demo of this commit.
 readme: demo
 	$(BIN)/python docs/readme_table.py out/demo
+	$(BIN)/python docs/start_table.py out/demo/logs/walk.parquet
 	$(BIN)/python docs/viewer_picture.py out/demo
 
 study: setup

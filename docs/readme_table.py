@@ -17,12 +17,12 @@ FILTERS = ("coverage", "coverage_persistent", "velocity", "leg", "imu")
 COLUMNS = ("APE_trans [m]", "APE_rot [deg]", "RPE_trans [m]", "NEES_pos", "step [us]")
 
 
-def with_table(text: str, table: str) -> str:
-    """The README with `table` between its markers. Raises SystemExit where they are missing."""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
+def with_table(text: str, table: str, first: str = BEGIN, last: str = END) -> str:
+    """A page with `table` between two markers. Raises SystemExit where they are missing."""
+    before, begin, rest = text.partition(first)
+    _, end, after = rest.partition(last)
     if not (begin and end):
-        raise SystemExit(f"{README.name}: lacks the markers {BEGIN} and {END}")
+        raise SystemExit(f"the page lacks the markers {first} and {last}")
     return f"{before}{begin}\n{table}\n{end}{after}"
 
 

@@ -1,14 +1,24 @@
-"""Initial state of a filter, from the reference's first row or, without one, from gravity."""
+"""Initial state of a filter: from the reference's first row, from gravity at rest, or from gravity
+and the legs in motion.
+"""
 
 from dataclasses import dataclass, replace
+from itertools import accumulate
+from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import NavState
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log, reference_velocity
+from surefoot.sim.robot.feet import Feet, shown_feet
+
+Start = Literal["reference", "rest", "moving"]
+"""What a first state is taken from; see `initial_state`."""
 
 STILL_WINDOW = 0.5
 """Time at a log's start over which the gyro's bias is averaged [s], and gravity without a
@@ -18,6 +28,14 @@ STILL_GYRO, STILL_ACCEL = 0.03, 0.5
 """Spread of the readings over that window, rad/s and m/s^2, above which a robot is not at rest."""
 INDEPENDENT = 0.02
 """Interval at which a gyro's readings at rest count as independent [s]."""
+MOVING_WINDOW = 1.0
+"""Time at the start of a log in motion from which gravity and velocity are fitted [s], about two
+strides.
+"""
+STANCE = 0.25
+"""Time over which the errors of leg velocities are correlated [s], a stance of a trot."""
+UNKNOWN_VELOCITY = 1.0
+"""Standard deviation of a velocity that no sensor shows [m/s], a fast walk."""
 STILL_BIAS = 3e-4
 """Least standard deviation of a gyro bias estimated at rest [rad/s], since legs yield slowly."""
 
@@ -47,37 +65,104 @@ REFERENCE_STD = InitialStd()
 GRAVITY_STD = InitialStd(tilt=0.05, velocity=0.2)
 
 
-def initial_state(log: Log, std: InitialStd | None = None) -> tuple[NavState, np.ndarray]:
-    """State at the log's first row and its covariance (15, 15) in right-invariant error order.
-
-    With a reference: its first position, attitude and velocity (REFERENCE_STD). Without: roll and
-    pitch from the mean specific force of the first 0.5 s; yaw, position and velocity zero
-    (GRAVITY_STD), assuming that the robot stands. Biases start at zero, the gyro's at its mean if
-    the IMU shows that the robot is at rest (`still_gyro_bias`).
-
-    Raises LogError where the log has neither a reference nor an IMU, and SurefootError where the
-    reference is not valid in the first row or the mean specific force cannot be gravity (more than
-    2 m/s^2 off).
+def start_of(log: Log) -> Start:
+    """What the first state of a log is best taken from: its reference, or else what the IMU and the
+    joints of the first rows show.
     """
-    if log.has("reference"):
-        row = int(np.flatnonzero(log.ref_ok)[0]) if log.ref_ok.any() else 0
-        if row != 0:
+    if log.has("reference") and log.ref_ok[0]:
+        return "reference"
+    return "moving" if start_line(log) else "rest"
+
+
+def initial_state(
+    log: Log, start: Start | None = None, feet: Feet | None = None
+) -> tuple[NavState, InitialStd]:
+    """State at the log's first row and its standard deviations.
+
+    - reference: its first position, attitude and velocity (REFERENCE_STD).
+    - rest: roll and pitch from the mean specific force of the first 0.5 s; yaw, position and
+      velocity zero (GRAVITY_STD), assuming that the robot stands.
+    - moving: roll, pitch and velocity from IMU and standing legs over the first second;
+      yaw and position zero.
+
+    Biases start at zero, the gyro's at its mean if the IMU shows that the robot is at rest
+    (`still_gyro_bias`).
+
+    Raises LogError where the log lacks the reference or the IMU that this takes, and SurefootError
+    where the reference is not valid in the first row or the mean specific force cannot be gravity
+    (more than 2 m/s^2 off).
+
+    Args:
+        log: whose first rows are used.
+        start: what the state is taken from; by default `start_of` the log.
+        feet: how the log shows its feet; None if it does not.
+    """
+    start = start or start_of(log)
+    if start == "reference":
+        log.require("reference")
+        if not log.ref_ok[0]:
             raise SurefootError(f"{log.name}: ref_ok is 0 in the first row, nothing to start from")
-        b_g, std = still_gyro_bias(log, std or REFERENCE_STD)
-        state = NavState(log.ref_R_GI[0], reference_velocity(log)[0], log.ref_p[0], b_g=b_g)
-        return state, start_covariance(state, std)
+        b_g, std = still_gyro_bias(log, REFERENCE_STD)
+        return NavState(log.ref_R_GI[0], reference_velocity(log)[0], log.ref_p[0], b_g=b_g), std
     log.require("imu")
-    start = log.t <= log.t[0] + STILL_WINDOW
-    force = log.accel[start].mean(axis=0)
+    window = STILL_WINDOW if start == "rest" else MOVING_WINDOW
+    first = log.rows(log.t <= log.t[0] + window)
+    if start == "rest":
+        b_g, std = still_gyro_bias(log, GRAVITY_STD)
+        force, v_I = first.accel.mean(axis=0), np.zeros(3)
+    else:
+        b_g = np.zeros(3)
+        force, v_I, std = _moving(first, feet)
     size = float(np.linalg.norm(force))
     if abs(size - GRAVITY) > 2.0:
         raise SurefootError(
-            f"{log.name}: accel averages {size:.1f} m/s^2 over the first {STILL_WINDOW} s, "
+            f"{log.name}: accel averages {size:.1f} m/s^2 over the first {window} s, "
             "so gravity is unknown; start the log standing or give a reference"
         )
-    b_g, std = still_gyro_bias(log, std or GRAVITY_STD)
-    state = NavState(level(force), b_g=b_g)
-    return state, start_covariance(state, std)
+    R_GI = level(force)
+    return NavState(R_GI, R_GI @ v_I, b_g=b_g), std
+
+
+def _moving(first: Log, feet: Feet | None) -> tuple[np.ndarray, np.ndarray, InitialStd]:
+    """Reaction to gravity (3,) [m/s^2] and velocity (3,) [m/s] in I at the first row, and their
+    deviations.
+
+    In the axes of I at the first row, v(t) = v_0 + integral of the specific force + g t. With v(t)
+    from the standing legs, v_0 and g are the line that fits the rest best; its errors are
+    correlated over a STANCE. Without legs, v_0 is unknown and the same at the end.
+    """
+    t = first.t - first.t[0]
+    dt = np.diff(t, prepend=0.0)
+    turns = Rotation.from_rotvec(first.gyro * dt[:, None]).as_matrix()
+    R = np.array(list(accumulate(turns, np.matmul)))  # turns the axes of a row to the first's
+    gained = np.cumsum(np.einsum("nij,nj->ni", R, first.accel) * dt[:, None], axis=0)
+    force = gained[-1] / t[-1] if t[-1] > 0.0 else first.accel[0]
+    v_I = np.einsum("nij,nj->ni", R, _velocity_of_legs(first, feet, force @ R))
+    known = np.isfinite(v_I).all(axis=1)
+    span = float(np.ptp(t[known])) if known.any() else 0.0
+    if span < STANCE:
+        return force, np.zeros(3), replace(GRAVITY_STD, velocity=UNKNOWN_VELOCITY)
+    line = np.stack([np.ones(np.count_nonzero(known)), t[known]], axis=1)
+    fit, *_ = np.linalg.lstsq(line, v_I[known] - gained[known], rcond=None)
+    error = np.sqrt(np.mean((v_I[known] - gained[known] - line @ fit) ** 2) * STANCE / span)
+    std = REFERENCE_STD
+    tilt = np.hypot(np.sqrt(12.0) * error / span, std.b_a) / GRAVITY + 0.5 * std.b_g * span
+    velocity = np.hypot(2.0 * error, std.velocity)
+    return -fit[1], fit[0], replace(std, tilt=max(float(tilt), std.tilt), velocity=float(velocity))
+
+
+def _velocity_of_legs(first: Log, feet: Feet | None, up: np.ndarray) -> np.ndarray:
+    """Velocity of the IMU in I (N, 3) [m/s] by the standing feet; NaN where it is unknown.
+
+    up (N, 3): along the ground's normal, in I.
+    """
+    shown = shown_feet(first, feet)
+    if shown is None or not first.has("contact"):
+        return np.full((len(first.t), 3), np.nan)
+    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    by_foot = shown.imu_velocity(*shown.readings(first), first.gyro, up, first.contact)
+    count = np.isfinite(by_foot[..., 0]).sum(axis=1)
+    return np.nansum(by_foot, axis=1) / np.where(count, count, np.nan)[:, None]
 
 
 def still_gyro_bias(log: Log, std: InitialStd) -> tuple[np.ndarray, InitialStd]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from surefoot.estimator.core.lie import hats
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
@@ -20,6 +21,12 @@ MATCH = 1e-3
 """Largest difference between two stamps of the same sample [s]."""
 SEGMENT, SEGMENT_TOLERANCE = 1.0, 0.1
 """Length of the segments of the relative error, and tolerance of a pair [m]."""
+CONSISTENT = 3.0
+"""NEES of three axes if a filter's covariance is that of its error."""
+ONE_WALK = tuple(float(edge) for edge in chi2.ppf((0.025, 0.975), CONSISTENT))
+"""95 % interval of the NEES of a consistent filter on one walk, whose persistent error is one
+draw.
+"""
 
 
 @dataclass(frozen=True)

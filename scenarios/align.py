@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from surefoot.models.alignment.alignment import Alignment, align, aligned_log
 from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_figure, set_title
 from surefoot.scenarios.settings import AlignSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
@@ -42,7 +42,7 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     found = align(log, poses, settings.most, about=about, R_GW=R_GW)
     with whole_folder(out, settings.force) as folder:
         write_whole(folder / "alignment.json", json.dumps(found.as_dict(), indent=1) + "\n")
-        save_png(figure(log, poses, found), folder / "alignment.png")
+        save_figure(figure(log, poses, found), folder / "alignment.png")
         aligned_log(log, found, poses).write(folder / "aligned.parquet")
     said = list(found.lines)
     if at:

@@ -8,36 +8,49 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.estimator.metrics import Metrics, path_length
+from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_length
 from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
-from surefoot.scenarios.estimate.estimators import estimator_named, traits
+from surefoot.scenarios.estimate.estimators import (
+    ESTIMATORS,
+    estimator_named,
+    shown_at_first,
+    traits,
+)
 from surefoot.scenarios.estimate.inputs import (
     learnt_from,
     not_plausible,
     read_logs,
     with_effects,
 )
+from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
+    errors_by_axis,
     height_figure,
     position_error,
     trajectories,
     velocity_figure,
 )
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
-from surefoot.scenarios.reporting.tables import METRICS, cell, metrics_row, to_csv, to_markdown
+from surefoot.scenarios.reporting.progress import counted_bar
+from surefoot.scenarios.reporting.tables import (
+    LOST_FROM,
+    METRICS,
+    cell,
+    metrics_row,
+    to_csv,
+    to_markdown,
+)
 from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_full, whole_folder, write_whole
-from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -49,7 +62,6 @@ if TYPE_CHECKING:  # only a filter that has learnt needs torch
     from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
     from surefoot.models.observer.predict import Prediction
 
-LOST_FROM = "not to be trusted from [s]"
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
     "APE_rot [deg]": "attitude RMSE after the same alignment",
@@ -63,12 +75,6 @@ MEANINGS = {
     LOST_FROM: "when innovations, biases or rejected measurements showed that the filter was lost",
     "step [us]": "computing time per IMU sample, observer and legs included (varies by machine)",
 }
-CONSISTENT = 3.0
-"""NEES of three axes if a filter's covariance is that of its error."""
-ONE_WALK = tuple(float(edge) for edge in chi2.ppf((0.025, 0.975), CONSISTENT))
-"""95 % interval of the NEES of a consistent filter on one walk, whose persistent error is one
-draw.
-"""
 _LEAST = [name for name in METRICS if name.startswith(("APE", "RPE"))]
 _CONSISTENCY = [name for name in METRICS if name.startswith("NEES")]
 
@@ -85,6 +91,7 @@ class Comparison:
     bounds: "Bounds | None"
     held: dict[str, "EmpiricalCoverage"]  # filter -> empirical coverage of its bounds
     warnings: tuple[str, ...] = ()  # what in the log is not plausible
+    notes: tuple[str, ...] = ()  # what else to know when comparing
 
     @property
     def doubts(self) -> list[str]:
@@ -115,14 +122,12 @@ def compare_log(
         names: of the filters; by default all.
         settings: noise, priors and start; by default those tuned for the robot.
     """
-    with drawn_bar(total=None, desc=f"filters on {log.name}", unit=" filter") as bar:
-
-        def progress(name: str) -> None:
-            bar.set_postfix_str(name, refresh=False)  # or a pipe has a line a filter
-            bar.update()
-
+    with counted_bar(f"filters on {log.name}", len(names or ESTIMATORS)) as progress:
         results, left_out = run_all(log, robot, learnt, names, progress, settings)
     known, model = declared_model(log, robot)  # as the filters see it
+    notes = _identical(results)
+    if results:
+        notes = (*notes_on(known, model, learnt, settings or FilterSettings()), *notes)
     prediction, bounds = None, None
     held: dict[str, EmpiricalCoverage] = {}
     for name in reversed([result.filter for result in results]):  # the first one's are drawn
@@ -136,7 +141,17 @@ def compare_log(
         prediction = predict(observer, known, model)
         if log.has("reference"):
             held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
-    return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held)
+    return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held, notes=notes)
+
+
+def _identical(results: Sequence[Result]) -> tuple[str, ...]:
+    """Lines on filters with the same estimates and covariances."""
+    same: dict[bytes, list[str]] = {}
+    for one in results:
+        each = one.trajectory.p_GI, one.trajectory.R_GI, one.trajectory.covariance
+        same.setdefault(b"".join(x.tobytes() for x in each if x is not None), []).append(one.filter)
+    groups = [names for names in same.values() if len(names) > 1]
+    return tuple(f"identical: {' and '.join(names)} give the same estimates" for names in groups)
 
 
 def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Comparison]]:
@@ -155,17 +170,19 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
     for path, name in zip(settings.logs, names, strict=True):
         if names.count(name) > 1:
             raise SurefootError(f"{path}: another log has the same name; rename one of them")
-    chosen = read_settings(settings.settings, settings.set)
+    chosen = read_settings(settings.settings, settings.entries)
     warnings = not_plausible(logs, settings.robot, settings.strict)
     found = []
     for log in logs:
-        one = compare_log(log, robot_of(log, settings.robot), learnt, settings=chosen)
+        one = compare_log(
+            log, robot_of(log, settings.robot), learnt, settings.filters or None, chosen
+        )
         found.append(replace(one, warnings=warnings.get(log.name, ())))
     if not any(one.results for one in found):
         reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]
         raise SurefootError(f"no filter ran: {'; '.join(reasons)}")
     with whole_folder(settings.out, settings.force) as folder:
-        return write_comparison(found, folder, "Filters compared"), found
+        return write_comparison(found, folder, "Filters compared", kind=settings.figures), found
 
 
 def table(comparisons: Sequence[Comparison]) -> pd.DataFrame:
@@ -195,6 +212,7 @@ def write_comparison(
     title: str,
     ground: Ground | None = None,
     extra: Sequence[Section] = (),
+    kind: str = "png",
 ) -> pd.DataFrame:
     """Write table.md, table.csv, figures/, report.html and one recording per log into `out`.
 
@@ -204,13 +222,14 @@ def write_comparison(
         title: of the report.
         ground: drawn in figures and recordings; None for that of each log, if any.
         extra: sections added to the report.
+        kind: of the files of the figures: png, pdf or svg.
     """
     found = table(comparisons)
     write_whole(out / "table.md", to_markdown(found) + "\n")
     write_whole(out / "table.csv", to_csv(found))
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
-        pictures = _pictures(comparison, ground or ground_of_log(comparison.log))
+        pictures = _pictures(comparison, ground or ground_of_log(comparison.log), kind)
         heading = f"The log '{comparison.log.name}'"
         sections.append(Section(heading, _walk_prose(comparison), pictures=tuple(pictures)))
         if comparison.drawn is not None:
@@ -240,6 +259,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
     first += [
         f"Not plausible in {c.log.name}: {words}." for c in comparisons for words in c.warnings
     ]
+    first += [f"On {c.log.name}: {words}." for c in comparisons for words in c.notes]
     left_out = [
         f"{line[0].upper()}{line[1:]}."
         for c in comparisons
@@ -261,7 +281,7 @@ def _walk_prose(comparison: Comparison) -> str:
     text = f"{name}, {log.t[-1] - log.t[0]:.1f} s"
     if log.has("reference"):
         text += f", {path_length(log.t, log.ref_p):.1f} m"
-    if log.has("truth"):
+    if log.has("truth") and log.has("reference"):
         facts = walk_facts([log])
         text += (
             f". Loaded feet slip, faster than {SLIPPING} m/s, in {100 * facts['slip_share']:.1f} % "
@@ -283,7 +303,7 @@ def _walk_prose(comparison: Comparison) -> str:
     return text + "."
 
 
-def _pictures(comparison: Comparison, ground: Ground | None) -> list[Picture]:
+def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") -> list[Picture]:
     if not (comparison.log.has("reference") and comparison.results):
         return []
     truth = reference(comparison.log)
@@ -297,24 +317,28 @@ def _pictures(comparison: Comparison, ground: Ground | None) -> list[Picture]:
         Picture(
             trajectories(comparison.log, errors, patches, fields),
             "The walk from above: truth and every estimate, aligned at the start.",
-            f"{files}_trajectories.png",
+            f"{files}_trajectories.{kind}",
         ),
         Picture(
             height_figure(comparison.log, errors),
             "Height over time: no sensor on board measures it, so every filter drifts.",
-            f"{files}_height.png",
+            f"{files}_height.{kind}",
         ),
         Picture(
             position_error(errors),
             "Distance from the truth, and the three sigma each filter claims for itself.",
-            f"{files}_position_error.png",
+            f"{files}_position_error.{kind}",
         ),
     ]
+    few = {name: errors[name] for name in shown_at_first(tuple(errors))}
+    which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
+    words = f"Errors of position, attitude and velocity, with three sigma.{which}"
+    pictures.append(Picture(errors_by_axis(few), words, f"{files}_errors.{kind}"))
     prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
     if prediction is not None and bounds is not None and robot is not None:
         velocity = velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI))
         words = "Body velocity: the observer's prediction, its calibrated bounds, and the truth."
-        pictures.append(Picture(velocity, words, f"{files}_velocity.png"))
+        pictures.append(Picture(velocity, words, f"{files}_velocity.{kind}"))
     return pictures
 
 

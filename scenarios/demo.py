@@ -16,9 +16,9 @@ from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.first_use import compile_filters
 from surefoot.scenarios.reporting.html import Picture, Section, nested
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
-from surefoot.scenarios.reporting.plotting import save_png
+from surefoot.scenarios.reporting.plotting import save_figure
 from surefoot.scenarios.reporting.progress import percent_bar
-from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.reporting.tables import in_terminal
 from surefoot.scenarios.stages import processes, submitted
 from surefoot.scenarios.trace.report import sections as trace_sections
 from surefoot.scenarios.trace.result import Trace
@@ -59,7 +59,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
     check_space(out, DEMO_SPACE)
     with whole_folder(out, force) as folder:
         results, found, hidden = _run(folder, seed)
-    print("\n" + to_markdown(results))
+    print("\n" + in_terminal(results))
     print(f"\n{summary(found)}\nThe effect was: {_in_words(hidden)}.")
     print(
         f"\n{perf_counter() - started:.0f} s in all. Report: {out / 'report.html'}\n"
@@ -161,7 +161,7 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
     tested = observer.errors, test_errors
     errors = error_section(*tested, bounds.epsilon, bounds.gamma, "the third walk")
     for k, picture in enumerate(errors.pictures):
-        save_png(picture.figure, out / "figures" / f"observer_errors_{k + 1}.png")
+        save_figure(picture.figure, out / "figures" / f"observer_errors_{k + 1}.png")
     return [learning, errors]
 
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from surefoot.models.noise.allan import AxisNoise, Density
 from surefoot.models.noise.rest import RestNoise, rest_noise
-from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
+from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_figure, set_title
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.files import refuse_overwrite, whole_file
 from surefoot.sim.log import Log
@@ -32,7 +32,7 @@ def noise(log: Log, out: Path | None, force: bool = False) -> RestNoise:
         settings, figure = outputs
         with whole_file(settings, force) as temporary:
             temporary.write_text(settings_text(log.name, found), encoding="utf-8")
-            save_png(allan_figure(found), figure, force)
+            save_figure(allan_figure(found), figure, force)
     return found
 
 

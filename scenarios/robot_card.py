@@ -11,7 +11,7 @@ from matplotlib.patches import Circle, Polygon
 from scipy.spatial import ConvexHull
 
 from surefoot.scenarios.reporting.palette import INK, OUTSIDE, TRUTH
-from surefoot.scenarios.reporting.plotting import new_figure, save_png, set_title, show_to_scale
+from surefoot.scenarios.reporting.plotting import new_figure, save_figure, set_title, show_to_scale
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot.legs import outline_G
@@ -43,7 +43,7 @@ def robot_card(name_or_path: str, picture: Path | None, force: bool = False) -> 
             raise SurefootError(f"out: {machine.name} is on a fixed base, without a picture")
         return _card_without_legs(machine)
     if picture is not None:
-        save_png(portrait(machine.legged), picture, force)
+        save_figure(portrait(machine.legged), picture, force)
     return _card(machine.legged)
 
 

@@ -6,6 +6,7 @@ Nothing heavy is imported here, so that `--help` and a mistyped option are answe
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,14 @@ class LearntSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChosenFilters:
+    """Which filters run."""
+
+    filters: tuple[str, ...] = ()
+    """Filters to run, separated by commas; by default all that the inputs allow."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
     """What filters run with, besides a log."""
 
@@ -56,6 +65,15 @@ class FilterFiles(CheckedSettings, LearntSettings, OutputSettings):
     """
     effects: Path | None = None
     """File of effects (TOML) that the filters' model has, such as the effects.toml of `trace`."""
+    start: Literal["reference", "rest", "moving"] | None = None
+    """What the first state is taken from: the reference; gravity, of a robot at rest; or gravity
+    and legs over the first second. By default the reference, or else what the first rows show.
+    """
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Lines that override those of the file of settings."""
+        return self.set if self.start is None else (*self.set, f'start.kind="{self.start}"')
 
 
 @dataclass(frozen=True)
@@ -73,13 +91,15 @@ class EstimateSettings(FilterFiles):
 
 
 @dataclass(frozen=True)
-class CompareSettings(FilterFiles):
+class CompareSettings(FilterFiles, ChosenFilters):
     """Comparison of filters on logs, for `scenarios.compare.compare_files`."""
 
     logs: tuple[Path, ...]
     """Logs to compare the filters on; errors are computed for those with a reference."""
     out: Path
     """Folder for table.csv, table.md, report.html, figures and recordings."""
+    figures: Literal["png", "pdf", "svg"] = "png"
+    """Kind of the files of the figures; the report has them as PNG."""
 
 
 @dataclass(frozen=True)
@@ -235,13 +255,11 @@ class RealismSettings(WalkSettings):
 
 
 @dataclass(frozen=True)
-class TuneSettings(RobotSettings, WorkerSettings, OutputSettings):
+class TuneSettings(RobotSettings, WorkerSettings, ChosenFilters, OutputSettings):
     """A search of parameters, for `scenarios.tune.tune`."""
 
     out: Path
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
-    filter: tuple[str, ...] = ()
-    """Filter to tune; by default all that the inputs allow."""
     budget: int = 16
     """Number of runs of each filter over all logs of a robot."""
     longest: float = 120.0

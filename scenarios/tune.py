@@ -25,7 +25,12 @@ from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.scenarios.cache import finished_case
 from surefoot.scenarios.estimate.contract import Learnt, Parameters
-from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_code, estimator_named
+from surefoot.scenarios.estimate.estimators import (
+    ESTIMATORS,
+    check_filter,
+    estimator_code,
+    estimator_named,
+)
 from surefoot.scenarios.estimate.run import declared_model, estimated
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import Tuned, read_tuned, tuned, tuned_file
@@ -109,13 +114,13 @@ def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
         settings: filters, amount of work and where to.
         learnt: observers and bounds.
     """
-    out, filters = settings.out, settings.filter
+    out, filters = settings.out, settings.filters
     if settings.budget < 1:
         raise SurefootError(f"budget {settings.budget}: at least 1")
     if not settings.longest > 0.0:
         raise SurefootError(f"longest {settings.longest:g}: must be positive")
     for name in filters:
-        estimator_named(name)
+        check_filter(name)
     for name in ("tuned.toml", "tuned.md"):
         refuse_overwrite(out / name, settings.force)
     of_robot: dict[str, list[Path]] = {}

@@ -5,7 +5,7 @@
 It listens to `imu` (sensor_msgs/Imu), `joint_states` (sensor_msgs/JointState, joints by the names
 of the robot's model) and `contacts` (std_msgs/UInt8MultiArray, 0 or 1 a foot, in the order that
 `surefoot robots NAME` lists), and publishes `odometry` (nav_msgs/Odometry). Each IMU message is a
-sample, with the last joints and contacts before it. The robot stands for the first half second.
+sample, with the last joints and contacts before it.
 """
 
 import numpy as np

@@ -275,7 +275,7 @@ def _fit(
             if partial:
                 now.save(partial, task)
             said = " ".join(f"{e:.3f}" for e in rmse)
-            bar.set_postfix_str(f"validation RMSE {said} m/s", refresh=False)
+            bar.set_postfix_str(f"RMSE {said}", refresh=False)
             if callable(progress):
                 progress(now.step, settings.steps, rmse)
     if not np.isfinite(now.score):

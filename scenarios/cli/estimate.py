@@ -194,7 +194,7 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
 
 
 @options.command
-class Estimate(EstimateSettings, options.JsonOption):
+class Estimate(EstimateSettings, options.TableOption):
     """Run one filter over a log; prints metrics if the log has a reference.
 
     Exit code 3: the trajectory is written, but is not to be trusted; the last line says why.
@@ -205,28 +205,36 @@ class Estimate(EstimateSettings, options.JsonOption):
     def run(self) -> None:
         from surefoot.scenarios.estimate.file import estimate_file
 
-        found, health = estimate_file(self)
+        found, health, advice = estimate_file(self)
         if self.json:
             values = {"log": self.log, "filter": self.filter, "trajectory": self.out}
             why = {"trusted": not health.lost, "why_not": health.sentence(self.filter)}
-            options.print_json(values | why | {"metrics": found, "health": health})
+            options.print_json(
+                values | why | {"advice": advice, "metrics": found, "health": health}
+            )
         else:
             self._show(found, health)
+            tum = "" if self.out is None else self.out.with_suffix(".tum")
+            print(
+                f"trajectory: {self.out}, {tum}" if tum else "no trajectory is kept: give -o FILE"
+            )
+        if advice:
+            print(f"advice: {advice}", file=sys.stderr)
         if health.lost:
             print(health.sentence(self.filter), file=sys.stderr)
             sys.exit(NOT_TRUSTED)
 
     def _show(self, found: "Metrics | None", health: "Health") -> None:
-        from surefoot.scenarios.reporting.tables import metrics_row, to_markdown
+        from surefoot.scenarios.reporting.tables import in_terminal, metrics_row
         from surefoot.sim.log import LogReader
 
         if found is not None:
-            print(to_markdown([metrics_row(found)]))
+            print(in_terminal([metrics_row(found)], self.wide))
         elif not health.lost:
             rows = LogReader(self.log).rows
             print(f"{self.log.stem}: {rows} samples estimated; no reference to compare with")
         if health.sensors:
-            print("\n" + to_markdown(health.table()))
+            print("\n" + in_terminal(health.table(), self.wide))
         b_a, b_g = health.biases[:3].max(), health.biases[3:].max()
         print(
             f"\nbiases moved by at most {b_a:.1f} (accelerometer) and {b_g:.1f} (gyro) standard "
@@ -255,24 +263,30 @@ class NoiseCommand(OutputSettings, options.JsonOption):
 
 
 @options.command
-class Compare(CompareSettings, options.JsonOption):
-    """Run every filter that the inputs allow on every log: table, figures, report, recordings."""
+class Compare(CompareSettings, options.TableOption):
+    """Run every filter that the inputs allow on every log: table, figures, report, recordings.
+
+    The table on the terminal has the columns that fit; table.md and table.csv have all.
+    """
 
     def run(self) -> None:
         from surefoot.scenarios.compare import compare_files, left_out_lines
-        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.reporting.tables import in_terminal
 
         results, found = compare_files(self)
         if self.json:
-            left_out = {one.log.name: one.left_out for one in found}
-            doubts = {one.log.name: one.doubts for one in found}
-            rows = results.to_dict(orient="records")
-            options.print_json({"results": rows, "left_out": left_out, "doubts": doubts})
+            each = {
+                name: {one.log.name: getattr(one, name) for one in found}
+                for name in ("left_out", "doubts", "notes")
+            }
+            options.print_json({"results": results.to_dict(orient="records"), **each})
             return
-        print("\n" + to_markdown(results))
+        print("\n" + in_terminal(results, self.wide))
         for comparison in found:
             for line in left_out_lines(comparison.log.name, comparison.left_out):
                 print(line)
-            for words in comparison.doubts:
+            for words in (*comparison.notes, *comparison.doubts):
                 print(f"{comparison.log.name}: {words}")
+        if any(comparison.doubts for comparison in found):
+            print("surefoot estimate LOG --filter NAME tries what would mend a filter")
         print(f"\nreport: {self.out / 'report.html'}")

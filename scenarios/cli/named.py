@@ -1,6 +1,7 @@
 """Check names and files in a command's options before slow imports."""
 
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ EFFECT_NAMES = (
     *("command_delay", "link_mass", "link_com", "link_inertia"),
 )
 """Names of the bundled effects; the catalogue itself takes seconds to import."""
+MOST_NAMED = 8
+"""Largest number of logs that are named of a folder."""
 
 
 def refuse_unnamed(given: Mapping[str, Any]) -> None:
@@ -47,6 +50,8 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
                 file_there(one)
                 if option in _LOGS and is_file(one):
                     logs.append(one)
+                elif option in _LOGS and one.is_dir():
+                    _refuse_folder(one)
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)
     for log in logs:
@@ -67,6 +72,18 @@ def _log_or_scenario(name: str) -> None:
     check_first_bytes(admitted(Path(name), "recording"))
 
 
+def _refuse_folder(folder: Path) -> None:
+    """Raise SurefootError, naming the logs in it, for a folder where a log was meant."""
+    found = [one.name for one in islice(sorted(folder.glob("*.parquet")), MOST_NAMED + 1)]
+    more = ", ..." if len(found) > MOST_NAMED else ""
+    inside = (
+        f"give one of its logs: {', '.join(found[:MOST_NAMED])}{more}"
+        if found
+        else "no log is in it"
+    )
+    raise SurefootError(f"{folder}: is a folder where a log is expected; {inside}")
+
+
 def _known_effect(name: str) -> None:
     check_known("effect", name, (*EFFECT_NAMES, *plugins("surefoot.effects")))
 
@@ -81,6 +98,7 @@ _LOGS = {"log", "logs", "holdout", "on"}
 """Options that are logs."""
 _LOOKED_UP = {
     "filter": check_filter,
+    "filters": check_filter,
     "robot": machine_file,
     "walker": robot_file,
     "scenarios": scenario_file,

@@ -16,6 +16,7 @@ from typing import (
 )
 
 from tyro.conf import Positional, UseAppendAction, arg
+from tyro.constructors import PrimitiveConstructorSpec
 from tyro.extras import literal_type_from_choices
 
 C = TypeVar("C")
@@ -29,7 +30,7 @@ FLAG = ""
 """Text of --help for a flag, instead of tyro's `(default: False)`."""
 BY_NAME = ("out", "filter", "robot")
 """Required options that are given by name; every other one is positional."""
-REPEATED = ("observer", "bounds", "set", "filter")
+REPEATED = ("observer", "bounds", "set")
 """Lists that are given one by one, each with the option's name."""
 _METAVARS = {
     "seeds": "SEEDS",
@@ -38,7 +39,19 @@ _METAVARS = {
     "device": "DEVICE",
     "set": "KEY=VALUE",
     "filter": "NAME",
+    "filters": "NAME,NAME",
+    "start": "reference|rest|moving",
 } | dict.fromkeys(("robot", "map", "walker"), "NAME|FILE")
+
+_BY_COMMAS = PrimitiveConstructorSpec(
+    nargs=1,
+    metavar=_METAVARS["filters"],
+    instance_from_str=lambda given: tuple(
+        filter(None, dict.fromkeys(given[0].replace(" ", "").split(",")))
+    ),
+    is_instance=lambda value: isinstance(value, tuple),
+    str_from_instance=lambda value: [",".join(value)],
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +60,14 @@ class JsonOption:
 
     json: bool = False
     """Print the results as JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOption(JsonOption):
+    """How tables are printed."""
+
+    wide: bool = False
+    """Print every column of a table; by default those that fit into 100 characters."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
@@ -74,6 +95,9 @@ def _shown(field: Field, kind: Any) -> Any:
         shown["metavar"] = f"{name.removesuffix('s').upper()}..." if several else name.upper()
         if several:
             shown["help_behavior_hint"] = NEEDED
+    elif name == "filters":
+        kind = Annotated[kind, _BY_COMMAS]
+        shown["help_behavior_hint"] = OPTIONAL
     elif name in REPEATED and several:
         kind = UseAppendAction[kind]
     elif several:

@@ -35,6 +35,7 @@ def entry_point() -> None:
     # Of libraries, such as a mean of nothing: what matters to a user, a command says itself.
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"  # in parallel processes too
     # No window is opened. Otherwise MuJoCo looks for a windowing library in another process, whose
     # traceback would appear on the terminal after a signal.
     os.environ.setdefault("MUJOCO_GL", "disable")

@@ -95,7 +95,7 @@ class LoopCommand(LoopSettings, TraceInputs):
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.inputs import read_logs
-        from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.reporting.tables import in_terminal
         from surefoot.scenarios.trace.loop import loop
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.log import Log
@@ -105,7 +105,7 @@ class LoopCommand(LoopSettings, TraceInputs):
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         table, _ = loop(log, robot, self, declared, read_logs(self.holdout))
-        print("\n" + to_markdown(table))
+        print("\n" + in_terminal(table))
         print(f"\nreport: {self.out / 'report.html'}")
 
 

@@ -102,7 +102,7 @@ class ByObserver:
 class Coverage(ByObserver):
     """Set-coverage updates with the bounds of the mse observer."""
 
-    name, label, color, line = "coverage", "Coverage", "#D55E00", "-"
+    name, color, line = "coverage", "#D55E00", "-"
     description = "Set-coverage IEKF, bounds of the mse observer."
     needs = Needs(learnt=("observers", "bounds"))
     proposed = 1
@@ -121,7 +121,7 @@ class Coverage(ByObserver):
 class CoverageGml(Coverage):
     """Coverage with the gml observer's mean and its bounds."""
 
-    name, label, color, line = "coverage_gml", "Coverage on GML mean", "#E0AC65", ":"
+    name, color, line = "coverage_gml", "#E0AC65", ":"
     description = "Set-coverage IEKF on the gml observer's mean: compares update, not network."
     variant, proposed = True, 0
     loss = "gml"
@@ -130,7 +130,7 @@ class CoverageGml(Coverage):
 class CoveragePersistent(ByObserver):
     """Set-coverage updates with the persistent error as states."""
 
-    name, label = "coverage_persistent", "Coverage, persistent error"
+    name = "coverage_persistent"
     color, line = "#7A3DFF", "--"
     description = (
         "Set-coverage IEKF with the observer's persistent error as states, bounds on window means."
@@ -150,7 +150,7 @@ class CoveragePersistent(ByObserver):
 class Velocity(ByObserver):
     """Gaussian velocity updates with the covariance that the gml observer predicts."""
 
-    name, label, color, line = "velocity", "Velocity IEKF", "#009E73", "-"
+    name, color, line = "velocity", "#009E73", "-"
     description = "Gaussian-velocity IEKF, covariance predicted by the gml observer."
     needs = Needs(learnt=("observers",))
 
@@ -162,7 +162,7 @@ class Velocity(ByObserver):
 class VelocityInflated(Velocity):
     """Velocity with the covariance multiplied by a factor."""
 
-    name, label = "velocity_inflated", "Velocity IEKF, covariance inflated"
+    name = "velocity_inflated"
     color, line = "#455815", ":"
     variant = True
     description = (
@@ -177,7 +177,7 @@ class VelocityInflated(Velocity):
 class VelocityPersistent(ByObserver):
     """Gaussian velocity updates with the persistent error as states."""
 
-    name, label = "velocity_persistent", "Velocity IEKF, persistent error"
+    name = "velocity_persistent"
     color, line = "#28C3DA", "--"
     description = (
         "Gaussian-velocity IEKF with the persistent error as states, covariance of the rest."
@@ -197,11 +197,11 @@ class VelocityPersistent(ByObserver):
 class Leg:
     """Contact-aided leg filter, with contact points as states."""
 
-    name, label, color, line = "leg", "Leg IEKF", "#2F86D1", "-"
+    name, color, line = "leg", "#2F86D1", "-"
     description = "Contact-aided leg IEKF (Hartley)."
     needs = Needs(log=("imu", "contact"), robot=False, feet=True)
     parameters = LEG
-    of_legs = True
+    of_legs, rejecting = True, "leg_slip"
 
     def start(
         self, robot: Robot | None, learnt: Learnt, parameters: Parameters, beginning: Beginning
@@ -213,10 +213,10 @@ class Leg:
 class LegSlip(Leg):
     """Leg filter with a gate for contacts that slip."""
 
-    name, label, color, line = "leg_slip", "Leg IEKF, slip rejected", "#3663EC", "--"
+    name, color, line = "leg_slip", "#3663EC", "--"
     description = "Leg IEKF that restarts a contact whose innovation fails a chi-square gate."
     parameters = LEG_SLIP
-    variant = True
+    variant, rejecting = True, ""
 
 
 class RadarLeg(Leg):
@@ -226,7 +226,7 @@ class RadarLeg(Leg):
     right-invariant filter, the velocities alone make roll and pitch observable.
     """
 
-    name, label, color, line = "radar_leg", "Radar and legs", "#C4BA15", "-"
+    name, color, line = "radar_leg", "#C4BA15", "-"
     description = (
         "Perceptive: a simulated radar's ego velocity with leg_slip; sees gravity through the IEKF."
     )
@@ -235,7 +235,7 @@ class RadarLeg(Leg):
         Parameter("radar", 16.0, "1", "factor of the covariance of a radar frame"),
     )
     needs = Needs(log=("imu", "contact"), feet=True)
-    variant = perceptive = True
+    variant, perceptive, rejecting = True, True, ""
 
     def prepare(self, log: Log, robot: Robot) -> Log:
         """Add the velocities of a simulated radar to a log without any."""
@@ -245,7 +245,7 @@ class RadarLeg(Leg):
 class Imu:
     """Integration of the IMU alone: the baseline of all other estimators."""
 
-    name, label, color, line = "imu", "IMU alone", "#7F3485", "-"
+    name, color, line = "imu", "#7F3485", "-"
     description = "Integration of the IMU alone."
     needs = Needs(robot=False)
     parameters = _imu_parameters(0.01)

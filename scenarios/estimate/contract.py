@@ -1,6 +1,6 @@
 """Interface of an estimator, by which it appears in every command, table and figure.
 
-A class with `name`, `label`, `description`, `needs`, `parameters` and `start(...) -> Stream`,
+A class with `name`, `description`, `needs`, `parameters` and `start(...) -> Stream`,
 registered by the entry point group `surefoot.estimators` of any installed package, is run,
 tabulated and plotted like the bundled ones:
 
@@ -215,15 +215,13 @@ class Estimator(Protocol):
     """A method to estimate a robot's motion; see the module for optional members.
 
     Attributes:
-        name: in commands, tables and files.
-        label: in figures.
+        name: in commands, tables, figures and files.
         description: one sentence, for tables.
         needs: of a log and of what was learnt.
         parameters: with their defaults, which `tuned.toml` may override.
     """
 
     name: str
-    label: str
     description: str
     needs: Needs
     parameters: tuple[Parameter, ...]

@@ -14,9 +14,10 @@ class ErrorSeries:
     """Error of one estimator over time, after aligning position and yaw at its first sample.
 
     `position` is p_bar - p in G. `attitude` is log(R_bar R^T) in the robot's heading frame: about
-    forward (roll), left (pitch) and up (yaw). The sigmas are the filter's own, None without
-    covariance; the position's is that of J Sigma J^T with J = [-[p_bar]x 0 I] on (rotation,
-    velocity, position).
+    forward (roll), left (pitch) and up (yaw). `velocity` is that of the IMU in I. The sigmas are
+    the filter's own, None without covariance; the position's is that of J Sigma J^T with J =
+    [-[p_bar]x 0 I] on (rotation, velocity, position), the velocity's that of R_bar^T Sigma_vv
+    R_bar.
     """
 
     t: np.ndarray  # (M,) s
@@ -24,8 +25,10 @@ class ErrorSeries:
     R_GI: np.ndarray  # (M, 3, 3), aligned
     position: np.ndarray  # (M, 3) m
     attitude: np.ndarray  # (M, 3) rad
+    velocity: np.ndarray  # (M, 3) m/s
     position_sigma: np.ndarray | None  # (M, 3) m
     attitude_sigma: np.ndarray | None  # (M, 3) rad
+    velocity_sigma: np.ndarray | None  # (M, 3) m/s
     position_covariance: np.ndarray | None = None  # (M, 3, 3) m^2
 
     @property
@@ -58,23 +61,32 @@ def error_series(
     to_heading = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, -1.0]).as_matrix()
     turned = aligned.R_GI @ reference.R_GI.transpose(0, 2, 1)
     attitude = Rotation.from_matrix(turned).as_rotvec()
-    position_sigma, attitude_sigma, covariance = None, None, None
+    position_sigma = attitude_sigma = velocity_sigma = covariance = None
+    to_I, to_I_true = (x.R_GI.transpose(0, 2, 1) for x in (aligned, reference))
     if aligned.covariance is not None:
         S = aligned.covariance[:, :9, :9]
         J = position_jacobian(aligned.p_GI)
         covariance = J @ S @ J.swapaxes(1, 2)
         position_sigma = _sigma(J, S)
         attitude_sigma = _sigma(to_heading, S[:, :3, :3])
+        velocity_sigma = _sigma(to_I, S[:, 3:6, 3:6])
     return ErrorSeries(
         t=aligned.t,
         p_GI=aligned.p_GI,
         R_GI=aligned.R_GI,
         position=aligned.p_GI - reference.p_GI,
-        attitude=(to_heading @ attitude[..., None])[..., 0],
+        attitude=_rotated(to_heading, attitude),
+        velocity=_rotated(to_I, aligned.v_GI) - _rotated(to_I_true, reference.v_GI),
         position_sigma=position_sigma,
         attitude_sigma=attitude_sigma,
+        velocity_sigma=velocity_sigma,
         position_covariance=covariance,
     )
+
+
+def _rotated(R: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """R x for each row, (M, 3, 3) and (M, 3)."""
+    return (R @ x[..., None])[..., 0]
 
 
 def _sigma(J: np.ndarray, S: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from surefoot.sim.common.sources import code_digest
 if TYPE_CHECKING:  # names alone come without compiled kernels, which are slow to load
     from surefoot.scenarios.estimate.contract import Estimator
 
-REQUIRED = ("name", "label", "description", "needs", "parameters", "start")
+REQUIRED = ("name", "description", "needs", "parameters", "start")
 """Members that an estimator's class must have; see `surefoot.scenarios.estimate.contract`."""
 
 ESTIMATORS = Registry(
@@ -59,6 +59,7 @@ class Traits:
         variant: whether it is a variation of another estimator, omitted in short comparisons.
         perceptive: whether it uses exteroceptive sensors, and so is not ranked with the others.
         floor: whether it is the baseline for all others, and so is not ranked either.
+        rejecting: name of the same filter with a test that rejects slipping feet, if any.
         of_legs: whether its velocities come from leg kinematics.
         proposed: the method with the highest value among those run is compared with the others in
             the findings of an experiment; 0 for no such method.
@@ -70,6 +71,7 @@ class Traits:
     variant: bool = False
     perceptive: bool = False
     floor: bool = False
+    rejecting: str = ""
     of_legs: bool = False
     proposed: int = 0
 

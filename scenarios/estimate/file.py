@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +19,10 @@ from surefoot.estimator.evaluation.trajectory import (
     reference,
 )
 from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
+from surefoot.scenarios.estimate.advice import advice, needs_advice
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, with_effects
+from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.run import (
     declared_model,
     estimated_in_chunks,
@@ -31,7 +34,6 @@ from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import refuse_overwrite, whole_file
-from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log, LogReader
 
 LONG = 1800.0
@@ -50,14 +52,23 @@ errors are of all, within each piece.
 """
 
 
-def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
+class Estimated(NamedTuple):
+    """What `estimate_file` found: metrics, None where the log has no reference or the filter
+    diverged; health; and what would mend the estimate, "" where it needs no advice.
+    """
+
+    metrics: Metrics | None
+    health: Health
+    advice: str
+
+
+def estimate_file(settings: EstimateSettings) -> Estimated:
     """Estimate a log with one filter and, with `out`, write the trajectory.
 
-    Returns its metrics, None where it has no reference or the filter diverged, and its health. A
-    log longer than LONG is processed in pieces, using the memory of one, unless there are effects
-    to compensate, which needs the whole log. What is implausible in its start, and that it starts
-    in motion where the filter assumes rest, is printed to stderr. Raises SurefootError saying what
-    is missing or wrong.
+    A log longer than LONG is processed in pieces, using the memory of one, unless there are effects
+    to compensate, which needs the whole log; remedies are not tried on one in pieces. What
+    is implausible in its start, and what else is to be known (`notes_on`), is printed to stderr.
+    Raises SurefootError saying what is missing or wrong.
     """
     reader = LogReader(settings.log)
     if settings.out:
@@ -69,7 +80,7 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
         for path in (settings.out, settings.out.with_suffix(".tum")):
             refuse_overwrite(path, settings.force)
     learnt = learnt_from(settings.observer, settings.bounds)
-    chosen = read_settings(settings.settings, settings.set)
+    chosen = read_settings(settings.settings, settings.entries)
     whole = reader.rows / reader.meta.rate <= LONG
     first = next(Log.chunks(reader, np.inf if whole else CHECKED))
     doubts = not_plausible([first], settings.robot, settings.strict).get(first.name, ())
@@ -78,10 +89,10 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
     robot = robot_of(first, settings.robot)
-    first, robot = declared_model(with_effects(first, robot, settings.effects), robot)
-    starts_at_rest = not first.has("reference") and chosen.state.v_GI is None
-    if starts_at_rest and chosen.start.velocity is None and (moves := start_line(first, robot)):
-        print(f"note: {first.name}: {moves}", file=sys.stderr)
+    read = with_effects(first, robot, settings.effects)
+    first, model = declared_model(read, robot)
+    for note in notes_on(first, model, learnt, chosen):
+        print(f"note: {first.name}: {note}", file=sys.stderr)
     judge = _Judge(None if whole else reader)
     parts: list[RunSummary] = []
     waiting: deque[Log] = deque()  # pieces that were read but not estimated
@@ -94,7 +105,7 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
     with errors_in(f"filter {settings.filter}"), ExitStack() as files:
         write: Callable[[Trajectory], None] | None = None
         chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
-        for part in estimated_in_chunks(estimator, chunks, robot, learnt, chosen):
+        for part in estimated_in_chunks(estimator, chunks, model, learnt, chosen):
             if settings.out is not None:
                 write = write or files.enter_context(
                     _opened(settings.out, settings.force, doubts, part if whole else None)
@@ -104,8 +115,13 @@ def estimate_file(settings: EstimateSettings) -> tuple[Metrics | None, Health]:
             parts.append(summary_of_run(part, log))
             judge.add(log, part)
         metrics = None if parts[-1].diverged else judge.metrics()
-    found = health_of(parts, estimator, robot, first, chosen)
-    return metrics, found
+    found = health_of(parts, estimator, model, first, chosen)
+    advised = whole and needs_advice(settings.filter, metrics, found)
+    words = ""
+    if advised:
+        print("trying what would mend the estimate", file=sys.stderr)
+        words = advice(settings.filter, read, robot, learnt, chosen)
+    return Estimated(metrics, found, words)
 
 
 @contextmanager

@@ -32,6 +32,7 @@ from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
+from surefoot.sim.robot.feet import Feet, PointFeet
 from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.robot.robot import Robot
 
@@ -258,13 +259,22 @@ def begin(
     """
     estimator.needs.check(log, robot)
     values = parameters_of(estimator, robot, settings)
-    state, covariance = (settings or FilterSettings()).beginning(log)
+    feet = feet_of(log, robot)
+    state, covariance = (settings or FilterSettings()).beginning(log, feet)
     joints = log.joints if log.has("q") else ()
-    by_joints = robot is not None and log.has("q")  # they say how feet roll, too
-    feet = log.legs if log.has("foot") and not by_joints else ()
-    at = Beginning(state, covariance, log.rate, joints, log.meta.derived, feet)
+    given = log.legs if isinstance(feet, PointFeet) else ()
+    at = Beginning(state, covariance, log.rate, joints, log.meta.derived, given)
     # The robot is None for those alone whose needs say that it may be.
     return estimator.start(cast(Robot, robot), learnt, values, at)
+
+
+def feet_of(log: Log, robot: Robot | None) -> Feet | None:
+    """How a log shows the feet of its robot: by joint angles if it can, which also say how feet
+    roll; None if it does not.
+    """
+    if robot is not None and log.has("q"):
+        return robot.feet
+    return PointFeet() if log.has("foot") else None
 
 
 def _prepared(estimator: Estimator, log: Log, robot: Robot | None, in_chunks: bool) -> Log:

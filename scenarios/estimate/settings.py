@@ -10,8 +10,9 @@ noise` writes one, and --set takes single lines of it.
     kinematics = 2e-3        # m, of a foot's position
     contact = 0.02           # m/s/sqrt(Hz), of a standing foot
 
-    [start]                  # standard deviations of the first state, in G
-    tilt = 0.02              # rad, and yaw
+    [start]
+    kind = "moving"          # or "rest", "reference": what the first state is taken from
+    tilt = 0.02              # rad, and yaw: standard deviations of the first state, in G
     velocity = 0.05          # m/s
     position = 1e-3          # m, and height, if the vertical's differs
     b_a = 0.1                # m/s^2
@@ -34,13 +35,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.estimator.core.state import NavState
-from surefoot.estimator.initial import (
-    GRAVITY_STD,
-    REFERENCE_STD,
-    initial_state,
-    start_covariance,
-    still_gyro_bias,
-)
+from surefoot.estimator.initial import REFERENCE_STD, Start, initial_state, start_covariance
 from surefoot.scenarios.estimate.contract import Estimator, Parameters
 from surefoot.scenarios.estimate.estimators import check_filter
 from surefoot.scenarios.estimate.tuned import overridden
@@ -49,6 +44,7 @@ from surefoot.sim.common.limits import check_toml_keys
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.common.toml import Positive, read_toml, typed
 from surefoot.sim.log import Log
+from surefoot.sim.robot.feet import Feet
 
 Three = tuple[float, float, float]
 
@@ -70,8 +66,11 @@ class NoiseSettings:
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Standard deviations as in `surefoot.estimator.initial.InitialStd`; None keeps the default."""
+    """What the first state is taken from, as in `surefoot.estimator.initial.initial_state`, and its
+    standard deviations, as in `InitialStd` there; None keeps the default.
+    """
 
+    kind: Start | None = None
     tilt: Positive | None = None
     yaw: Positive | None = None
     velocity: Positive | None = None
@@ -119,21 +118,21 @@ class FilterSettings:
         own = self.filters.get(estimator.name, {})
         return overridden({**values, **given}, own, f"[filters.{estimator.name}]")
 
-    def beginning(self, log: Log) -> tuple[NavState, np.ndarray]:
-        """`surefoot.estimator.initial.initial_state` of a log, with the given parts replaced."""
+    def beginning(self, log: Log, feet: Feet | None = None) -> tuple[NavState, np.ndarray]:
+        """`surefoot.estimator.initial.initial_state` of a log, with the given parts replaced, and
+        its covariance (15, 15).
+
+        feet: how the log shows its feet; None if it does not.
+        """
         start, state = _given(self.start), _given(self.state)
-        if not start and not state:
-            return initial_state(log)
-        std = replace(REFERENCE_STD if log.has("reference") else GRAVITY_STD, **start)
-        found, _ = initial_state(log, std)
-        # A given gyro bias, or its standard deviation, overrides that from standing still.
-        if not {"b_g"} & (start.keys() | state.keys()):
-            _, std = still_gyro_bias(log, std)
+        found, std = initial_state(log, start.pop("kind", None), feet)
+        if "b_g" in state:  # its deviation is not that of a bias estimated at rest
+            std = replace(std, b_g=REFERENCE_STD.b_g)
         if "q_GI" in state:
             q = np.asarray(state.pop("q_GI"))
             state["R_GI"] = matrix_from_quaternion((q / np.linalg.norm(q))[None])[0]
         found = replace(found, **{name: np.asarray(value) for name, value in state.items()})
-        return found, start_covariance(found, std)
+        return found, start_covariance(found, replace(std, **start))
 
 
 def read_settings(path: Path | None, lines: Sequence[str] = ()) -> FilterSettings:

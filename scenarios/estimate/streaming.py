@@ -1,8 +1,8 @@
 """An estimator in a robot's own loop: samples in, states out.
 
 `surefoot.StreamingEstimator` corresponds to `run_filter` for a log, with the same results: it
-determines rate, attitude and gyro bias in the first half second, in which the robot stands, then
-runs the filter, the observer and its decimation sample by sample.
+determines rate and first state from the first half second of a robot that stands, or the first
+second of one in motion, then runs the filter, the observer and its decimation sample by sample.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.initial import STILL_WINDOW
+from surefoot.estimator.initial import MOVING_WINDOW, STILL_WINDOW, Start, start_of
 from surefoot.estimator.run import state_parts
 from surefoot.scenarios.estimate.contract import (
     GROUPS_OF_FIELDS,
@@ -69,7 +69,8 @@ class StreamingEstimator:
         if hasattr(self._estimator, "prepare"):
             raise SurefootError(f"{filter} takes a whole log at once, not samples")
         self._robot, self._learnt = robot, learnt or Learnt()
-        self._settings, self._mounting = settings, tuned(robot).mounting
+        self._settings = settings or FilterSettings()
+        self._mounting = tuned(robot).mounting
         shapes, needs = dict(IMU_SHAPES), self._estimator.needs
         if robot is not None:
             joints, legs = len(robot.limbs.joints), len(robot.limbs.legs)
@@ -80,15 +81,18 @@ class StreamingEstimator:
         self._form = self._any  # shapes of fields, and which are needed, once there is a sample
         self._t = np.nan
         self._waiting: list[CheckedSample] = []
+        self.start: Start | None = None
+        """What the first state is taken from; None in the first half second."""
         self._stream: Stream | None = None
 
     def step(self, sample: Sample) -> NavState | None:
-        """Return the state at this sample; None while the first STILL_WINDOW seconds are collected.
+        """Return the state at this sample; None while the first samples are collected: those of
+        STILL_WINDOW seconds or, of a robot in motion, of MOVING_WINDOW.
 
         The next sample starts the stream, which then processes all of them at once. At any time,
         raises SampleError for a sample that is refused; it has no effect. Raises SurefootError
-        where the filter cannot start, such as on a robot that does not stand; samples are then
-        collected anew.
+        where the filter cannot start, such as on a robot that falls; samples are then collected
+        anew.
         """
         if self._stream is None:
             return self._begin(sample)
@@ -100,6 +104,7 @@ class StreamingEstimator:
     def _begin(self, sample: Sample) -> NavState | None:
         checked = check_sample(sample, np.nan, *self._any)
         if not self._waiting:
+            self.start = None
             given = {name: np.shape(value) for name, value in _fields_of(checked).items()}
             self._form = self._any[0] | given, tuple(given)
         else:
@@ -114,15 +119,19 @@ class StreamingEstimator:
                 if only:  # either of the two may be wrong
                     self._waiting = []
                 raise
-        early = not self._waiting or checked.t <= self._waiting[0].t + STILL_WINDOW
-        if early and len(self._waiting) >= MOST_WAITING:
-            raise SampleError(f"more than {MOST_WAITING} samples in {STILL_WINDOW} s")
+        elapsed = checked.t - self._waiting[0].t if self._waiting else 0.0
+        if elapsed <= MOVING_WINDOW and len(self._waiting) >= MOST_WAITING:
+            raise SampleError(f"more than {MOST_WAITING} samples before the start")
         self._waiting.append(checked)
         self._t = checked.t
-        if early:
+        if elapsed <= (MOVING_WINDOW if self.start == "moving" else STILL_WINDOW):
             return None
+        log = log_of_samples(self._waiting, self._robot)
+        if self.start is None:
+            self.start = self._settings.start.kind or start_of(log)
+            if self.start == "moving" and elapsed <= MOVING_WINDOW:
+                return None
         waiting, self._waiting = self._waiting, []
-        log = log_of_samples(waiting, self._robot)
         stream = begin(self._estimator, log, self._robot, self._learnt, settings=self._settings)
         for one in waiting:
             stream.step(one)

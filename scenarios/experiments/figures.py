@@ -14,7 +14,6 @@ from surefoot.scenarios.reporting.palette import (
     INK,
     TRUTH,
     estimator_color,
-    estimator_label,
     estimator_look,
 )
 from surefoot.scenarios.reporting.plotting import (
@@ -66,8 +65,7 @@ def by_sequence(
             ax.plot(mine[column], y, ".", color=color, markersize=3.0, alpha=0.7)
             means = mine.groupby("sequence")[column].mean()
             at = [names.index(sequence) + offsets[name] for sequence in means.index]
-            label = estimator_label(name)
-            ax.plot(means, at, "|", color=color, markersize=8, markeredgewidth=2.2, label=label)
+            ax.plot(means, at, "|", color=color, markersize=8, markeredgewidth=2.2, label=name)
         if log:
             ax.set_xscale("log")
             label_decades(ax.xaxis)
@@ -100,7 +98,7 @@ def gamma_sweep(table: pd.DataFrame, title: str) -> Figure:
         for (condition, name), part in table.groupby(["condition", "filter"], sort=False):
             conditions = list(table["condition"].unique())
             style = ("-", "--", ":", "-.")[conditions.index(condition) % 4]
-            color, label = estimator_color(str(name)), f"{estimator_label(str(name))}, {condition}"
+            color, label = estimator_color(str(name)), f"{name}, {condition}"
             ax.plot(part["gamma"], part[column], f"o{style}", ms=4, color=color, label=label)
         ax.set(xlabel="γ", ylabel=column)
         if column == "NEES_pos":  # differs between filters by orders of magnitude

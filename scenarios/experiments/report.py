@@ -34,7 +34,7 @@ from surefoot.scenarios.experiments.tables import (
 )
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
-from surefoot.scenarios.reporting.tables import to_markdown
+from surefoot.scenarios.reporting.tables import in_terminal
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import (
@@ -88,7 +88,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     if settings.page:
         command = f"surefoot {'suite' if file in SUITES else 'experiment'} {file}"
         write_page(settings.page, found.title, pages, origin_of(__name__, command))
-    print("\n" + to_markdown(tables["averages"]))
+    print("\n" + in_terminal(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
     for cell, result in outcome.cells.items():

@@ -24,10 +24,14 @@ if TYPE_CHECKING:
         OUTSIDE,
         TRUTH,
         estimator_color,
-        estimator_label,
         estimator_look,
     )
-    from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_png, set_title
+    from surefoot.scenarios.reporting.plotting import (
+        legend_below,
+        new_figure,
+        save_figure,
+        set_title,
+    )
     from surefoot.scenarios.reporting.progress import percent_bar
     from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
     from surefoot.scenarios.stages import processes, stage

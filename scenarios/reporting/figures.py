@@ -15,7 +15,6 @@ from surefoot.scenarios.reporting.palette import (
     OUTSIDE,
     TRUTH,
     estimator_color,
-    estimator_label,
     estimator_look,
     friction_color,
 )
@@ -25,6 +24,7 @@ from surefoot.scenarios.reporting.plotting import (
     limit_to_errors,
     new_figure,
     set_title,
+    show_time,
     show_to_scale,
     single_axes,
 )
@@ -90,7 +90,8 @@ def height_figure(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
     for name, error in errors.items():
         look = estimator_look(name, f"{error.position[-1, 2]:+.3f} m at the end")
         ax.plot(error.t, error.p_GI[:, 2], **look)
-    ax.set(xlabel="time [s]", ylabel="height z [m]", xlim=(t[0], t[-1]))
+    ax.set_ylabel("height z [m]")
+    show_time(ax, t[0], t[-1])
     set_title(ax, "Height of the IMU over time")
     legend_below(figure, ax, columns=2)
     return figure
@@ -132,8 +133,7 @@ def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> 
         inside = f"{100.0 * (1.0 - outside[ok].mean()):.1f} % of the walk inside"
         set_title(ax, f"{axis} of the IMU ({word}): {inside} ± {half[0, k]:.3g} m/s", 9.5)
         ax.set_ylabel("m/s")
-        ax.set_xlim(first, last)
-    axes[-1, 0].set_xlabel("time [s]")
+    show_time(axes[-1, 0], first, last)
     legend_below(figure, axes[0, 0])
     return figure
 
@@ -143,7 +143,7 @@ def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     figure, ax = single_axes(7.5, 4.0)
     top = 0.0
     for name, error in errors.items():
-        color, label = estimator_color(name), estimator_label(name)
+        color, label = estimator_color(name), name
         sigma = error.distance_sigma
         if sigma is not None:
             inside = 100.0 * (error.distance <= 3.0 * sigma).mean()
@@ -151,13 +151,54 @@ def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
             ax.plot(error.t, 3.0 * sigma, color=color, linewidth=1.0, linestyle=(0, (4, 2)))
         ax.plot(error.t, error.distance, color=color, linewidth=1.6, label=label)
         top = max(top, float(error.distance.max()))
-    if errors:
-        ax.set_xlim(min(e.t[0] for e in errors.values()), max(e.t[-1] for e in errors.values()))
-    ax.set(xlabel="time [s]", ylabel="position error [m]")
+    show_time(ax, *_span(errors))
+    ax.set_ylabel("position error [m]")
     limit_to_errors(ax, top)
     set_title(ax, "Distance between estimate and truth, and each filter's own 3σ (dashed)")
     legend_below(figure, ax, columns=2)
     return figure
+
+
+QUANTITIES = (
+    ("position", "position [m]", "xyz", 1.0),
+    ("attitude", "attitude [deg]", ("roll", "pitch", "yaw"), np.degrees(1.0)),
+    ("velocity", "velocity [m/s]", ("forward", "left", "up"), 1.0),
+)
+"""Field of an ErrorSeries, its title, its axes, and the factor to the unit of the title."""
+
+
+def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:
+    """Errors of position in G, attitude about the heading's axes, and velocity in I, one panel for
+    each axis, with the filter's own 3 sigma as a band.
+    """
+    title = "Errors by axis, and each filter's own 3σ (dashed)"
+    figure, axes = new_figure(3, 3, size=(10.0, 6.5), share_x=True, title=title)
+    for column, (field, words, names, factor) in enumerate(QUANTITIES):
+        for k, axis in enumerate(names):
+            ax, most = axes[k, column], 0.0
+            for name, series in errors.items():
+                error, sigma = getattr(series, field), getattr(series, f"{field}_sigma")
+                ax.plot(series.t, factor * error[:, k], linewidth=1.2, **estimator_look(name))
+                most = max(most, float(np.abs(factor * error[:, k]).max()))
+                if sigma is not None:
+                    band, color = 3.0 * factor * sigma[:, k], estimator_color(name)
+                    shown = ax.fill_between(series.t, -band, band, color=color, zorder=0.5)
+                    shown.set(alpha=0.08, linewidth=0)
+                    edges = np.stack([-band, band], axis=1)
+                    ax.plot(series.t, edges, color=color, linewidth=0.8, linestyle=(0, (4, 2)))
+            ax.set_ylim(*np.clip(ax.get_ylim(), -6.0 * most, 6.0 * most) if most else (-1.0, 1.0))
+            set_title(ax, f"{words.partition(' [')[0]}, {axis}", 9.0)
+            ax.set_ylabel(words.partition(" ")[2].strip("[]"))
+    for ax in axes[-1]:
+        show_time(ax, *_span(errors))
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def _span(errors: Mapping[str, ErrorSeries]) -> tuple[float, float]:
+    """First and last stamp of these errors [s]."""
+    ends = [(e.t[0], e.t[-1]) for e in errors.values()] or [(0.0, 1.0)]
+    return min(first for first, _ in ends), max(last for _, last in ends)
 
 
 def _draw_contours(ax, field: HeightField) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from surefoot.scenarios.reporting.plotting import png, save_png
+from surefoot.scenarios.reporting.plotting import png, save_figure
 from surefoot.scenarios.reporting.tables import (
     Table,
     in_markdown,
@@ -74,7 +74,7 @@ def write_report(
     write_whole(path, html_report(title, sections), force)
     for picture in (picture for section in sections for picture in section.pictures):
         if picture.file:
-            save_png(picture.figure, Path(path).parent / picture.file, force)
+            save_figure(picture.figure, Path(path).parent / picture.file, force)
 
 
 def html_report(title: str, sections: Sequence[Section]) -> str:

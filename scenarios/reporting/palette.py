@@ -1,4 +1,4 @@
-"""One colour and one name for each estimator, in every figure, recording and report.
+"""One colour for each estimator, in every figure, recording and report.
 
 The colours of the bundled estimators were found by a search for maximum distance, with and without
 red-green blindness, among those legible on a white page and on the dark background of the viewer.
@@ -8,7 +8,7 @@ Variants of one estimator also differ in line style, so that a figure is readabl
 from typing import Any
 from zlib import crc32
 
-from surefoot.scenarios.estimate.estimators import ESTIMATORS, traits
+from surefoot.scenarios.estimate.estimators import traits
 
 TRUTH = "#8C8C8C"
 OBSERVER = "#E69F00"
@@ -21,21 +21,11 @@ BEFORE, AFTER = "#8C8C8C", "#0072B2"
 
 _LEG_COLORS = {"FL": "#DDAA33", "FR": "#CC6677", "RL": "#44AA99", "RR": "#AA66CC"}
 
-_STYLES: dict[str, tuple[str, str, str]] = {
-    "leg (declared model)": ("Leg IEKF, declared model", "#8CBBEA", "--"),
-    "leg (effect added)": ("Leg IEKF, effect added", "#2F86D1", "-"),
-}
+_STYLES = {"leg (declared model)": ("#8CBBEA", "--"), "leg (effect added)": ("#2F86D1", "-")}
 """In addition to the estimators, which have their own: one estimator under two models."""
 _SIDES = {"before": "--", "after": "-"}
 _SPARE_COLORS = ("#AA4499", "#5B6BC0", "#6B8E23", "#A0522D", "#C71585", "#20868F")
 _SPARE_STYLES = ("-", "--", "-.", ":")
-
-
-def estimator_label(name: str) -> str:
-    """Label of the estimator `name`; an unknown name is its own label."""
-    base, side = _side(name)
-    label = _style(base)[0] or base
-    return f"{label}, {side}" if side else label
 
 
 def estimator_color(name: str) -> str:
@@ -45,7 +35,7 @@ def estimator_color(name: str) -> str:
     every run.
     """
     name, _ = _side(name)
-    return _style(name)[1] or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
+    return _style(name)[0] or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
 
 
 def estimator_line(name: str) -> str:
@@ -54,23 +44,19 @@ def estimator_line(name: str) -> str:
     if side:
         return _SIDES[side]
     spare = crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)
-    return _style(name)[2] or _SPARE_STYLES[spare]
+    return _style(name)[1] or _SPARE_STYLES[spare]
 
 
 def estimator_look(name: str, note: str = "") -> dict[str, Any]:
     """Colour, line style and label of the estimator `name`, with a note, for `Axes.plot`."""
-    label = estimator_label(name) + (f" ({note})" if note else "")
+    label = name + (f" ({note})" if note else "")
     return {"color": estimator_color(name), "linestyle": estimator_line(name), "label": label}
 
 
-def _style(name: str) -> tuple[str, str, str]:
-    """Label, colour and line that an estimator declares; empty if it declares none."""
-    if name in _STYLES:
-        return _STYLES[name]
-    if name not in ESTIMATORS:
-        return "", "", ""
+def _style(name: str) -> tuple[str, str]:
+    """Colour and line that an estimator declares; empty if it declares none."""
     own = traits(name)
-    return ESTIMATORS[name].label, own.color, own.line
+    return _STYLES.get(name, (own.color, own.line))
 
 
 def _side(name: str) -> tuple[str, str]:

@@ -33,6 +33,8 @@ _STYLE: Any = {
 }
 
 
+EPOCH = 1e5
+"""Stamp from which a clock counts from an epoch, more than a day [s]."""
 WHITE_BOX = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
 """Box behind a text that stands on curves (matplotlib's `bbox`)."""
 
@@ -103,6 +105,15 @@ def show_to_scale(ax: Axes, low: Sequence[float], high: Sequence[float]) -> None
     ax.set_aspect("equal", adjustable="datalim")
 
 
+def show_time(ax: Axes, first: float, last: float) -> None:
+    """Show times from first to last [s], counted from a whole second where they are large."""
+    ax.set_xlim(first, last)
+    start = np.floor(first) if abs(first) >= EPOCH else 0.0
+    ax.set_xlabel(f"time [s] after {start:.0f}" if start else "time [s]")
+    if start:
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value - start:g}"))
+
+
 def limit_to_errors(ax: Axes, largest: float) -> None:
     """Let y begin at 0 and end at six times the largest error, or where the highest curve does.
 
@@ -138,7 +149,16 @@ def png(figure: Figure | bytes) -> bytes:
     return stream.getvalue()
 
 
-def save_png(figure: Figure | bytes, path: str | Path, force: bool = False) -> None:
-    """Write the figure as a PNG. Raises SurefootError where the file exists (no `force`)."""
+def save_figure(figure: Figure | bytes, path: str | Path, force: bool = False) -> None:
+    """Write the figure by the suffix of its path: .png, .pdf or .svg, equal for equal figures.
+
+    Raises SurefootError where the file exists (no `force`).
+    """
+    kind = Path(path).suffix
     with whole_file(path, force) as temporary:
-        temporary.write_bytes(png(figure))
+        if kind == ".png" or isinstance(figure, bytes):
+            temporary.write_bytes(png(figure))
+            return
+        undated = {"CreationDate": None} if kind == ".pdf" else {"Date": None}
+        with rc_context({**_STYLE, "svg.hashsalt": "surefoot", "pdf.fonttype": 42}):
+            figure.savefig(temporary, format=kind[1:], metadata=undated)

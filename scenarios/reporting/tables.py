@@ -29,6 +29,21 @@ METRICS = {
 }
 """Columns of every table of errors, and the fields of `estimator.metrics.Metrics` they show."""
 
+LOST_FROM = "not to be trusted from [s]"
+WIDTH = 100
+"""Largest width of a table on a terminal, in characters."""
+LEAST_NEEDED = (
+    "RPE_rot [deg/m]",
+    "NEES_vel",
+    "pi<gamma [%]",
+    "step [us]",
+    "coverage [%]",
+    LOST_FROM,
+    "NEES_att",
+    "RPE_trans [m]",
+)
+"""Columns that a table omits where it is too wide, the first one first."""
+
 
 def metrics_row(metrics: Metrics) -> dict[str, float]:
     """The columns of one trajectory's metrics."""
@@ -80,6 +95,21 @@ def to_markdown(table: Table, digits: int = 3, markup: bool = False) -> str:
         return "| " + " | ".join(padded) + " |"
 
     return "\n".join([line(header), "|" + "|".join(f" {r} " for r in rule) + "|", *map(line, rows)])
+
+
+def in_terminal(table: Table, wide: bool = False) -> str:
+    """The table without empty columns and, where it is wider than WIDTH, without LEAST_NEEDED.
+
+    wide: whether to keep all columns.
+    """
+    frame = as_frame(table).dropna(axis=1, how="all")
+    text = to_markdown(frame)
+    for name in LEAST_NEEDED:
+        if wide or text.index("\n") <= WIDTH:
+            break
+        frame = frame.drop(columns=name, errors="ignore")
+        text = to_markdown(frame)
+    return text
 
 
 def to_csv(table: Table) -> str:

@@ -13,7 +13,6 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import shown_at_first, traits
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_all
-from surefoot.scenarios.reporting.palette import estimator_label
 from surefoot.scenarios.viewer.blueprint import EXPLANATION, layout
 from surefoot.scenarios.viewer.scene import write_scene
 from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
@@ -112,8 +111,8 @@ def _about(walk: RecordedWalk, errors: Mapping[str, ErrorSeries]) -> str:
     of the walk.
     """
     log, words = walk.log, read_toml(_ABOUT)
-    ends = [f"| {estimator_label(n)} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
-    shown = [estimator_label(name) for name in shown_at_first(tuple(errors))]
+    ends = [f"| {n} | {e.distance[-1]:.2f} m |" for n, e in errors.items()]
+    shown = shown_at_first(tuple(errors))
     table = ["| estimator | distance from the truth at the end |", "|---|---|", *ends, ""]
     at_first = words["at_first"].format(shown="; ".join(shown))
     return "\n".join(

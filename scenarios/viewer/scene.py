@@ -14,7 +14,6 @@ from surefoot.scenarios.reporting.palette import (
     OUTSIDE,
     TRUTH,
     estimator_color,
-    estimator_label,
     friction_color,
     rgba,
 )
@@ -276,7 +275,7 @@ def _write_marker(
     top = [0.0, 0.0, height * 0.5 * size[0]]
     start, nose = [[size[0], 0.0, 0.0]], [[0.5 * size[0], 0.0, 0.0]]
     # A changing label would not be drawn if the view shows a range of times.
-    label = f"{estimator_label(name)}, {error.distance[-1]:.2f} m at the end"
+    label = f"{name}, {error.distance[-1]:.2f} m at the end"
     parts = {
         "outline": rr.Boxes3D(
             half_sizes=[1.08 * size], colors=color, radii=thin, fill_mode="majorwireframe"

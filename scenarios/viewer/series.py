@@ -17,7 +17,6 @@ from surefoot.scenarios.reporting.palette import (
     STANDING_FOOT,
     TRUTH,
     estimator_color,
-    estimator_label,
     leg_color,
     rgba,
 )
@@ -74,23 +73,23 @@ def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) 
     """Write each estimator's position error [m] and attitude error [deg] by axis, with 3 sigma."""
     for name, error in errors.items():
         part = rr.escape_entity_path_part(name)
-        label, color = estimator_label(name), estimator_color(name)
-        far = f"{label}: {error.distance[-1]:.2f} m at the end"
+        color = estimator_color(name)
+        far = f"{name}: {error.distance[-1]:.2f} m at the end"
         line = _lines(far, color, 2.0)
         _send(stream, f"distance/error/{part}", error.t, error.distance, line)
         if error.distance_sigma is not None:
             root, sigma = f"distance/{BANDS}/{part}", error.distance_sigma
-            _send(stream, root, error.t, 3.0 * sigma, _lines(f"{label} 3σ", color, 1.0, 0.5))
+            _send(stream, root, error.t, 3.0 * sigma, _lines(f"{name} 3σ", color, 1.0, 0.5))
         for kind, names, values, sigma, scale in (
             ("position_error", AXES, error.position, error.position_sigma, 1.0),
             ("attitude_error", ANGLES, error.attitude, error.attitude_sigma, 180.0 / np.pi),
         ):
             for k, axis in enumerate(names):
                 root, off = f"{kind}/{axis}", scale * values[:, k]
-                _send(stream, f"{root}/error/{part}", error.t, off, _lines(label, color, 2.0))
+                _send(stream, f"{root}/error/{part}", error.t, off, _lines(name, color, 2.0))
                 if sigma is not None:
                     half, path = 3.0 * scale * sigma[:, k], f"{root}/{BANDS}/{part}"
-                    strokes = (f"{label} ±3σ", color, _FAINT)
+                    strokes = (f"{name} ±3σ", color, _FAINT)
                     _send_band(stream, path, error.t, (-half, half), strokes)
 
 
@@ -101,12 +100,12 @@ def write_update(
     gamma.
     """
     assert record.pi is not None  # Gaussian updates have none
-    label, color = estimator_label(name), estimator_color(name)
+    color = estimator_color(name)
     root = f"update/{rr.escape_entity_path_part(name)}"
-    line = _lines(f"{label}: mass π", color, 1.5)
+    line = _lines(f"{name}: mass π", color, 1.5)
     _send(stream, f"{root}/mass", record.t, record.pi, line)
     if gamma is not None:
-        level, line = np.full(2, gamma), _lines(f"{label}: γ = {gamma:g}", TRUTH, 1.5)
+        level, line = np.full(2, gamma), _lines(f"{name}: γ = {gamma:g}", TRUTH, 1.5)
         _send(stream, f"{root}/gamma", record.t[[0, -1]], level, line)
 
 

@@ -20,7 +20,7 @@ from surefoot.scenarios.reporting import (
     finished_case,
     origin_of,
     refuse_overwrite,
-    save_png,
+    save_figure,
     write_page,
     write_results,
 )
@@ -85,6 +85,6 @@ def run_hardware(options: HardwareStudy) -> list[str]:
 def _row(name: str, folders: Folders, picture: Path) -> dict[str, Any]:
     """The stored row of a study; its figure is written to `picture`."""
     found = MACHINES[name](folders)
-    save_png(found.figure, picture, force=True)
+    save_figure(found.figure, picture, force=True)
     tables = {table: rows.to_dict("records") for table, rows in found.tables.items()}
     return {"verdict": found.verdict, "tables": tables}

@@ -12,7 +12,6 @@ from surefoot.scenarios.reporting import (
     INK,
     TRUTH,
     estimator_color,
-    estimator_label,
     estimator_look,
     legend_below,
     new_figure,
@@ -64,7 +63,7 @@ def nees_figure(rows: Sequence[FilterScores]) -> Figure:
                     if (row.filter, row.reading) == (name, reading)
                 ]
                 if points:
-                    label = f"{estimator_label(name)}, quantile at {reading}"
+                    label = f"{name}, quantile at {reading}"
                     color = estimator_color(name)
                     ax.plot(*zip(*points, strict=True), style, color=color, label=label)
         for row in (row for row in own if row.gamma is None):

@@ -32,7 +32,7 @@ from surefoot.scenarios.reporting import (
     origin_of,
     percent_bar,
     refuse_full,
-    save_png,
+    save_figure,
     whole_folder,
     write_page,
     write_results,
@@ -125,7 +125,7 @@ def write_study(
     tables = {"table": numbers_table(results.paper), "beyond": numbers_table(results.beyond)}
     with whole_folder(out, force) as folder:
         for name, picture in pictures.items():
-            save_png(picture.figure, folder / "figures" / f"{name}.png")
+            save_figure(picture.figure, folder / "figures" / f"{name}.png")
         return write_results(folder, _TITLE, sections, tables)
 
 

@@ -10,7 +10,7 @@ from whole_runs import run_coverage, run_imu
 from surefoot.estimator.evaluation.innovation import innovations
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, UpdateRecord
 from surefoot.estimator.filter import InvariantFilter
-from surefoot.estimator.initial import initial_state
+from surefoot.estimator.initial import initial_state, start_covariance
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log, Meta
 
@@ -19,10 +19,11 @@ from surefoot.sim.log import Log, Meta
 def test_they_are_what_the_filter_met(stride):
     rng = np.random.default_rng(0)
     log = synthetic_walk(0, 6.0)
-    state, covariance = initial_state(log)
+    state, std = initial_state(log)
     rows = np.arange(5, len(log.t), 5)
     v_I = 0.1 * rng.standard_normal((len(rows), 3))
     epsilon = np.full(3, 0.05)
+    covariance = start_covariance(state, std)
     f = InvariantFilter(state, covariance)
     met, known, row = [], [], 0
     for k in range(1, len(log.t)):
@@ -68,5 +69,6 @@ def test_in_free_fall_they_are_the_errors_of_what_was_measured():
 
 def test_a_trajectory_without_updates_is_refused():
     log = synthetic_walk(0, 1.0)
+    state, _ = initial_state(log)
     with pytest.raises(TrajectoryError, match="with velocity updates"):
-        innovations(log, run_imu(log.t, log.gyro, log.accel, *initial_state(log)))
+        innovations(log, run_imu(log.t, log.gyro, log.accel, state, np.eye(15)))

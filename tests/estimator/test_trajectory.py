@@ -13,7 +13,13 @@ from whole_runs import run_coverage
 
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError, reference
-from surefoot.estimator.initial import GRAVITY_STD, initial_state, level, still_gyro_bias
+from surefoot.estimator.initial import (
+    GRAVITY_STD,
+    initial_state,
+    level,
+    start_covariance,
+    still_gyro_bias,
+)
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log, Meta
 
@@ -104,7 +110,8 @@ def test_reference_is_cut_to_ref_ok():
 
 def test_start_is_the_references_first_row():
     walk = motion(1.0, 500.0)
-    state, covariance = initial_state(log(walk))
+    state, std = initial_state(log(walk))
+    covariance = start_covariance(state, std)
     assert_allclose(state.R_GI, walk.R[0], atol=1e-12)
     assert_allclose(state.p_GI, walk.p[0])
     assert_allclose(state.v_GI, walk.v[0])
@@ -120,12 +127,13 @@ def test_start_without_a_reference_is_gravity():
     still = np.tile(R.T @ [0, 0, 9.81], (len(walk.t), 1))
     bare = log(walk, reference=False)
     frame = bare.frame.assign(**{f"accel_{a}": still[:, i] for i, a in enumerate("xyz")})
-    state, covariance = initial_state(Log(frame, bare.meta))
+    state, std = initial_state(Log(frame, bare.meta), "rest")
     assert_allclose(state.R_GI, R, atol=1e-12)
     assert_allclose(state.v_GI, 0)
-    assert covariance[0, 0] == GRAVITY_STD.tilt**2
+    assert std.tilt == GRAVITY_STD.tilt
     falling = frame.assign(accel_x=0.0, accel_y=0.0, accel_z=0.1)
-    refused("gravity is unknown", initial_state, Log(falling, bare.meta))
+    refused("gravity is unknown", initial_state, Log(falling, bare.meta), "rest")
+    refused("gravity is unknown", initial_state, Log(falling, bare.meta), "moving")
 
 
 @pytest.mark.parametrize(("shaken", "known"), [(0.01, True), (0.1, False)])

@@ -24,7 +24,7 @@ from surefoot.scenarios.estimate.bundled import Imu
 
 
 class Still(Imu):
-    name = label = "still"
+    name = "still"
     description = "The IMU alone, by another name."
 
 

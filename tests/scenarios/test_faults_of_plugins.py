@@ -25,7 +25,7 @@ SOURCES = {
 from dataclasses import replace
 from surefoot.extend import InvariantFilter, Needs, Update
 class Mine:
-    name, label, description = "mine", "Mine", "One of a user's own."
+    name, description = "mine", "One of a user's own."
     needs, parameters = Needs(robot=False), ()
     def start(self, robot, learnt, parameters, beginning):
         return Stream(beginning)

@@ -12,7 +12,6 @@ from written import written
 from studies.measured import measured_folder
 from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.initial import initial_state
 from surefoot.estimator.run import every_row
 from surefoot.scenarios.cli.estimate import NOT_TRUSTED
 from surefoot.scenarios.cli.main import main
@@ -105,7 +104,7 @@ def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
     whole = estimated(one, feet, None, Learnt())
     cut = [feet.rows(slice(0, 501)), feet.rows(slice(501, len(feet.t)))]
     joined = joined_trajectory(estimated_in_chunks(one, cut, None, Learnt()))
-    at = Beginning(*initial_state(feet), feet.rate, feet=feet.legs)
+    at = Beginning(*FilterSettings().beginning(feet), feet.rate, feet=feet.legs)
     stream = one.start(None, Learnt(), tuned(None).of(one), at)  # pyright: ignore[reportArgumentType]
     steps = with_mounting(stepped(stream, feet, every_row(feet.t)), tuned(None).mounting)
     for other in (joined, steps):

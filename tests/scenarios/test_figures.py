@@ -1,5 +1,6 @@
 """Figures show the numbers they are given, with units, and are the same twice."""
 
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -18,8 +19,8 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
 from surefoot.scenarios.reporting import figures, observer_errors
-from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
-from surefoot.scenarios.reporting.plotting import png, save_png
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
+from surefoot.scenarios.reporting.plotting import png, save_figure
 from surefoot.scenarios.trace.report import over_floor
 from surefoot.sim.common.errors import SurefootError
 
@@ -50,6 +51,7 @@ def drawn(walk, errors) -> dict[str, Figure]:
         "height": figures.height_figure(walk.log, errors),
         "velocity": figures.velocity_figure(walk.log, walk.prediction, walk.bounds.epsilon),
         "error": figures.position_error(errors),
+        "axes": figures.errors_by_axis(errors),
         "distributions": observer_errors.error_distributions(
             train, test, walk.bounds.epsilon, walk.bounds.gamma
         ),
@@ -61,10 +63,11 @@ def drawn(walk, errors) -> dict[str, Figure]:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("trajectories", ["x [m]", "y [m]", "Truth", "Leg IEKF", "Start", "friction 0.20"]),
-        ("height", ["time [s]", "height z [m]", "Coverage"]),
+        ("trajectories", ["x [m]", "y [m]", "Truth", "leg", "Start", "friction 0.20"]),
+        ("height", ["time [s]", "height z [m]", "coverage"]),
         ("velocity", ["m/s", "time [s]", "forward", "inside ± 0.05", "Truth outside"]),
-        ("error", ["position error [m]", "Coverage (100 % within 3σ)"]),
+        ("error", ["position error [m]", "coverage (100 % within 3σ)"]),
+        ("axes", ["position, x", "attitude, yaw", "velocity, forward", "deg", "time [s]", "leg"]),
         ("distributions", ["error [m/s]", "Gaussian fit, test", "meant: at least 80 %"]),
         ("mixing", ["lag [samples of 10 ms]", "β(lag)"]),
         ("over floor", ["residual over noise floor", "0.3 → 0.1 m/s", "before", "after"]),
@@ -79,9 +82,9 @@ def test_a_figure_says_what_it_shows(drawn, name, said):
 def test_every_estimator_keeps_its_colour(drawn, name):
     (ax,) = drawn[name].axes
     for line in ax.get_lines():
-        for estimator in ("coverage", "leg"):
-            if str(line.get_label()).startswith(estimator_label(estimator)):
-                assert to_hex(line.get_color()).upper() == estimator_color(estimator)
+        estimator = str(line.get_label()).split(" (")[0]
+        if estimator in ESTIMATORS:
+            assert to_hex(line.get_color()).upper() == estimator_color(estimator)
 
 
 def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
@@ -171,17 +174,52 @@ def test_the_height_panel_fits_the_estimates_but_those_that_are_lost():
 def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):
     lines = {str(line.get_label()).split(" (")[0]: line for line in drawn["height"].axes[0].lines}
     np.testing.assert_allclose(lines["Truth"].get_ydata(), walk.log.ref_p[:, 2])
-    np.testing.assert_allclose(lines["Leg IEKF"].get_ydata(), errors["leg"].p_GI[:, 2])
-    assert "Leg IEKF (+0.080 m at the end)" in words(drawn["height"])
+    np.testing.assert_allclose(lines["leg"].get_ydata(), errors["leg"].p_GI[:, 2])
+    assert "leg (+0.080 m at the end)" in words(drawn["height"])
+
+
+def test_errors_by_axis_are_those_of_the_series(drawn, errors):
+    panels = np.array(drawn["axes"].axes).reshape(3, 3)
+    for column, (field, factor) in enumerate(
+        (("position", 1.0), ("attitude", 180.0 / np.pi), ("velocity", 1.0))
+    ):
+        for axis in range(3):
+            lines = {line.get_label(): line for line in panels[axis, column].lines}
+            error, sigma = (getattr(errors["leg"], name) for name in (field, f"{field}_sigma"))
+            np.testing.assert_allclose(lines["leg"].get_ydata(), factor * error[:, axis])
+            edges = [line.get_ydata() for line in panels[axis, column].lines]
+            upper = 3.0 * factor * sigma[:, axis]
+            assert any(np.allclose(edge, upper) for edge in edges)
+
+
+def test_a_figure_counts_from_a_whole_second_of_an_epoch(errors):
+    late = {name: replace(one, t=one.t + 1.7e9) for name, one in errors.items()}
+    figure = figures.position_error(late)
+    png(figure)
+    (ax,) = figure.axes
+    assert "1700000000" in ax.get_xlabel()
+    shown = [text.get_text() for text in ax.get_xticklabels()]
+    assert shown
+    assert not ax.xaxis.get_offset_text().get_text()
+    assert all(abs(float(text.replace("−", "-"))) < 1000.0 for text in shown)
+
+
+@pytest.mark.parametrize("kind", ["pdf", "svg"])
+def test_a_figure_of_lines_is_the_same_twice(errors, tmp_path, kind):
+    for name in ("one", "two"):
+        save_figure(figures.errors_by_axis(errors), tmp_path / f"{name}.{kind}")
+    one, two = ((tmp_path / f"{name}.{kind}").read_bytes() for name in ("one", "two"))
+    assert one == two
+    assert one.startswith(b"%PDF" if kind == "pdf" else b"<?xml")
 
 
 def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
     data = png(drawn["height"])
     assert data.startswith(b"\x89PNG")
     assert data == png(drawn["height"])
-    save_png(drawn["height"], tmp_path / "height.png")
+    save_figure(drawn["height"], tmp_path / "height.png")
     with pytest.raises(SurefootError, match="exists already"):
-        save_png(drawn["height"], tmp_path / "height.png")
+        save_figure(drawn["height"], tmp_path / "height.png")
 
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
@@ -194,7 +232,6 @@ def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk)
 
 def test_unknown_estimators_keep_one_colour_and_style():
     assert estimator_color("my_filter") == estimator_color("my_filter")
-    assert estimator_label("my_filter") == "my_filter"
     assert estimator_line("my_filter") in ("-", "--", "-.", ":")
 
 
@@ -204,7 +241,6 @@ def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
         estimator_color(name) for name in ("leg", "coverage")
     ]
     assert len({(estimator_color(name), estimator_line(name)) for name in shown}) == 4
-    assert estimator_label("leg before") == f"{estimator_label('leg')}, before"
 
 
 def test_the_mixing_figure_shows_the_curve_and_where_k_was_read_from_it():

@@ -17,13 +17,13 @@ from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_a
 from synthetic import synthetic_walk
 
 from surefoot.estimator.core.checks import DivergedError, SampleError
-from surefoot.estimator.initial import initial_state
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.estimate import streaming
 from surefoot.scenarios.estimate.contract import Beginning, Learnt, Sample, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.radar_velocity import RADAR_COLUMNS
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError
@@ -66,7 +66,7 @@ def loop() -> tuple[Log, Robot, Learnt, tuple[Sample, ...]]:
 def begun(name: str) -> Stream:
     log, robot, learnt, _ = loop()
     one = estimator_named(name)
-    at = Beginning(*initial_state(log), log.rate, log.joints, log.meta.derived)
+    at = Beginning(*FilterSettings().beginning(log), log.rate, log.joints, log.meta.derived)
     return one.start(robot, learnt, tuned(robot).of(one), at)
 
 

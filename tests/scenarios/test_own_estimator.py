@@ -8,14 +8,13 @@ LISTS = """
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.reporting.palette import estimator_color, estimator_label, estimator_line
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.sim.robot import Robot
 
 assert list(ESTIMATORS)[-1] == "standing_feet"
 assert "standing_feet" in Experiment("one", ()).filters
 own = ESTIMATORS["standing_feet"]()
 assert tuned(Robot.load("v60_class")).of(own) == {"accel": 0.02, "spread": 0.1}
-assert estimator_label("standing_feet") == "Standing feet"
 assert estimator_color("standing_feet").startswith("#")
 assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
 """

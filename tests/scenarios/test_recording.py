@@ -303,5 +303,5 @@ def test_a_stamp_that_rounding_puts_behind_the_last_row_is_the_last_row(walk):
     t, n = 0.352 + 0.05 * np.arange(465), 465
     assert np.arange(t[0], t[-1], 0.2)[-1] > t[-1]
     eyes, none = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
-    error = ErrorSeries(t, none, eyes, none, none, None, None, eyes)
+    error = ErrorSeries(t, none, eyes, none, none, none, None, None, None, eyes)
     write_estimates(rr.RecordingStream("rounding"), {"leg": error}, walk.robot, np.ones(3))

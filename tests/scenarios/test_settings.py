@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from refusals import refusal
 
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.initial import initial_state
+from surefoot.estimator.initial import initial_state, start_covariance
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import parameters_of, run_filter
@@ -51,9 +51,9 @@ def test_the_start(log, settings):
     assert_allclose(std[:2], 0.1)
     assert std[8] >= 0.5 > std[5]
     assert_allclose(std[12:], 5e-3)  # of a bias that is given, not that of having stood still
-    plain, usual = FilterSettings().beginning(log), initial_state(log)
-    assert_allclose(plain[0].pack(), usual[0].pack())
-    assert_allclose(plain[1], usual[1])
+    plain, (usual, std) = FilterSettings().beginning(log), initial_state(log)
+    assert_allclose(plain[0].pack(), usual.pack())
+    assert_allclose(plain[1], start_covariance(usual, std))
     turned, _ = read_settings(None, ("state.q_GI=[0, 0, 0, 1]",)).beginning(log)
     assert_allclose(turned.R_GI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
 

@@ -12,7 +12,6 @@ from synthetic import without
 
 from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.initial import initial_state
 from surefoot.estimator.run import every_row
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.settings import CalibrateSettings
@@ -30,6 +29,7 @@ from surefoot.scenarios.estimate.run import (
     run_filter,
     stepped,
 )
+from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.settings import EstimateSettings
@@ -85,7 +85,7 @@ def pieces(log: Log) -> list[Log]:
 
 def begun(name: str, log: Log, robot: Robot, learnt: Learnt) -> Stream:
     one = estimator_named(name)
-    at = Beginning(*initial_state(log), log.rate, log.joints, log.meta.derived)
+    at = Beginning(*FilterSettings().beginning(log), log.rate, log.joints, log.meta.derived)
     return one.start(robot, learnt, tuned(robot).of(one), at)
 
 
@@ -217,11 +217,11 @@ def test_the_relative_errors_of_a_long_log_are_of_all_estimates(tmp_path, monkey
     """However few are judged otherwise; only segments that end in another piece are left out."""
     path = tmp_path / "walk.parquet"
     walk(Scenario("long", (Segment(30.0, 0.5),), Ground(0.8)), robot, 0).write(path)
-    whole, _ = file.estimate_file(EstimateSettings(path, "leg"))
+    whole, *_ = file.estimate_file(EstimateSettings(path, "leg"))
     monkeypatch.setattr(file, "LONG", 0.0)
     monkeypatch.setattr(file, "LOG_PIECE", 20.0)
     monkeypatch.setattr(file, "JUDGED", 100)
-    pieces, _ = file.estimate_file(EstimateSettings(path, "leg"))
+    pieces, *_ = file.estimate_file(EstimateSettings(path, "leg"))
     assert whole is not None
     assert pieces is not None
     assert pieces.samples <= 102 < 0.8 * whole.segments < pieces.segments < whole.segments

@@ -21,7 +21,6 @@ MODULES = (
 
 
 class Mine:
-    label = "My own"
     of_legs = True
 
 

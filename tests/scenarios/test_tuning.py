@@ -96,17 +96,20 @@ def test_the_command_tunes_any_filter_and_its_file_is_what_filters_take(log, tmp
 
 def test_a_search_that_is_done_is_not_run_again(log, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    first = tune.tune([log], TuneSettings(out, ("imu",), budget=3), Learnt())
+    first = tune.tune([log], TuneSettings(out, filters=("imu",), budget=3), Learnt())
     monkeypatch.setattr(tune, "search", lambda *_: pytest.fail("searched again"))
-    assert tune.tune([log], TuneSettings(out, ("imu",), budget=3, force=True), Learnt()) == first
+    assert (
+        tune.tune([log], TuneSettings(out, filters=("imu",), budget=3, force=True), Learnt())
+        == first
+    )
     with pytest.raises(SurefootError, match="exists already"):
-        tune.tune([log], TuneSettings(out, ("imu",), budget=3), Learnt())
+        tune.tune([log], TuneSettings(out, filters=("imu",), budget=3), Learnt())
 
 
 def test_filters_that_the_inputs_do_not_allow_are_left_out_or_one_line(log, tmp_path):
     text = tune.tune([log], TuneSettings(tmp_path / "all", budget=1), Learnt())
     assert "left out for spot_class: coverage (needs observer" in text
     with pytest.raises(SurefootError, match="filter velocity, spot_class: needs observer"):
-        tune.tune([log], TuneSettings(tmp_path / "one", ("velocity",), budget=1), Learnt())
+        tune.tune([log], TuneSettings(tmp_path / "one", filters=("velocity",), budget=1), Learnt())
     with pytest.raises(SurefootError, match="unknown filter 'legs'; known: "):
-        tune.tune([log], TuneSettings(tmp_path / "none", ("legs",)), Learnt())
+        tune.tune([log], TuneSettings(tmp_path / "none", filters=("legs",)), Learnt())

@@ -1,14 +1,17 @@
-"""A log that starts in motion is said to, by `info` and `import`, and by `estimate` without a
-reference: filters then start at rest."""
+"""A log that starts in motion is said to; filters then start from gravity and legs."""
 
 import numpy as np
 import pytest
 from synthetic import without
 
+from surefoot.estimator.initial import MOVING_WINDOW, initial_state, start_of
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.contract import samples
+from surefoot.scenarios.estimate.run import run_filter
+from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.start import start_line
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, reference_velocity
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -68,17 +71,60 @@ def test_logs_without_an_imu_start_no_filter_and_those_of_an_imu_alone_are_judge
     assert "gyro 0.5" in start_line(turning)
 
 
-def test_info_and_estimate_say_it_once_where_it_matters(walked, tmp_path, capsys):
+def test_estimate_and_compare_say_how_they_start_where_the_robot_moves(walked, tmp_path, capsys):
     log, _ = walked
-    moving, path = log.rows((log.t >= 1.6) & (log.t < 2.4)), tmp_path / "moving.parquet"
+    moving, path = log.rows((log.t >= 1.6) & (log.t < 3.0)), tmp_path / "moving.parquet"
     moving.write(path)
     main(["info", str(path)])
     assert capsys.readouterr().out.count("start: ") == 1
-    main(["estimate", str(path), "--filter", "leg"])
-    assert "start: " not in capsys.readouterr().err, "it starts at the reference's velocity"
-    without(moving, "ref_").write(path, force=True)
+    leg = ["estimate", str(path), "--filter", "leg"]
     for options, said in (
+        ([], "the reference"), (["--start", "moving"], "legs"), (["--start", "rest"], "at rest"),
+    ):  # fmt: skip
+        main([*leg, *options])
+        (note,) = [one for one in capsys.readouterr().err.splitlines() if "start: " in one]
+        assert said in note
+    without(moving, "ref_").write(path, force=True)
+    for options, count in (
         ([], 1), (["--set", "start.velocity=0.7"], 0), (["--set", "state.v_GI=[0.6,0,0]"], 0)
     ):  # fmt: skip
-        main(["estimate", str(path), "--filter", "leg", *options])
-        assert capsys.readouterr().err.count("note: moving: start: ") == said
+        main([*leg, *options])
+        assert capsys.readouterr().err.count("note: moving: start: ") == count
+    main(["compare", str(path), "-o", str(tmp_path / "compared")])
+    assert "moving: start: " in capsys.readouterr().out
+    log.rows(log.t < 0.9).write(path, force=True)
+    main(leg)
+    assert "start: " not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("begin", [1.6, 1.83, 2.31])
+@pytest.mark.parametrize("cut", ["as recorded", "without logged rates"])
+def test_gravity_and_velocity_of_a_moving_robot_are_found_by_its_legs(walked, cut, begin):
+    log, robot = walked
+    moving = without(log.rows(log.t >= begin), *CUTS[cut])
+    up, v_I = log.ref_R_GI[log.t >= begin][0, 2], _velocity(log.rows(log.t >= begin))
+    state, std = initial_state(moving, "moving", robot.feet)
+    assert np.arccos(state.R_GI[2] @ up) < 2.0 * std.tilt
+    assert np.linalg.norm(state.R_GI.T @ state.v_GI - v_I) < 2.0 * std.velocity < 0.5
+    assert start_of(without(moving, "ref_")) == "moving"
+    alone, std = initial_state(moving, "moving")
+    assert not alone.v_GI.any()
+    assert std.velocity > np.linalg.norm(v_I)
+
+
+def _velocity(log: Log) -> np.ndarray:
+    return log.ref_R_GI[0].T @ reference_velocity(log)[0]
+
+
+def test_a_stream_that_starts_in_motion_is_that_of_its_log(walked):
+    log, robot = walked
+    moving = without(log.rows(log.t >= 1.6), "ref_")
+    online = StreamingEstimator("leg", robot)
+    states = [online.step(sample) for sample in samples(moving)]
+    waited = moving.t[[state is None for state in states]]
+    assert waited[-1] - waited[0] == pytest.approx(MOVING_WINDOW, abs=0.01)
+    assert online.start == "moving"
+    expected = run_filter("leg", moving, robot).trajectory
+    last = states[int(np.searchsorted(moving.t, expected.t[-1] - 1e-9))]
+    assert last is not None
+    np.testing.assert_allclose(last.p_GI, expected.p_GI[-1], atol=1e-9)

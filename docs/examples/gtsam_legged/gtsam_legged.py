@@ -24,7 +24,7 @@ OURS = np.r_[0:3, 6:9, 3:6]
 class GtsamLeg:
     """The filter: contacts are updates of an invariant Kalman filter, one after the other."""
 
-    name, label = "gtsam_leg", "gtsam leg"
+    name = "gtsam_leg"
     description = "gtsam's LeggedInvariantEKF: a foothold a leg as states, biases held."
     needs = Needs(log=("imu", "contact"), robot=False, feet=True)
     parameters = (
@@ -44,7 +44,7 @@ class GtsamLeg:
 class GtsamLegIterated(GtsamLeg):
     """The same with the contacts of a sample solved together, as a small factor graph."""
 
-    name, label = "gtsam_leg_iterated", "gtsam leg, iterated"
+    name = "gtsam_leg_iterated"
     description = "gtsam's LeggedInvariantIEKF: the contacts of a sample as one factor graph."
     variant = True
     kind = gtsam.LeggedInvariantIEKF

@@ -7,7 +7,6 @@ from surefoot.extend import FilterNoise, InvariantFilter, Needs, Parameter, Upda
 
 class StandingFeet:
     name = "standing_feet"
-    label = "Standing feet"
     description = "Mean velocity of the standing feet, each as if it were fixed to the ground."
     needs = Needs(log=("imu", "q", "dq", "contact"))
     parameters = (

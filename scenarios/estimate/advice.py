@@ -1,0 +1,223 @@
+"""What would mend an estimate that is not to be trusted, each tried before it is advised.
+
+A remedy is a change of one thing: the noise of contacts, the times of joints or contacts, the first
+state, or a filter that rejects slipping feet. The filter runs again with each, and its innovations
+judge. The sum of a window's innovations is normal with the variance that the filter claims if noise
+and times are right: a noise is sized by the likelihood of these sums, a delay by their drift, since
+it changes which samples count. Advice is given only if the estimate is then to be trusted and,
+where there is a reference, has no larger error.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surefoot.estimator.evaluation.health import Health
+from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.estimators import estimator_named, traits
+from surefoot.scenarios.estimate.run import Result, parameters_of, run_filter
+from surefoot.scenarios.estimate.settings import FilterSettings, StartSettings, StateSettings
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+
+TRIED = 60.0
+"""Part of a log, from its start, on which remedies are tried [s]."""
+DRIFTING = 2.0
+"""Drift of a sensor's innovations from which advice is looked for, 1 if noise is as claimed."""
+NOISE_STEPS = 10.0 ** np.arange(0.1, 1.5, 0.1)
+"""Factors of a noise that are tried."""
+DELAYS = (0.01, 0.02, 0.04, 0.06)
+"""Delays of a stream that are tried [s], in both directions."""
+GAIN = 0.02
+"""Least gain of `likelihood`: with four feet, fourteen nats in a minute."""
+FAR = 0.1
+"""Share of the path from which a position error is a reason for advice."""
+NO_WORSE = 1.1
+"""Largest factor of the position error with a remedy, compared with that without."""
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """One change, in words, and what the filter then runs with."""
+
+    words: str
+    filter: str
+    log: Log
+    settings: FilterSettings
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A remedy, the filter's result with it, and the `likelihood` of its innovations."""
+
+    remedy: Remedy
+    result: Result
+    likelihood: float
+
+    @property
+    def drift(self) -> float:
+        """The largest of a sensor; NaN without innovations."""
+        return max((sensor.drift for sensor in self.result.health.sensors), default=np.nan)
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """NEES of the position, and position error [m]; NaN without a reference."""
+        found = self.result.metrics
+        return (np.nan, np.nan) if found is None else (found.nees_position, found.ape_trans)
+
+    @property
+    def cost(self) -> float:
+        """Position error times the factor by which the filter is overconfident; without a
+        reference, the drift.
+        """
+        nees, far = self.errors
+        return self.drift if np.isnan(far) else far * np.sqrt(max(nees / CONSISTENT, 1.0))
+
+
+Try = Callable[[Remedy], Trial | None]
+"""Runs the filter with a remedy; None where it cannot run."""
+
+
+def needs_advice(name: str, metrics: Metrics | None, health: Health) -> bool:
+    """Whether an estimate is not to be trusted, drifts, is overconfident or far off; and that of a
+    filter without any measurement always.
+    """
+    drifts = any(one.drift > DRIFTING for one in health.sensors)
+    wrong = metrics is not None and (
+        metrics.nees_position > ONE_WALK[1] or metrics.ape_trans > FAR * metrics.length
+    )
+    return health.lost or drifts or wrong or traits(name).floor
+
+
+def advice(
+    name: str, log: Log, robot: Robot | None, learnt: Learnt, settings: FilterSettings
+) -> str:
+    """The remedy that mends an estimate best (`Trial.cost`), with its effect, or that none does.
+
+    Args:
+        name: of the filter.
+        log: as read; its declared effects are compensated here.
+        robot: of the log.
+        learnt: observers and bounds.
+        settings: with which the filter ran.
+    """
+    if traits(name).floor:
+        return (
+            f"{name} has no measurement of velocity, so that its position drifts within seconds; "
+            "it is the baseline of the filters that have legs or an observer"
+        )
+
+    def tried(remedy: Remedy) -> Trial | None:
+        try:
+            result = run_filter(remedy.filter, remedy.log, robot, learnt, remedy.settings)
+        except SurefootError:
+            return None
+        return Trial(remedy, result, likelihood(result.trajectory))
+
+    plain = Remedy("", name, log.rows(log.t <= log.t[0] + TRIED), settings)
+    before = tried(plain)
+    if before is None:
+        return ""
+    contact = parameters_of(estimator_named(name), robot, settings).get("contact")
+    mending = [one for one in _trials(before, contact, tried) if _mends(before, one)]
+    if not mending:
+        return "no single change of contact noise, times of joints and contacts or start mends it"
+    best = min(mending, key=lambda one: one.cost)
+    return f"{best.remedy.words}; tried on this log: {_effect(before, best)}"
+
+
+def likelihood(trajectory: Trajectory) -> float:
+    """Mean log likelihood of a sensor's mean innovation in a window, per axis and up to a constant;
+    -inf without innovations.
+    """
+    if trajectory.innovations is None:
+        return -np.inf
+    sums = trajectory.innovations.sums
+    sums = sums[sums[..., COUNT] > 0.0]
+    if not len(sums):
+        return -np.inf
+    variance = sums[:, VARIANCE : VARIANCE + 3]
+    squared = sums[:, SUM : SUM + 3] ** 2 / variance
+    return float(-0.5 * np.mean(squared + np.log(variance / sums[:, COUNT : COUNT + 1] ** 2)))
+
+
+def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial]:
+    """Remedies of a filter on a log, tried: the best of each kind, and those without a size.
+
+    contact: noise of contacts with which the filter ran; None without any.
+    """
+    plain = before.remedy
+    log, settings = plain.log, plain.settings
+    if contact is not None:
+        sizes = [float(f"{contact * step:.2g}") for step in NOISE_STEPS]
+        noises = (_with_noise(plain, size) for size in sizes)
+        yield from _least(noises, tried, lambda one: -one.likelihood)
+    for kinds in (tuple(filter(log.has, ("q", "dq", "foot"))), ("contact",)):
+        for sign in (1.0, -1.0) if all(map(log.has, kinds)) else ():
+            delays = (_earlier(plain, kinds, sign * delay) for delay in DELAYS)
+            yield from _least(delays, tried, lambda one: one.drift)
+    others = []
+    own = replace(settings, start=StartSettings(), state=StateSettings())
+    if own != settings:
+        words = "leave out what the settings say of start and state"
+        others.append(replace(plain, words=words, settings=own))
+    if other := traits(plain.filter).rejecting:
+        words = f"use {other}, which rejects feet whose contacts are wrong"
+        others.append(replace(plain, words=words, filter=other))
+    yield from filter(None, map(tried, others))
+
+
+def _least(remedies: Iterator[Remedy], tried: Try, cost: Callable[[Trial], float]) -> list[Trial]:
+    """The remedy up to which the cost falls; none where the first fails."""
+    best: list[Trial] = []
+    for one in map(tried, remedies):
+        if one is None or (best and cost(one) > cost(best[0])):
+            break
+        best = [one]
+    return best
+
+
+def _with_noise(plain: Remedy, value: float) -> Remedy:
+    own = dict(plain.settings.filters.get(plain.filter, {}), contact=value)
+    filters = {**plain.settings.filters, plain.filter: own}
+    words = f"set filters.{plain.filter}.contact={value:g}, the likeliest by its innovations"
+    return replace(plain, words=words, settings=replace(plain.settings, filters=filters))
+
+
+def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
+    """The log with the columns of these kinds earlier by a delay [s], or later if negative."""
+    log, shift = plain.log, round(delay * plain.log.rate)
+    at = np.clip(np.arange(len(log.t)) + shift, 0, len(log.t) - 1)
+    names = [n for n in map(str, log.frame) if n.startswith(tuple(f"{one}_" for one in kinds))]
+    moved = log.with_columns({name: log.frame[name].to_numpy()[at] for name in names})
+    late = ", ".join(f"{one} = {delay:g}" for one in kinds)
+    words = (
+        f"{' and '.join(kinds)} seem {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}; "
+        f"in the import map: [even] late = {{ {late} }}"
+    )
+    return replace(plain, words=words, log=moved)
+
+
+def _mends(before: Trial, after: Trial) -> bool:
+    """Whether an estimate is then to be trusted, and neither less likely nor worse."""
+    lost, likelier = before.result.health.lost, after.likelihood - before.likelihood
+    if after.result.health.lost or likelier < (0.0 if lost else GAIN):
+        return False
+    if before.result.metrics is None or after.result.metrics is None:
+        return True
+    (old, far), (new, farther) = before.errors, after.errors
+    return max(new, CONSISTENT) <= max(old, CONSISTENT) and farther <= NO_WORSE * far
+
+
+def _effect(before: Trial, after: Trial) -> str:
+    """What a remedy changes, in figures."""
+    pairs = {"drift": (before.drift, after.drift)}
+    if before.result.metrics is not None and after.result.metrics is not None:
+        names = "NEES_pos", "APE_trans [m]"
+        pairs |= dict(zip(names, zip(before.errors, after.errors, strict=True), strict=True))
+    return ", ".join(f"{name} {new:.3g} instead of {old:.3g}" for name, (old, new) in pairs.items())
