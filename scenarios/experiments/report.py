@@ -167,7 +167,7 @@ def _sizes(found: Experiment) -> list[dict[str, str]]:
 def _published(name: str) -> list[Section]:
     rows, both, note = published(name)
     text = (
-        f"{note} The averages are given as printed and as computed from the rows, since the two "
+        f"{note.rstrip('.')}. The averages are given as printed and as computed from the rows, since the two "
         "do not always agree. Do not rank simulated and real figures against each other."
     )
     return [
