@@ -64,13 +64,6 @@ class ChannelLevel:
         return self.low_share * self.after <= limit
 
     @property
-    def may_be_above(self) -> bool:
-        """Whether the remaining residual is above the noise, though its interval reaches down to
-        it.
-        """
-        return not self.evaluation_only and self.after > self.of_noise
-
-    @property
     def worse(self) -> bool:
         """Whether compensation increases the residual on unseen data.
 

@@ -74,13 +74,7 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
         explained = [f"{name}: explains nothing but outside forces" for name in names]
         return "not_identifiable", (*explained, *(one.in_words() for one in pushes))
     if not found:
-        unsure = [
-            f"{name}: {c.after:.3g} {c.unit} is left over a noise floor of {c.noise_floor:.3g}, "
-            "but parts of the log differ too much to tell it from noise; longer or more logs would"
-            for name, c in channels.items()
-            if c.may_be_above
-        ]
-        return ("not_identifiable" if unsure else "no_residual"), tuple(unsure)
+        return "no_residual", ()
     if not _gains(found, channels):
         why = "the effects found do not reduce the residual on unseen data"
         return "not_identifiable", (why,)

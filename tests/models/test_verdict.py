@@ -1,7 +1,5 @@
 """The verdict's rules, on made-up levels."""
 
-from dataclasses import replace
-
 import pytest
 
 from surefoot.models.attribution.effect_sizes import Found
@@ -38,13 +36,6 @@ def test_nothing_is_attributed_that_takes_nothing_off_what_no_fit_has_seen():
     name, (why,) = verdict([CALF], 0.95, 0.96)
     assert name == "not_identifiable"
     assert why == "the effects found do not reduce the residual on unseen data"
-
-
-def test_what_parts_of_a_log_disagree_on_is_no_noise():
-    unsure = replace(level(4.0, 4.0), low_share=0.2, of_noise=1.5)
-    name, (why,) = verdict_of(Findings([], {"leg_velocity": unsure}))
-    assert name == "not_identifiable"
-    assert why.startswith("leg_velocity: 4 m/s is left")
 
 
 def test_a_size_at_its_bound_fails():
