@@ -257,7 +257,8 @@ def metric_of(
     data, layout, limbs = design(known), known.layout, cases[0].robot.limbs
     floor = noise_of(error, layout)
     unknown, floor = np.isnan(floor), np.nan_to_num(floor, nan=1e-12)
-    robust = robust_weights(data, floor)
+    own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
+    robust = robust_weights(_with_own(data, own), floor)
     if not robust_to_outliers:
         robust = replace(robust, weight=data.there.astype(float), sigma=floor)
     # What exceeds the floor is no white noise.
@@ -269,7 +270,6 @@ def metric_of(
     root[:, used] = np.sqrt(weight[:, used]) / sigma[used]
     shared = [i for i, key in enumerate(error.keys) if key in known.keys]
     terms = [known.keys.index(error.keys[i]) for i in shared]
-    own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
     free = [i for i, key in enumerate(known.bias_of) if key is None or key[0] not in per_run]
     sizes = np.zeros(data.size)
     sizes[terms] = error.mean[shared]
@@ -301,6 +301,29 @@ def metric_of(
             )
         ),
         terms=np.arange(len(terms) + len(own) + len(free)) < len(terms),
+    )
+
+
+def _with_own(data: Design, own: Sequence[int]) -> Design:
+    """The same, where these candidates are also nuisance parameters of each log by itself."""
+    if not own:
+        return data
+    known, limbs = data.evidence, data.evidence.layout.limbs
+    more = [
+        (
+            Regressor(one.columns, one.values * (known.log == log)[:, None]),
+            plausible_size(*key, limbs),
+        )
+        for key, one in ((known.keys[i], known.X[i]) for i in own)
+        for log in range(known.log.max(initial=0) + 1)
+    ]
+    return design(
+        replace(
+            known,
+            Z=(*known.Z, *(one for one, _ in more)),
+            deviations=np.append(known.deviations, [size / 1.96 for _, size in more]),
+            bias_of=(*known.bias_of, *(None,) * len(more)),
+        )
     )
 
 
