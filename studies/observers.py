@@ -117,11 +117,13 @@ def observer_study(options: ObserverStudy) -> pd.DataFrame:
 def observer_sections(table: pd.DataFrame) -> list[Section]:
     """Findings with the total errors, the setting, and the whole table."""
     best = []
-    for (suite, inputs), part in table.groupby(["suite", "inputs"], sort=False):
+    for key, part in table.groupby(["suite", "inputs"], sort=False):
+        suite, inputs = cast("tuple[str, str]", key)
         errors = part.set_index("model")["RMSE all [m/s]"]
         least = errors.map(_mean).idxmin()
         best.append(f"`{least}` on {suite} with {inputs} ({errors[least]} m/s)")
-    shown = table[["suite", "inputs", "model", "parameters", "CPU [s]", "RMSE all [m/s]"]]
+    columns = ["suite", "inputs", "model", "parameters", "CPU [s]", "RMSE all [m/s]"]
+    shown = pd.DataFrame(table, columns=columns)
     return [
         Section("Findings", f"The most accurate networks are {', '.join(best)}.", shown),
         Section("Setting", PROSE),
