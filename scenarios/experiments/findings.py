@@ -2,6 +2,7 @@
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false, reportCallIssue=false
 # pyright: reportIndexIssue=false, reportReturnType=false, reportAttributeAccessIssue=false
+# pyright: reportOperatorIssue=false
 # (pandas' stubs take a selection for any of several types)
 
 import pandas as pd

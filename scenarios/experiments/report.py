@@ -167,8 +167,9 @@ def _sizes(found: Experiment) -> list[dict[str, str]]:
 def _published(name: str) -> list[Section]:
     rows, both, note = published(name)
     text = (
-        f"{note.rstrip('.')}. The averages are given as printed and as computed from the rows, since the two "
-        "do not always agree. Do not rank simulated and real figures against each other."
+        f"{note.rstrip('.')}. The averages are given as printed and as computed from the rows, "
+        "since the two do not always agree. Do not rank simulated and real figures against each "
+        "other."
     )
     return [
         Section("The paper's averages", text, both, file="paper_averages"),

@@ -145,7 +145,7 @@ def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
         f"jointly with probability {bounds.gamma:g}{sure}, from {bounds.n} errors that are "
         f"{bounds.K} steps of 10 ms apart, by the method {bounds.method}."
     )
-    if "bounds" not in walks or not (walks["role"] == "test").any():
+    if "bounds" not in walks or "test" not in set(walks["role"]):
         return size
     tests = walks[(walks["role"] == "test") & walks["bounds"].notna()]
     lost = tests[tests["bounds"] == "lost"]
@@ -165,7 +165,7 @@ def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
 def _shown(walks: pd.DataFrame) -> pd.DataFrame:
     """The columns of coverage that a reader needs first."""
     names = ("walk", "role", "coverage [%]", "95 % interval", "bounds", "alarm")
-    return walks[[name for name in names if name in walks]]
+    return pd.DataFrame(walks, columns=[name for name in names if name in walks])
 
 
 @dataclass(frozen=True)

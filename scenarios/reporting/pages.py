@@ -85,7 +85,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
     Raises SurefootError if another file than a page of results has this path.
     """
     check_page(path)
-    links = _write_tables(path, [s for s in sections if s.file and s.table is not None])
+    links = _write_tables(path, [(s, s.table) for s in sections if s.file and s.table is not None])
     parts, drawn = [f"# {title}"], 0
     for section in sections:
         shown = section if not section.file else Section(section.heading)
@@ -106,19 +106,19 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
         temporary.write_text("\n\n".join(p for p in parts if p) + "\n", encoding="utf-8")
 
 
-def _write_tables(page: Path, sections: Sequence[Section]) -> list[str]:
+def _write_tables(page: Path, filed: Sequence[tuple[Section, Table]]) -> list[str]:
     """Write the table of each section as CSV; returns a line for each, with a link and the first
     paragraph of its prose.
 
     Raises SurefootError if a file has that name and there is no page yet.
     """
-    files = [tables_folder(page) / f"{section.file}.csv" for section in sections]
+    files = [tables_folder(page) / f"{section.file}.csv" for section, _ in filed]
     if found := next((file for file in files if file.exists() and not page.exists()), None):
         raise SurefootError(f"page {page}: its table {found} is another file; move it away")
     lines = []
-    for section, file in zip(sections, files, strict=True):
+    for (section, table), file in zip(filed, files, strict=True):
         with kept_file(file) as temporary:
-            temporary.write_text(to_csv(section.table), encoding="utf-8")
+            temporary.write_text(to_csv(table), encoding="utf-8")
         address = Path(os.path.relpath(file, page.parent)).as_posix()
         words = section.prose.strip().partition("\n\n")[0]
         lines.append(f"- [{section.heading}]({address}){f': {words}' if words else ''}")

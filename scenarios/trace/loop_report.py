@@ -236,7 +236,8 @@ def _trajectories(worlds: Sequence[LoopWorld]) -> dict[str, Trajectory]:
 def overview(table: pd.DataFrame) -> pd.DataFrame:
     """The columns of position error and consistency, before and after, of the whole table."""
     shown = [c for c in table if str(c).startswith(("filter", "APE_trans", "NEES_pos"))]
-    return table[shown].rename(columns=lambda c: str(c).replace("_trans", "").replace("_pos", ""))
+    names = {c: str(c).replace("_trans", "").replace("_pos", "") for c in shown}
+    return pd.DataFrame(table, columns=shown).rename(columns=names)
 
 
 def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[str]) -> str:

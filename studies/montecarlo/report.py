@@ -236,7 +236,7 @@ def paper_findings(rows: Sequence[FilterScores], gamma: float) -> str:
             of = [r for r in own if (r.filter, r.reading) == ("coverage", reading)]
             known = [np.log(r.nees[0] / paper[r.gamma]) for r in of if r.gamma in paper]
             off[reading] = np.mean(np.abs(known))
-            at[reading] = min(of, key=lambda r: abs(r.gamma - gamma))
+            at[reading] = min(of, key=lambda r: abs((r.gamma or 0.0) - gamma))
         near = min(off, key=lambda name: off[name])
         row = at[near]
         sentences.append(

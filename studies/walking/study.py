@@ -220,7 +220,7 @@ def walking_sections(lines: Sequence[Mapping[str, Any]]) -> list[Section]:
     numbers = frame[[*DIGITS, "bare"]].apply(pd.to_numeric, errors="coerce")
     frame = frame[["walk"]].assign(walks=walked, falls=fell).join(numbers)
     by = frame.groupby("walk", sort=False)
-    table = by[["walks", "falls"]].sum()
+    table = pd.DataFrame(by[["walks", "falls"]].sum())
     for name, digits in DIGITS.items():
         table[name] = by[name].median().map(f"{{:.{digits}f}}".format)
     fallen = [f"{row['robot']} on {row['walk']}" for row, n in zip(lines, fell, strict=True) if n]

@@ -232,8 +232,9 @@ def write_mutants_page(
     words = (
         f"{killed} of the {killed + survived + uncovered} mutants that are not equivalent to the "
         f"code are killed ({_share(killed, survived + uncovered)} %).\n\n"
-        f"{len(rows)} of the {drawn_in_all} mutants that were drawn are finished; {survived} "
-        f"survived, of {uncovered} no test that is quick enough calls the function, and "
+        f"{len(rows)} of the {drawn_in_all} mutants that were drawn are finished; "
+        f"{sum(row['outcome'] == 'timeout' for row in rows)} are killed by the time they took, "
+        f"{survived} survived, of {uncovered} no test that is quick enough calls the function, and "
         f"{len(equivalent)} are equivalent. {_first_words(first)} A mutant takes "
         f"{seconds / max(len(rows), 1):.1f} s of the processor, all take {seconds / 60:.0f} min."
     )
