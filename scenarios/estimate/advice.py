@@ -204,9 +204,11 @@ def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
 
 
 def _mends(before: Trial, after: Trial) -> bool:
-    """Whether an estimate is then to be trusted, and neither less likely nor worse."""
+    """Whether an estimate is then to be trusted, does not drift, and is neither less likely nor
+    worse.
+    """
     lost, likelier = before.result.health.lost, after.likelihood - before.likelihood
-    if after.result.health.lost or likelier < (0.0 if lost else GAIN):
+    if after.result.health.lost or after.drift > DRIFTING or likelier < (0.0 if lost else GAIN):
         return False
     if before.result.metrics is None or after.result.metrics is None:
         return True

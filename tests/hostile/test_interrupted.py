@@ -57,7 +57,7 @@ COMMANDS = {
     "noise": ("noise rest.parquet -o out/noise.toml", "noise.*"),
     "align": ("align a.parquet -o out", "[!.]*"),
     "view": ("view a.parquet -o out/walk.rrd", "*.none"),
-    "tune": ("tune a.parquet --filter imu --filter leg --budget 4 --workers 2 -o out", "tuned.*"),
+    "tune": ("tune a.parquet --filters imu,leg --budget 4 --workers 2 -o out", "tuned.*"),
     "plan": ("plan encoder_offset --robot spot_class", "*"),
     "realism": ("realism a.parquet -o out", "drift.csv"),
     "trace": ("trace a.parquet -o out", "effects.toml"),

@@ -43,7 +43,7 @@ WRITING = {
     "view": "view quick.toml -o new.rrd",
     "robots": "robots spot_class -o new.png",
     "new": "new estimator mine -o new",
-    "tune": "tune walk.parquet --filter imu --budget 2 -o new",
+    "tune": "tune walk.parquet --filters imu --budget 2 -o new",
 }
 """What writes -> a command that does, named `new` with or without an ending."""
 QUICK = ("export to CSV", "import", "noise")

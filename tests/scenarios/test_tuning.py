@@ -76,7 +76,7 @@ def test_the_command_tunes_any_filter_and_its_file_is_what_filters_take(log, tmp
         seen.append(set(jobs))
         return {key: work(*arguments) for key, (work, *arguments) in jobs.items()}
 
-    main(f"tune {log} --filter leg --filter leg_slip --budget 4 -o out".split())
+    main(f"tune {log} --filters leg,leg_slip --budget 4 -o out".split())
     assert seen == [{("spot_class", "leg"), ("spot_class", "leg_slip")}]
     entry = read_tuned(tmp_path / "out" / "tuned.toml")["spot_class"]
     assert set(entry.filters["leg"]) == {"accel", "gyro", "contact"}
