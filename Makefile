@@ -63,9 +63,9 @@ yardstick: setup
 mutants: setup
 	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 
-# Inputs, numbers of walks and architectures compared; killed, it goes on where it was. More steps and
-# all architectures: STUDY=.
-STUDY ?= --steps 1200 --models gru
+# Inputs, numbers of walks and architectures compared; killed, it goes on where it was. More seeds,
+# more steps and all architectures: STUDY=.
+STUDY ?= --seeds 1 --steps 1200 --models gru
 study-observer: setup
 	$(BIN)/python -m studies.observers -o out/observer_study $(STUDY) \
 		--data docs/data/observers --page docs/results/observers.md

@@ -24,7 +24,7 @@ COURSE = Scenario("short", SEGMENTS, Ground(0.8), ranges=Ranges(speed=(0.95, 1.0
 
 
 def calibration(files, out: Path, **options) -> Calibrate:
-    return Calibrate(observer=files["observer"], log=files["calibrate"], out=out, **options)
+    return Calibrate(observer=files["observer"], logs=(files["calibrate"],), out=out, **options)
 
 
 @pytest.fixture(scope="module")
