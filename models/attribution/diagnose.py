@@ -31,8 +31,8 @@ from surefoot.models.attribution.explain import (
     FittedRun,
     Problem,
     explain,
-    moving,
     problem_of,
+    without_sticking,
     zeros_beside,
 )
 from surefoot.models.attribution.forces import (
@@ -402,7 +402,7 @@ def _residuals(
     floor: NoiseFloor,
     use: np.ndarray,
 ) -> Residuals:
-    """Residuals before and after these effects, as the search sees them (`moving`).
+    """Residuals before and after these effects, as the search sees them (`without_sticking`).
 
     Args:
         problem: the logs.
@@ -412,7 +412,8 @@ def _residuals(
         use: mask (M,) of the bins that nuisance parameters are fitted on.
     """
     before, after = (
-        moving(problem, effects, linearise(problem.cases, these, ())) for these in ((), effects)
+        without_sticking(problem, effects, linearise(problem.cases, these, ()))
+        for these in ((), effects)
     )
     weights = metric.robust
     there = np.isfinite(after.table)
@@ -547,7 +548,7 @@ def _gains(
     """
     weights = sides.weights
     less = [e for e in effects if e != one]
-    others = moving(sides.problem, effects, linearise(sides.problem.cases, less, ()))
+    others = without_sticking(sides.problem, effects, linearise(sides.problem.cases, less, ()))
     less = without_nuisance(others, weights.sigma, weights.weight, used)
     weight = np.where(used[:, None], weights.weight, 0.0)
     return block_gains(less, sides.after, sides.evidence, weights.sigma, weight)

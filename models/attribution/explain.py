@@ -524,7 +524,7 @@ def _metric(
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
     before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    return _metric_of(problem, moving(problem, effects, known), error)
+    return _metric_of(problem, without_sticking(problem, effects, known), error)
 
 
 def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
@@ -534,7 +534,7 @@ def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
     return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 
 
-def moving(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
+def without_sticking(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
     """The evidence without the entries in which a joint of a fixed base may stick at effects, over
     windows if the problem is.
     """
@@ -547,7 +547,7 @@ def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) ->
     """The table (M, W) with effects compensated, as of `_moving` at other effects."""
     if problem.by_windows:
         known = linearise(problem.cases, effects, (), evaluation_channels=False)
-        return moving(problem, at, known).table
+        return without_sticking(problem, at, known).table
     tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
     still = sticks(problem.cases, [*problem.declared, *at], layout_for(problem.limbs))
     return np.where(still, np.nan, np.concatenate(tables))
@@ -677,7 +677,7 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
         ]
         if stale or best is None:
             evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
-            evidence = moving(problem, state.effects, evidence)
+            evidence = without_sticking(problem, state.effects, evidence)
             table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
             derived |= {
                 key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
