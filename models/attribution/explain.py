@@ -544,7 +544,7 @@ def without_sticking(problem: Problem, effects: Sequence[Effect], known: Evidenc
 
 
 def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) -> np.ndarray:
-    """The table (M, W) with effects compensated, as of `_moving` at other effects."""
+    """The table (M, W) with effects compensated, as of `without_sticking` at other effects."""
     if problem.by_windows:
         known = linearise(problem.cases, effects, (), evaluation_channels=False)
         return without_sticking(problem, at, known).table

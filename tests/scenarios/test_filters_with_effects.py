@@ -38,7 +38,8 @@ def files(tmp_path_factory, log, robot):
 def leg_error(files, log, effects=None):
     """RPE of the leg filter [m]."""
     chosen = files / f"{effects}.toml" if effects else None
-    metrics, _ = estimate_file(EstimateSettings(files / f"{log}.parquet", "leg", effects=chosen))
+    settings = EstimateSettings(files / f"{log}.parquet", "leg", effects=chosen)
+    metrics = estimate_file(settings).metrics
     assert metrics is not None
     return metrics.rpe_trans
 
