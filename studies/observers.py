@@ -126,7 +126,7 @@ def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int])
             "Findings",
             f"Root mean square error of the velocity on unseen walks, from {fewest} to {most} "
             f"walks to train on: {fall}.",
-            table[["inputs", "walks", "parameters", "CPU [s]", "RMSE all [m/s]"]],
+            table.filter(items=["inputs", "walks", "parameters", "CPU [s]", "RMSE all [m/s]"]),
             (Picture(error_by_number(errors), caption),),
         ),
         Section(
