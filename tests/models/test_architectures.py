@@ -82,7 +82,7 @@ def test_both_ways_is_torchs_bidirectional_gru():
 
 @pytest.mark.parametrize("model", [m for m in MODELS if m != "gru"])
 def test_every_model_learns_and_comes_back_from_disk(model, walks, tmp_path):
-    plan = TrainSettings(steps=60, batch=2, every=60)
+    plan = TrainSettings(steps=60, batch=10, every=60)
     observer = train(walks["fit"], Body(), replace(plan, inputs="q,dq", model=model))
     _, errors = prediction_errors(observer, walks["test"], Body())
     spread = walks["test"].ref_v.std(axis=0)
