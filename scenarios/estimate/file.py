@@ -52,7 +52,7 @@ errors are of all, within each piece.
 """
 
 
-class Estimated(NamedTuple):
+class EstimateOfFile(NamedTuple):
     """What `estimate_file` found: metrics, None where the log has no reference or the filter
     diverged; health; and what would mend the estimate, "" where it needs no advice.
     """
@@ -62,7 +62,7 @@ class Estimated(NamedTuple):
     advice: str
 
 
-def estimate_file(settings: EstimateSettings) -> Estimated:
+def estimate_file(settings: EstimateSettings) -> EstimateOfFile:
     """Estimate a log with one filter and, with `out`, write the trajectory.
 
     A log longer than LONG is processed in pieces, using the memory of one, unless there are effects
@@ -121,7 +121,7 @@ def estimate_file(settings: EstimateSettings) -> Estimated:
     if advised:
         print("trying what would mend the estimate", file=sys.stderr)
         words = advice(settings.filter, read, robot, learnt, chosen)
-    return Estimated(metrics, found, words)
+    return EstimateOfFile(metrics, found, words)
 
 
 @contextmanager

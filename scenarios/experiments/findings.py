@@ -16,7 +16,7 @@ SHOWN = {ERROR: "APE [m]", "NEES_pos": "NEES"}
 """Columns of all rows, and their names in the table of the findings."""
 
 
-def overview(rows: pd.DataFrame) -> pd.DataFrame:
+def suite_overview(rows: pd.DataFrame) -> pd.DataFrame:
     """Mean position error and NEES over the test sequences, by filter (and robot, if there are
     several) and condition, from the rows of one gamma.
     """
@@ -30,7 +30,7 @@ def overview(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(columns).reset_index()
 
 
-def findings(rows: pd.DataFrame, experiment: Experiment) -> str:
+def suite_findings(rows: pd.DataFrame, experiment: Experiment) -> str:
     """Sentences on the test sequences, from the rows of one gamma: which filter has the lowest
     error, how the proposed one compares, which are consistent, and whether bounds hold.
     """

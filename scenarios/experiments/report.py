@@ -22,7 +22,7 @@ from surefoot.scenarios.experiments.figures import (
     paths,
 )
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.experiments.findings import findings
+from surefoot.scenarios.experiments.findings import suite_findings
 from surefoot.scenarios.experiments.run import Outcome, run
 from surefoot.scenarios.experiments.tables import (
     TABLE_MEANINGS,
@@ -113,7 +113,7 @@ def report_sections(
         )
         pictures.append(picture)
     pages = [
-        Section("Findings", findings(main, found), tables["overview"]),
+        Section("Findings", suite_findings(main, found), tables["overview"]),
         Section("Errors and consistency by sequence", pictures=tuple(pictures)),
         Section("Setting", _setting(found, rows, outcome)),
         Section("Averages over the test sequences", SPREAD, tables["averages"], file="averages"),

@@ -13,7 +13,7 @@ from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.scenarios.compare import LOST_FROM, MEANINGS
 from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.experiments.findings import overview
+from surefoot.scenarios.experiments.findings import suite_overview
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.sim.common.errors import check_known
@@ -77,7 +77,7 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
 def report_tables(rows: pd.DataFrame, found: Experiment) -> dict[str, pd.DataFrame]:
     """All rows as "results", and the tables that the report shows."""
     main = shown_first(rows, found)
-    tables = {"results": rows, "overview": overview(main), "averages": averages(main)}
+    tables = {"results": rows, "overview": suite_overview(main), "averages": averages(main)}
     tables["sweep"] = sweep(rows, found)
     tables["learning"] = by_learning(rows, found)
     for condition in found.conditions:

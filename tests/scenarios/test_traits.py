@@ -9,7 +9,7 @@ import pytest
 from surefoot.scenarios.estimate import bundled
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, Traits, traits
 from surefoot.scenarios.experiments.file import Condition, Experiment
-from surefoot.scenarios.experiments.findings import findings, overview
+from surefoot.scenarios.experiments.findings import suite_findings, suite_overview
 
 MODULES = (
     "viewer/recording.py",
@@ -51,7 +51,7 @@ def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch
     columns |= {"coverage_n": 0, "coverage [%]": float("nan"), "fed_mean_x [m/s]": float("nan")}
     rows = pd.DataFrame({"filter": names, "APE_trans [m]": [0.4, 0.3, 0.1, 9.0, 0.01]})
     rows = rows.assign(**columns, NEES_pos=[3.0, 5.9, 6.1, 3.0, 3.0])
-    text = findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
+    text = suite_findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
     main, rest = text.split("\n\n")
     assert "`mine` (0.100 m, plain)" in main
     assert "`coverage_persistent`" in rest
@@ -59,7 +59,7 @@ def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch
     assert "`coverage`, `coverage_persistent` (plain)" in rest  # within a factor of two of 3
     assert "radar_leg" not in text
     assert "imu" not in text
-    shown = overview(rows).set_index("filter")
+    shown = suite_overview(rows).set_index("filter")
     assert shown.loc["imu", "APE [m], plain"] == 9.0
     assert list(shown.columns) == ["APE [m], plain", "NEES, plain"]
 
@@ -71,6 +71,6 @@ def test_findings_say_how_often_bounds_hold_and_how_the_observer_errs():
     rows["coverage_n"], rows["coverage [%]"] = [10, 30, 0], [100.0, 60.0, float("nan")]
     for axis, size in zip("xyz", (3e-3, 4e-3, 0.0), strict=True):
         rows[f"fed_mean_{axis} [m/s]"] = size
-    text = findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
+    text = suite_findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
     assert "70 % (plain)" in text  # (10 * 100 + 30 * 60) / 40
     assert "5.0 mm/s (plain)" in text
