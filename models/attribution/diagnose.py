@@ -547,8 +547,8 @@ def _gains(
     `used` (M,).
     """
     weights = sides.weights
-    less = [e for e in effects if e != one]
-    others = without_sticking(sides.problem, effects, linearise(sides.problem.cases, less, ()))
+    fewer = [e for e in effects if e != one]
+    others = without_sticking(sides.problem, effects, linearise(sides.problem.cases, fewer, ()))
     less = without_nuisance(others, weights.sigma, weights.weight, used)
     weight = np.where(used[:, None], weights.weight, 0.0)
     return block_gains(less, sides.after, sides.evidence, weights.sigma, weight)

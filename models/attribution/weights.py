@@ -79,9 +79,13 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     legged = len(feet) > 0
     masked = np.zeros((len(there), len(feet)), dtype=bool)
     spoiled = np.zeros(there.shape, dtype=bool)
-    # From what stands out of the whole residual: beside it, sizes could explain a strong push.
     left = np.where(there, data.y, np.nan)
-    sigma, weight = _noise_and_weights(layout, left, floor, there)
+    if legged:
+        sigma, weight = np.where(floor > 0, floor, 1e-12), there.astype(float)
+    else:
+        # From what stands out of the whole residual: beside it, sizes could explain a strong push.
+        # A walk has slips and its base's wrench to tell them by.
+        sigma, weight = _noise_and_weights(layout, left, floor, there)
     for last in (False, True) if legged else (True,):
         for _ in range(ROUNDS):
             left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)

@@ -104,7 +104,6 @@ def test_what_leftovers_of_compensation_may_imitate_is_not_found(floor):
     assert names(found) == [("leg_compliance", "hip")]
 
 
-@pytest.mark.xfail(reason="a calf of 0.7 mm is found beside the zeros of two exact walks")
 @pytest.mark.long
 def test_zeros_of_each_log_are_no_effects(floor):
     zeros = (0.01, -0.015)
