@@ -41,7 +41,7 @@ from surefoot.sim.robot.robot import Robot
 _GROUPS = {"imu": ("gyro", "accel")} | {g: (field,) for g, field in GROUPS_OF_FIELDS.items()}
 """Groups of a log's columns, and the corresponding fields of a sample."""
 MOST_WAITING = 50_000
-"""Largest number of samples before the start: half a second at 100 kHz."""
+"""Largest number of samples before the start: of STILL_WINDOW at 100 kHz."""
 
 
 class StreamingEstimator:
@@ -120,11 +120,12 @@ class StreamingEstimator:
                     self._waiting = []
                 raise
         elapsed = checked.t - self._waiting[0].t if self._waiting else 0.0
-        if elapsed <= MOVING_WINDOW and len(self._waiting) >= MOST_WAITING:
+        window = MOVING_WINDOW if self.start == "moving" else STILL_WINDOW
+        if elapsed <= window and len(self._waiting) >= MOST_WAITING:
             raise SampleError(f"more than {MOST_WAITING} samples before the start")
         self._waiting.append(checked)
         self._t = checked.t
-        if elapsed <= (MOVING_WINDOW if self.start == "moving" else STILL_WINDOW):
+        if elapsed <= window:
             return None
         log = log_of_samples(self._waiting, self._robot)
         if self.start is None:

@@ -263,7 +263,7 @@ BAD_SAMPLES = {
 def test_a_bad_sample_is_refused_alone(what, at):
     """Before the start, at it and after it: the others give a state as if it had not come."""
     _, robot, _, every = loop()
-    good = [sample._replace(extra=None) for sample in every[:400:5]]
+    good = [sample._replace(extra=None) for sample in every[:600:5]]
     online, alone = StreamingEstimator("imu", robot), StreamingEstimator("imu", robot)
     refused = []
     for row, sample in enumerate(good):
@@ -289,7 +289,7 @@ def test_samples_may_share_a_buffer():
     """As a driver reuses one: what is collected before the start are copies."""
     _, robot, _, every = loop()
     buffer, online, alone = np.zeros(3), *(StreamingEstimator("imu", robot) for _ in range(2))
-    for sample in every[:400:5]:
+    for sample in every[:600:5]:
         buffer[:] = sample.gyro
         online.step(sample._replace(gyro=buffer))
         alone.step(sample)

@@ -75,7 +75,7 @@ def test_a_fault_of_a_stream_is_told_with_its_size_and_the_line_that_mends_it(
 
 
 @pytest.mark.parametrize(
-    "hidden", [{}, {"friction": 0.5}, {"scale": 1.4}, {"armature": 0.05}, {"push": 4.0}]
+    "hidden", [{}, {"friction": 0.5}, {"scale": 1.4}, {"armature": 0.05}, {"pushes": (4.0,)}]
 )
 def test_what_a_drive_lacks_is_no_fault_of_its_streams(hidden):
     assert check_log(drive(**hidden), PENDULUM) == ()
