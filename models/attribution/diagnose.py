@@ -150,7 +150,6 @@ class Diagnosis:
             out["holdout"] = {
                 "channels": _levels(self.held_out.channels),
                 "runs": [_run_as_dict(run) for run in self.held_out.runs],
-                "against": list(self.held_out.worsened),
             }
         if self.verdict == "none_of_these":
             out["remainder"] = [asdict(form) for form in self.unexplained]
@@ -242,10 +241,13 @@ def diagnose(
         progress(0.4)
 
         def harmful(metric: Metric, now: Problem, effects: Sequence[Effect]):
+            if not effects:
+                return None
             floor = floors.of(effects)
-            by_channel = find_harmful_effect(now, effects, metric, floor, split)
-            return by_channel or (
-                options.harmful(unseen or now.cases, effects) if effects else None
+            return (
+                find_harmful_effect(now, effects, metric, floor, split)
+                or _refuted(_held_out(unseen, effects, (), floor, several, model), effects)
+                or options.harmful(unseen or now.cases, effects)
             )
 
         def needed(
@@ -289,8 +291,8 @@ def diagnose(
     # The verdict, on the part that no fit has seen and on held-out logs.
     channels = sides.levels(split.report & ~pushed)
     held_out = None
-    if options.holdout:
-        held_out = _held_out(unseen, effects, lags, floors.last, several, model)
+    if unseen:
+        held_out = _held_out_levels(_held_out(unseen, effects, lags, floors.last, several, model))
     progress(0.95)
     curves = curved_angles(result, problem.cases)
     verdict, reasons = verdict_of(
@@ -300,7 +302,6 @@ def diagnose(
             imitated=result.imitated,
             curves=bool(curves),
             rivals=result.rivals,
-            held_out=held_out,
             pushes=pushes,
             pushed_away=gone,
             limbs=cases[0].robot.limbs,
@@ -451,8 +452,6 @@ def find_harmful_effect(
         floor: noise floor of the model with them.
         split: of the logs.
     """
-    if not effects:
-        return None
     sides = _residuals(problem, effects, metric, floor, split.fit)
     for one in effects:
         if type(one).is_compensated() and np.sum(_own_gains(one, effects, sides, split.report)) < 0:
@@ -501,8 +500,8 @@ def _held_out(
     floor: NoiseFloor,
     several: bool,
     declared: Sequence[Effect],
-) -> HeldOutRuns:
-    """Evaluate effects on held-out logs, fitting only each log's own zeros and biases.
+) -> list[tuple[FittedRun, Residuals]]:
+    """Residuals of held-out logs, to which only each log's own zeros and biases are fitted.
 
     Args:
         cases: the logs.
@@ -512,22 +511,37 @@ def _held_out(
         several: whether zeros, biases and clocks belong to each log.
         declared: effects of the model.
     """
-    runs, worsened, sides = [], [], []
-    for number, case in enumerate(cases, 1):
+    held_out = []
+    for case in cases:
         every = inner_bins(case.motion.t)
         problem = problem_of([case], every, several, declared)
         fitted, metric = zeros_beside(problem, floor.error, effects)
         run = _with_lags(fitted, lags)[0]
-        runs.append(run)
-        one = _residuals(replace(problem, cases=[run.case]), effects, metric, floor, every)
-        sides.append(one)
-        for this in effects:
-            gains = _gains(this, effects, one, every)
+        sides = _residuals(replace(problem, cases=[run.case]), effects, metric, floor, every)
+        held_out.append((run, sides))
+    return held_out
+
+
+def _refuted(
+    held_out: Sequence[tuple[FittedRun, Residuals]], effects: Sequence[Effect]
+) -> tuple[Effect, str] | None:
+    """The effect that most surely makes a held-out log worse in the channel that it changes most,
+    and why it harms; None if none does.
+    """
+    against: list[tuple[float, Effect, str]] = []
+    for number, (run, sides) in enumerate(held_out, 1):
+        every = inner_bins(run.case.motion.t)
+        for one in effects:
+            gains = _gains(one, effects, sides, every)
             most = max(gains, key=lambda name: abs(gains[name].sum()), default="")
-            if most and _interval(gains[most])[1] < 0.0:
-                worsened.append(
-                    f"held-out run {number}: {this.name} {this.target} makes {most} worse"
-                )
+            if most and (highest := _interval(gains[most])[1]) < 0.0:
+                against.append((highest, one, f"it makes {most} of held-out run {number} worse"))
+    return min(against, key=lambda x: x[0])[1:] if against else None
+
+
+def _held_out_levels(held_out: Sequence[tuple[FittedRun, Residuals]]) -> HeldOutRuns:
+    """Levels of the channels over all held-out logs."""
+    runs, sides = zip(*held_out, strict=True)
     before, after = (
         np.concatenate([getattr(one, side) for one in sides]) for side in ("before", "after")
     )
@@ -536,8 +550,7 @@ def _held_out(
     evidence = replace(sides[-1].evidence, t=np.concatenate(bins), log=log)
     problem = replace(sides[-1].problem, cases=[run.case for run in runs])
     whole = replace(sides[-1], problem=problem, evidence=evidence, before=before, after=after)
-    levels = whole.levels(np.ones(len(log), dtype=bool))
-    return HeldOutRuns(levels, tuple(runs), tuple(worsened))
+    return HeldOutRuns(whole.levels(np.ones(len(log), dtype=bool)), runs)
 
 
 def _gains(

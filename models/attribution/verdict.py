@@ -19,12 +19,10 @@ class HeldOutRuns:
     Attributes:
         channels: residual of each channel over all logs.
         runs: effects of each log's own.
-        worsened: a sentence for each effect that makes its own channel worse on a log.
     """
 
     channels: dict[str, ChannelLevel]
     runs: tuple[FittedRun, ...]
-    worsened: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,6 @@ class Findings:
         imitated: keys of the effects that what the others leave may imitate.
         curves: whether a joint's encoder error is a curve of its angle.
         rivals: other explanations of an effect.
-        held_out: result on held-out logs, where there are any.
         pushes: sections with an outside force; channels are judged without them.
         pushed_away: effects that explain nothing but outside forces.
         limbs: of the machine, on which bounds depend.
@@ -48,7 +45,6 @@ class Findings:
     imitated: frozenset[Key] = frozenset()
     curves: bool = False
     rivals: Sequence[object] = ()
-    held_out: HeldOutRuns | None = None
     pushes: Sequence[Push] = ()
     pushed_away: Sequence[Found] = ()
     limbs: Limbs | None = None
@@ -66,7 +62,6 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
         for one in found
         if _at_bound(one.effect, findings.limbs)
     ]
-    reasons += findings.held_out.worsened if findings.held_out else ()
     if reasons:
         return "none_of_these", tuple(reasons)
     if pushes and (findings.pushed_away or not found):

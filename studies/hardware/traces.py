@@ -55,7 +55,6 @@ def held_out_table(found: Mapping[str, Said]) -> pd.DataFrame:
             "declared model": f"{level['before']:.3f}",
             "with the others' effects": f"{level['after']:.3f}",
             "noise floor": f"{level['noise_floor']:.3f}",
-            "against them": "; ".join(said["holdout"]["against"]) or "–",
         }
         for run, said in found.items()
         for channel, level in said["holdout"]["channels"].items()

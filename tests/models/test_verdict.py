@@ -5,7 +5,7 @@ import pytest
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.forces import Push
 from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
+from surefoot.models.attribution.verdict import Findings, verdict_of
 from surefoot.sim.effects import effect
 
 CALF = Found(effect("link_length", "FL_calf", 0.004), (0.003, 0.005))
@@ -16,9 +16,9 @@ def level(before, after, floor=1.0, highest=1.1):
     return ChannelLevel(before, after, floor, "m/s", highest)
 
 
-def verdict(found, before, after, held_out=None, **more):
+def verdict(found, before, after, **more):
     levels = {"leg_velocity": level(before, after)}
-    return verdict_of(Findings(found, levels, held_out=held_out, **more))
+    return verdict_of(Findings(found, levels, **more))
 
 
 def test_what_explains_the_residual_down_to_its_floor_is_attributed():
@@ -50,13 +50,6 @@ def test_an_effect_that_the_others_may_imitate_is_not_attributed():
     name, (why,) = verdict([CALF], 2.0, 1.0, imitated=frozenset([key]))
     assert name == "confounded"
     assert why.startswith("link_length FL_calf")
-
-
-def test_a_held_out_run_may_say_otherwise():
-    against = HeldOutRuns({}, (), ("held-out run 1: link_length FL_calf makes foot_height worse",))
-    name, reasons = verdict([CALF], 2.0, 1.0, against)
-    assert (name, reasons) == ("none_of_these", against.worsened)
-    assert verdict([CALF], 2.0, 1.0, HeldOutRuns({}, (), ()))[0] == "attributed"
 
 
 @pytest.mark.parametrize(
