@@ -42,6 +42,7 @@ from surefoot.models.attribution.forces import (
     pushed_bins,
     slip_effect,
     slip_notes,
+    slippery_places,
 )
 from surefoot.models.attribution.levels import ChannelLevel, block_gains, channel_levels
 from surefoot.models.attribution.metric import Metric
@@ -237,7 +238,7 @@ def diagnose(
 
     def explained(slip: Sequence[Found]) -> tuple[Explanation, _Floors]:
         """The search, and the floors that it was based on."""
-        floors = _Floors(cases, [one.effect for one in slip])
+        floors = _Floors(cases, [one.effect for one in slip], slippery_places(friction))
         progress(0.4)
 
         def harmful(metric: Metric, now: Problem, effects: Sequence[Effect]):
@@ -355,8 +356,10 @@ def diagnose(
 class _Floors:
     """Noise floors of the declared model with effects that it has and compensates."""
 
-    def __init__(self, cases: Sequence[LogUnderModel], ground: Sequence[Effect]):
-        self.plain = self.last = noise_floor(cases, ground)
+    def __init__(
+        self, cases: Sequence[LogUnderModel], ground: Sequence[Effect], slippery: float | None
+    ):
+        self.plain = self.last = noise_floor(cases, ground, slippery)
 
     def of(self, effects: Sequence[Effect]) -> NoiseFloor:
         """The floor with these effects; that of nearly the same sizes is kept."""

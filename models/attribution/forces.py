@@ -166,6 +166,13 @@ def slip_effect(friction: FootFriction | None) -> tuple[Found, ...]:
     return (Found(lost, (1.0 - high / DRY_FRICTION, 1.0 - low / DRY_FRICTION)),)
 
 
+def slippery_places(friction: FootFriction | None) -> float | None:
+    """Friction of the places in which feet slide, to two decimals; None where there are none."""
+    if friction is None or friction.limit is None or friction.everywhere:
+        return None
+    return round(friction.limit, 2) if friction.scatter < SLIDE_SPREAD else None
+
+
 def slip_notes(friction: FootFriction | None, walks: bool) -> tuple[str, ...]:
     """Notes on the friction of the feet.
 

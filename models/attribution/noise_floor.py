@@ -51,7 +51,7 @@ from surefoot.models.residuals.motion import with_dead_reckoning
 from surefoot.models.residuals.torques import declared
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
-from surefoot.sim.ground.terrain import Ground, Strip
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
@@ -64,6 +64,10 @@ _GROUPS = ("imu", "q", "dq", "tau", "contact", "reference", "ref_v")
 """Groups of a walk's columns that a measured log may lack."""
 FRICTIONS = (0.5, 0.7, 0.9, 1.1)
 """Coefficients of friction of the ground of each walk: feet creep more where it is low."""
+SEEN_UNEVENNESS = 0.6
+"""Deviation of footholds from the planes through their neighbours, as a share of that of rough
+ground: 0.52 to 0.71 on walks of the models of five robots.
+"""
 _SECONDS = 12.0
 """Length of each walk [s]."""
 STAND = 0.5
@@ -150,6 +154,7 @@ class FloorPlan:
         courses: commanded velocities, one course for each walk.
         groups: groups of columns that the logs have.
         evenness: standard deviation of the ground's height from a plane [m].
+        slippery: friction of places in which feet slide; None where there are none.
         sampling: sampling and noise of the reference, if measured.
         ground: effects of the ground, which no model can compensate.
         effects: that the robot has, compensated by its model.
@@ -160,6 +165,7 @@ class FloorPlan:
     courses: tuple[Twists, ...]
     groups: tuple[str, ...]
     evenness: float
+    slippery: float | None
     sampling: ReferenceSampling | None
     ground: tuple[Effect, ...]
     effects: tuple[Effect, ...]
@@ -225,11 +231,16 @@ def left_deviations(plain: NoiseFloor, floor: NoiseFloor, keys: Sequence[Key]) -
     return np.sqrt(np.maximum(more, 0.0))
 
 
-def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -> NoiseFloor:
+def noise_floor(
+    cases: Sequence[LogUnderModel],
+    ground: Sequence[Effect] = (),
+    slippery: float | None = None,
+) -> NoiseFloor:
     """Simulate the motion of the logs with the declared robot.
 
-    Each of a few short walks follows a section of the reference's body velocities. Seeds are fixed,
-    so the floor is a function of the logs. A section on which the robot falls is repeated at lower
+    Each of a few short walks follows a section of the reference's body velocities, on ground as
+    uneven as that of the logs, and one over slippery places. Seeds are fixed, so the floor is a
+    function of the logs. A section on which the robot falls is repeated at lower
     speed. For a robot that cannot walk at all the floor is the sensors' noise by their data sheets,
     for a machine on a fixed base the noise of its readings, and for one that is known by its feet
     alone that noise and POINT_FEET_LEVELS.
@@ -237,6 +248,7 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
     Args:
         cases: the logs under the declared model.
         ground: effects of the ground that every walk has and no model compensates.
+        slippery: friction of places in which feet slide; None where there are none.
     """
     first = cases[0]
     if first.fixed or first.by_feet:
@@ -245,7 +257,8 @@ def noise_floor(cases: Sequence[LogUnderModel], ground: Sequence[Effect] = ()) -
         file=first.robot.file,
         courses=tuple(_courses(cases)) if first.robot.limbs == QUADRUPED else (),
         groups=tuple(g for g in _GROUPS if all(case.log.has(g) for case in cases)),
-        evenness=ground_evenness(cases),
+        evenness=max(ground_evenness(cases), _seen_evenness(cases)),
+        slippery=slippery,
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
         effects=(),
@@ -374,6 +387,13 @@ def ground_evenness(cases: Sequence[LogUnderModel]) -> float:
     return max(float(case.log.meta.model.get("ground_evenness", 0.0)) for case in cases)
 
 
+def _seen_evenness(cases: Sequence[LogUnderModel]) -> float:
+    """Largest standard deviation of the ground from a plane [m] that footholds show, to a
+    millimetre.
+    """
+    return round(max(case.motion.unevenness for case in cases) / SEEN_UNEVENNESS, 3)
+
+
 def _least_noise(layout: Layout) -> np.ndarray:
     """Smallest noise (W,) that columns may have."""
     return np.array([channels()[name].least_noise for name in layout.channel_of])
@@ -410,7 +430,10 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         segments = tuple(
             Segment(PIECE, *(slower * x for x in twist)) for twist in course or ((0.0, 0.0, 0.0),)
         )
-        ground = ground_of(segments, plan.evenness, FRICTIONS[number])
+        last = number == len(FRICTIONS) - 1
+        ground = ground_of(
+            segments, plan.evenness, FRICTIONS[number], plan.slippery if last else None
+        )
         scenario = Scenario("floor", segments, ground, stand=STAND if course else _SECONDS)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
@@ -436,13 +459,24 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
     return None
 
 
-def ground_of(segments: Sequence[Segment], evenness: float, friction: float) -> Ground:
+def ground_of(
+    segments: Sequence[Segment], evenness: float, friction: float, slippery: float | None = None
+) -> Ground:
     """Ground whose height deviates from a plane by `evenness` [m, standard deviation].
 
     The bumps of a rough strip have a standard deviation of a quarter of their height.
+
+    Args:
+        segments: of the course.
+        evenness: [m].
+        friction: its coefficient.
+        slippery: coefficient of friction on a metre of every three ahead and behind; None for none.
     """
-    if not evenness:
-        return Ground(friction)
     far = float(np.ceil(2 + sum(s.duration * np.hypot(s.forward, s.lateral) for s in segments)))
-    bumps = Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness)
-    return Ground(friction, strips=(bumps,))
+    strips, patches = (), ()
+    if evenness:
+        strips = (Strip((-far, 0.0), (far, 0.0), 2 * far, rough=4 * evenness),)
+    if slippery is not None:
+        places = np.arange(1.5 - 3.0 * (far // 3), far, 3.0)
+        patches = tuple(Patch(float(x), 0.0, 1.0, 2 * far, slippery) for x in places)
+    return Ground(friction, patches, strips=strips)

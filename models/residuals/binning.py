@@ -76,6 +76,10 @@ class ReferenceMotion:
     t: np.ndarray
     level: bool = False
     """Whether the ground is level, so that heights of feet depend on the robot alone."""
+    unevenness: float = 0.0
+    """Standard deviation [m] of footholds from the planes through those around them, where the
+    ground is not level.
+    """
     early: float = 0.0
     """Time for which feet still move after their contacts begin [s]."""
     late: float = 0.0

@@ -71,27 +71,70 @@ def foot_heights(bins: Bins, feet: Feet) -> np.ndarray:
     return z if bins.depth is None else z + bins.depth
 
 
-def ground_normals(bins: Bins, feet: Feet) -> np.ndarray:
-    """Normal (M, 3) in the world of the plane through the footholds around each bin."""
+def footholds(bins: Bins, feet: Feet) -> tuple[np.ndarray, np.ndarray]:
+    """Mean place (K, 3) [m] of each foot in the world in each of its stances, and its leg (K,)."""
     place, up = bins.feet[0], bins.R_GI
     along = [
         feet.heights(place, np.roll(bins.p_GI, 2 - a, axis=1), up[:, a], bins.standing)
         for a in range(3)
     ]
-    points, legs = np.stack(along, axis=2), range(bins.standing.shape[1])
+    points = np.stack(along, axis=2)
     means = stance_means(bins.t, points, np.isfinite(points[..., 0]))
-    holds = np.concatenate([means[np.isfinite(means[:, leg, 0]), leg] for leg in legs])
-    normals = np.tile([0.0, 0.0, 1.0], (len(bins.t), 1))
-    for k, p in enumerate(bins.p_GI):
-        d = holds - p
-        weight = np.exp(-0.5 * np.sum(d[:, :2] ** 2, axis=1) / NEAR_FOOTHOLDS**2)
-        near = weight > 0.01
-        root = np.sqrt(weight[near])
-        A = np.column_stack([np.ones(len(root)), d[near, :2]]) * root[:, None]
-        if len(root) > 3:
-            tilt = np.linalg.lstsq(A, d[near, 2] * root, rcond=1e-3)[0]
-            normals[k] = np.append(-tilt[1:], 1.0) / np.sqrt(1.0 + tilt[1:] @ tilt[1:])
+    leg, row = np.nonzero(np.isfinite(means[..., 0]).T)
+    return means[row, leg], leg
+
+
+def ground_normals(holds: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Normals (M, 3) in the world of the planes through the footholds (K, 3) around places (M, 3)
+    [m].
+    """
+    normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
+    for k, place in enumerate(places):
+        _, *tilt = _plane_at(place, holds, np.ones(len(holds), dtype=bool))
+        if np.isfinite(tilt).all():
+            normals[k] = np.array([-tilt[0], -tilt[1], 1.0]) / np.sqrt(1.0 + np.dot(tilt, tilt))
     return normals
+
+
+def unevenness(holds: np.ndarray, leg: np.ndarray) -> float:
+    """Standard deviation [m] of the heights of most footholds about the plane through those around
+    each, beyond a constant for each leg.
+
+    From the median deviation: the edges of a staircase or a slope are no rough ground.
+
+    Args:
+        holds: (K, 3) [m] in the world.
+        leg: (K,) of each.
+    """
+    others = ~np.eye(len(holds), dtype=bool)
+    height = [_plane_at(one, holds, use)[0] for one, use in zip(holds, others, strict=True)]
+    above = holds[:, 2] - np.array(height)
+    there = np.isfinite(above)
+    if not there.any():
+        return 0.0
+    for one in np.unique(leg[there]):
+        above[leg == one] -= np.nanmedian(above[leg == one])
+    return float(1.4826 * np.nanmedian(np.abs(above)))
+
+
+def _plane_at(place: np.ndarray, holds: np.ndarray, use: np.ndarray) -> np.ndarray:
+    """Height [m] at a place, and slopes along x and y, of the plane through the footholds around
+    it; NaN where there are too few.
+
+    Args:
+        place: (3,) [m].
+        holds: (K, 3) [m].
+        use: mask (K,) of the footholds.
+    """
+    away = holds[:, :2] - place[:2]
+    weight = np.exp(-0.5 * np.sum(away**2, axis=1) / NEAR_FOOTHOLDS**2)
+    near = use & (weight > 0.01)
+    if np.count_nonzero(near) < 4:
+        return np.full(3, np.nan)
+    root = np.sqrt(weight[near])
+    A = np.column_stack([np.ones(len(root)), away[near]]) * root[:, None]
+    above = np.linalg.lstsq(A, (holds[near, 2] - place[2]) * root, rcond=1e-3)[0]
+    return above + np.array([place[2], 0.0, 0.0])
 
 
 def level_ground(bins: Bins, feet: Feet, within: float = 0.006) -> bool:

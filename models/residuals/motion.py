@@ -21,7 +21,13 @@ from surefoot.models.residuals.binning import (
     reference_motion,
 )
 from surefoot.models.residuals.contact_timing import within_windows
-from surefoot.models.residuals.feet import ground_normals, leg_velocities, level_ground
+from surefoot.models.residuals.feet import (
+    footholds,
+    ground_normals,
+    leg_velocities,
+    level_ground,
+    unevenness,
+)
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, shown_feet
@@ -47,8 +53,8 @@ def motion_under_model(log: Log, robot: Machine, fixed: bool) -> ReferenceMotion
 
 
 def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceMotion:
-    """Detect whether the ground is level, so that heights of feet can be compared, and its normal
-    where it slopes.
+    """Detect whether the ground is level, so that heights of feet can be compared, and otherwise
+    how uneven it is, and its normal where it slopes.
 
     A staircase rises as a slope does, but its treads are level: the slope's normal is taken only if
     the feet then move less over the ground.
@@ -59,7 +65,9 @@ def with_ground(motion: ReferenceMotion, log: Log, robot: Machine) -> ReferenceM
     bins = binned(log, robot, motion)
     if level_ground(bins, feet):
         return replace(motion, level=True)
-    slope = ground_normals(bins, feet)
+    holds, leg = footholds(bins, feet)
+    motion = replace(motion, unevenness=unevenness(holds, leg))
+    slope = ground_normals(holds, bins.p_GI)
     sloping = replace(motion, normal_G=interpolate_rows(log.t, bins.t, slope))
     moves = [
         np.nanmedian(np.abs(leg_velocities(binned(log, robot, one), feet)))

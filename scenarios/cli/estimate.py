@@ -5,9 +5,9 @@ from contextlib import nullcontext
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 from surefoot.models.calibration.settings import CalibrateSettings
@@ -181,7 +181,7 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
             held = dict(zip(names, left_out_coverage(errors, self, bounds.K), strict=True))
             worst = min(held, key=lambda name: held[name])
             print(
-                f"on each walk by bounds from the others: {100 * np.mean(list(held.values())):.0f} "
+                f"on each walk by bounds from the others: {100 * fmean(held.values()):.0f} "
                 f"% of its errors on average, at least {100 * held[worst]:.0f} % ({worst})"
             )
         if bounds.mixing is not None and not bounds.mixing.mixed:

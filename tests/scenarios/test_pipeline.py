@@ -73,7 +73,7 @@ def test_outputs_are_whole_and_never_overwritten(compared, tmp_path):
     write_comparison([compared], tmp_path, "title")
     for name in ("table.md", "table.csv", "report.html", "walk2.rrd"):
         assert (tmp_path / name).stat().st_size > 100
-    assert len(list((tmp_path / "figures").glob("*.png"))) == 4
+    assert len(list((tmp_path / "figures").glob("*.png"))) == 5
     refused("force=True", write_comparison, [compared], tmp_path, "title")
 
 
