@@ -159,8 +159,10 @@ class AlignSettings(OutputSettings):
     """Name of the robot, or its file (MJCF or URDF), in whose base frame the position is given as
     well.
     """
-    most: float = 10.0
-    """Largest clock offset that is searched for, in either direction [s]."""
+    most: float | None = None
+    """Largest clock offset that is searched for, in either direction from that of the map [s]; by
+    default as far as the recordings can have something in common.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,9 +14,10 @@ from surefoot.models.alignment.least_squares import (
     PlacementFit,
     Readings,
     fit_placement,
+    most_likely,
     specific_forces,
 )
-from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, guess_from_rotation
+from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, guesses_from_rotation
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
@@ -27,10 +28,14 @@ from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.plausibility.axes import match_axes
 from surefoot.sim.plausibility.reference import FASTEST_LEGS
 
-LARGEST_OFFSET = 10.0
-"""Largest clock offset searched for [s]: two programs that are started by hand."""
+_OTHER_EPOCH = 10.0
+"""Time [s] by which recordings that were made together may miss each other on one epoch: two
+programs that are started by hand.
+"""
 _FEWEST_SAMPLES = 15
 """Least number of samples of the reference for a fit: as many as it has unknowns."""
+_SAME_OFFSET = 0.02
+"""Difference of offsets that are the same [s]: a fraction of a stride."""
 HALVES_TOLERANCE = 5e-3
 """Largest difference of the clock offsets of a log's halves [s]: half a sample at 100 Hz."""
 MOST_ROTATION_MISSED = 0.15
@@ -56,6 +61,8 @@ class Alignment(Placement):
     Attributes:
         q_GW: of the reference's world, to one with z up, as w, x, y, z.
         offset_half_width: [s].
+        others: other clock offsets that fit as well (K,) [s]: a periodic gait looks alike after
+            every stride. The interval of the offset includes them.
         halves: offsets fitted to each half of the log (2,) [s].
         p_IM_half_width: (3,) [m].
         R_IM_half_width: (3,) [rad].
@@ -70,6 +77,7 @@ class Alignment(Placement):
 
     q_GW: np.ndarray
     offset_half_width: float
+    others: np.ndarray
     halves: np.ndarray
     p_IM_half_width: np.ndarray
     R_IM_half_width: np.ndarray
@@ -128,7 +136,7 @@ class Alignment(Placement):
 def align(
     log: Log,
     poses: Poses | None = None,
-    most: float = LARGEST_OFFSET,
+    most: float | None = None,
     seed: int = 0,
     about: float = 0.0,
     R_GW: np.ndarray = _LEVEL,
@@ -138,8 +146,8 @@ def align(
     Args:
         log: with an IMU.
         poses: of the tracked body, on its own clock; by default the log's own reference.
-        most: largest difference from `about` that is searched for [s]; if nothing within it gives
-            the clocks enough time in common, all offsets that do are searched.
+        most: largest difference from `about` that is searched for [s]; by default, and if nothing
+            within it gives the clocks enough time in common, all offsets that do are searched.
         seed: of the bootstrap of the intervals.
         about: known part of the clock offset [s].
         R_GW: known part of the rotation (3, 3) of the poses' world to one with z up; a turn of the
@@ -152,50 +160,49 @@ def align(
     t, gyro, accel = log.t, log.gyro, log.accel
     too_little = SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     apart = max(poses.t[0] + about - t[-1], t[0] - poses.t[-1] - about) + LEAST_OVERLAP
-    if other_epoch := bool(apart > most):
-        about = 0.5 * float(t[0] + t[-1] - poses.t[0] - poses.t[-1])
-        most = 0.5 * float(np.ptp(t) + np.ptp(poses.t))
+    if other_epoch := bool(apart > (_OTHER_EPOCH if most is None else most)):
+        about, most = 0.5 * float(t[0] + t[-1] - poses.t[0] - poses.t[-1]), None
     poses = replace(poses, t=poses.t + about)
-    start = guess_from_rotation(t, gyro, poses, most)
-    if start is None:
+    if most is None:
+        # As far as they can have something in common, without what gaps of either add.
+        middle = 0.5 * abs(float(t[0] + t[-1] - poses.t[0] - poses.t[-1]))
+        most = middle + 0.5 * (_recorded(t) + _recorded(poses.t))
+    starts = guesses_from_rotation(t, gyro, poses, most)
+    if not starts:
         raise too_little
     readings = Readings(t, gyro, accel, poses)
     speed = float(np.median(np.linalg.norm(np.diff(poses.p, axis=0), axis=1) / np.diff(poses.t)))
     if speed > FASTEST_LEGS:
         unit = "in mm, not m? Set the unit of ref_p in the map first"
         raise SurefootError(f"{log.name}: the reference moves at {speed:.3g} m/s: {unit}")
-    felt, moved, lever = specific_forces(readings, start)
-    if len(felt) < _FEWEST_SAMPLES:
+    every = [one for start in starts if (one := _fitted(readings, start, seed))]
+    if not every:
         raise too_little
-    turn = _level(readings, start, felt.mean(axis=0))
+    best, rivals = most_likely([one.fit for one in every])
+    chosen = min((every[k] for k in (best, *rivals)), key=lambda one: abs(one.fit.placement.offset))
+    fitted, readings, turn = chosen.fit, chosen.readings, chosen.turn
+    R_GW = R_GW if turn is None else turn @ R_GW
     turned = ("the reference's world has another axis up than z: see q_GW",) * (turn is not None)
-    if turn is not None:
-        readings, R_GW = replace(readings, poses=in_world(poses, turn)), turn @ R_GW
-        felt, moved, lever = specific_forces(readings, start)
-    sign, shift = _accelerometer(felt, moved, lever)
-    readings = replace(readings, accel=accel * sign + shift)
-    fitted = fit_placement(readings, start, np.random.default_rng(seed))
-    if fitted is None:
-        raise too_little
     found, width = fitted.placement, fitted.half_width
+    alike = (every[k].fit.placement.offset for k in (best, *rivals))
+    others = np.array(sorted(x for x in alike if abs(x - found.offset) > _SAME_OFFSET))
     halves = about + found.offset + fitted.halves[:, 0]
-    turning = np.sum(np.var(readings.gyro, axis=0))
-    # The median of the residual, since impacts smeared by the IMU's filter are not another body.
-    missed = 3.0 * (1.4826 * np.median(np.abs(fitted.rates))) ** 2 / turning
+    missed = _turn_missed(fitted, readings)
     return Alignment(
         **vars(replace(found, offset=about + found.offset)),
         q_GW=quaternion_from_matrix(R_GW),
-        offset_half_width=float(width[0]),
+        offset_half_width=float(width[0] + np.abs(others - found.offset).max(initial=0.0)),
+        others=about + others,
         halves=halves,
         p_IM_half_width=width[10:13],
         R_IM_half_width=width[1:4],
-        turn_missed=float(missed),
-        accel_sign=sign,
-        accel_offset=shift,
+        turn_missed=missed,
+        accel_sign=chosen.sign,
+        accel_offset=chosen.shift,
         other_epoch=other_epoch,
         samples=len(fitted.t),
         fitted=fitted,
-        faults=(*turned, *_faults(float(missed), halves, sign, shift)),
+        faults=(*turned, *_faults(missed, about + others, halves, chosen.sign, chosen.shift)),
     )
 
 
@@ -216,6 +223,56 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
     model.pop(REFERENCE_OFFSET, None)
     frame = log.frame.iloc[:0].reindex(columns=list(columns)).assign(**columns)
     return replace(log, frame=frame, meta=replace(log.meta, derived=derived, model=model))
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A fit from one guess, the readings that it was made with, the turn of the reference's world
+    (None for none), and the sign and shift of the accelerometer.
+    """
+
+    fit: PlacementFit
+    readings: Readings
+    turn: np.ndarray | None
+    sign: np.ndarray
+    shift: np.ndarray
+
+
+def _fitted(readings: Readings, start: Placement, seed: int) -> _Fitted | None:
+    """The fit from a guess; None where IMU and reference have too little in common."""
+    felt, moved, lever = specific_forces(readings, start)
+    if len(felt) < _FEWEST_SAMPLES:
+        return None
+    turn = _level(readings, start, felt.mean(axis=0))
+    if turn is not None:
+        readings = replace(readings, poses=in_world(readings.poses, turn))
+        felt, moved, lever = specific_forces(readings, start)
+    sign, shift = _accelerometer(felt, moved, lever)
+    readings = replace(readings, accel=readings.accel * sign + shift)
+    fit = fit_placement(readings, start, np.random.default_rng(seed))
+    if fit is None or len(fit.t) < _FEWEST_SAMPLES:
+        return None
+    return _Fitted(fit, readings, turn, sign, shift)
+
+
+def _recorded(t: np.ndarray) -> float:
+    """Time [s] that stamps t (N,) cover without gaps."""
+    steps = np.diff(t)
+    return float(np.minimum(steps, 10.0 * np.median(steps)).sum())
+
+
+def _turn_missed(fitted: PlacementFit, readings: Readings) -> float:
+    """Share of the gyro's rotation that the tracked body does not have, while the robot moves.
+
+    The median of the residual counts, since impacts smeared by the IMU's filter are not another
+    body.
+    """
+    rates = np.column_stack([np.interp(fitted.t, readings.t, x) for x in readings.gyro.T])
+    rates = rates - np.median(rates, axis=0)
+    size = np.linalg.norm(rates, axis=1)
+    moving = size > 0.1 * np.percentile(size, 95.0)
+    missed = (1.4826 * np.median(np.abs(fitted.rates[moving]), axis=0)) ** 2
+    return float(missed.sum() / max(float(np.var(rates[moving], axis=0).sum()), 1e-12))
 
 
 def _level(readings: Readings, at: Placement, felt: np.ndarray) -> np.ndarray | None:
@@ -255,9 +312,14 @@ def _accelerometer(
 
 
 def _faults(
-    missed: float, halves: np.ndarray, sign: np.ndarray, shift: np.ndarray
+    missed: float, others: np.ndarray, halves: np.ndarray, sign: np.ndarray, shift: np.ndarray
 ) -> tuple[str, ...]:
     found = []
+    if len(others):
+        found.append(
+            f"a clock offset of {_numbers(others, 3)} s fits as well, since strides look alike: "
+            "start or stop walking, or turn, while both record; or give the offset in the map"
+        )
     if missed > MOST_ROTATION_MISSED:
         found.append(
             f"the tracked body does not turn as the IMU does: {100 * missed:.0f} % of the gyro's "

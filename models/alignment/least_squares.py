@@ -8,6 +8,7 @@ and reference pass through the same samples and the same fit, so smoothing and g
 offset, rotation, position and biases are correct, only noise remains.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -38,6 +39,8 @@ capture whose floor was levelled by eye.
 """
 _OUTLIER = 2.0
 """Standard deviations beyond which a row loses weight (Huber)."""
+_FAR = 10.0
+"""Standard deviations beyond which a row counts the same in a comparison of fits."""
 _BLOCK = 1.0
 """Length of the blocks of the bootstrap [s]: some strides, which are nearly independent."""
 _MOST_ITERATIONS = 12
@@ -224,6 +227,47 @@ def fit_placement(
     return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
 
 
+def most_likely(fits: Sequence[PlacementFit]) -> tuple[int, list[int]]:
+    """Number of the fit that leaves least, and of those that do not leave significantly more.
+
+    Fits of different clock offsets are compared by what they leave of the same samples of the
+    reference: by the logarithm of the squares of each block, with a confidence of 97.5 % by
+    Student's t.
+    """
+    size = [[_spread(part) for part in (one.rates, one.accelerations)] for one in fits]
+    rates, accelerations = np.min(size, axis=0)
+    left = [
+        np.sum((one.rates / rates) ** 2 + (one.accelerations / accelerations) ** 2, axis=1)
+        for one in fits
+    ]
+    # An impact or a lost sample does not decide.
+    left = [np.minimum(one, _FAR**2) for one in left]
+    stamps = [np.round(one.t - one.placement.offset, 6) for one in fits]
+
+    def more(k: int, of: int) -> np.ndarray:
+        """What fit k leaves more than another (2,): the mean logarithm, and its doubt."""
+        both, here, there = np.intersect1d(stamps[k], stamps[of], return_indices=True)
+        block = np.unique(np.floor(both / _BLOCK), return_inverse=True)[1]
+        if len(both) == 0 or block[-1] < 2:
+            # Nothing to compare: the one that explains more of the recordings.
+            return np.array([np.sign(len(stamps[of]) - len(stamps[k])), 0.0])
+        sums = [np.bincount(block, x) for x in (left[k][here], left[of][there])]
+        ratio = np.log(sums[0] / sums[1])
+        doubt = stdtrit(len(ratio) - 1, 0.975) * np.std(ratio, ddof=1) / np.sqrt(len(ratio))
+        return np.array([np.mean(ratio), doubt])
+
+    best = 0
+    for k in range(1, len(fits)):
+        best = k if more(k, best)[0] < 0.0 else best
+    others = [k for k in range(len(fits)) if k != best]
+    return best, [k for k in others if np.subtract(*more(k, best)) <= 0.0]
+
+
+def _spread(residual: np.ndarray) -> float:
+    """Robust standard deviation of residuals."""
+    return float(1.4826 * np.median(np.abs(residual)) + 1e-12)
+
+
 def _linearised(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residuals (K, 6), their derivatives (K, 6, 15) and times (K,) [s], of the samples with enough
     neighbours.
@@ -251,7 +295,7 @@ def _normal_equations(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray
     """
     weight = np.empty_like(rows)
     for part in (slice(0, 3), slice(3, 6)):
-        spread = 1.4826 * np.median(np.abs(rows[:, part])) + 1e-12
+        spread = _spread(rows[:, part])
         size = np.linalg.norm(rows[:, part], axis=1) / (np.sqrt(3.0) * spread)
         weight[:, part] = (np.minimum(1.0, _OUTLIER / np.maximum(size, 1e-12)) / spread**2)[:, None]
     weighted = np.swapaxes(columns, 1, 2) * weight[:, None]

@@ -1,9 +1,9 @@
 """First guess of the clock offset and rotation of a reference, from the angular rates of both.
 
 The norm of the angular rate does not depend on the axes, so its correlation over all offsets gives
-the clock offset to a sample. Walking is periodic, so several peaks of the correlation are kept. For
-each, the rates are rotated by the best rotation (Kabsch, Acta Crystallographica A 32, 1976), and
-the peak with the smallest difference is taken.
+the clock offset to a sample. Walking is periodic, so the correlation has a peak at every stride.
+For each, the rates are rotated by the best rotation (Kabsch, Acta Crystallographica A 32, 1976),
+and the peaks with the smallest differences are kept.
 """
 
 import numpy as np
@@ -21,15 +21,19 @@ _SMOOTH = 0.06
 """Averaging time of the rates [s]; a lost sample or a stamp off by a frame then hardly matters."""
 LEAST_OVERLAP = 3.0
 """Least common time of IMU and reference [s]: some strides."""
-_PEAKS = 12
-"""Number of offsets whose rates are compared: the strides within ten seconds."""
+_PEAKS = 200
+"""Number of peaks whose rates are compared: the strides within a hundred seconds."""
+_GUESSES = 8
+"""Largest number of guesses: strides around the right one whose rates may be as good by chance."""
+_AS_GOOD = 4.0
+"""Ratio to the least share of rotation missed up to which an offset may be the right one."""
 
 
-def guess_from_rotation(
+def guesses_from_rotation(
     t: np.ndarray, gyro: np.ndarray, poses: Poses, most: float
-) -> Placement | None:
-    """The best guess of clock offset, rotation and gyro bias, with an offset within +-`most` [s];
-    None if IMU and reference have too little time in common.
+) -> list[Placement]:
+    """The best guesses of clock offset, rotation and gyro bias, the best first, with an offset
+    within +-`most` [s]; none if IMU and reference have too little time in common.
 
     t (N,) [s] and gyro (N, 3) [rad/s] are those of the IMU.
     """
@@ -51,10 +55,16 @@ def guess_from_rotation(
     peak = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] > scores[2:])) + 1
     peak = peak[np.isfinite(scores[peak])]
     best = peak[np.argsort(-scores[peak], kind="stable")[:_PEAKS]]
-    tried = [
-        _guess_at_offset(here, a, there, b, lags[k] + n * _STEP) for k in best for n in range(-6, 7)
-    ]
-    return min((one for one in tried if one), key=lambda one: one[0], default=(0.0, None))[1]
+
+    def guessed(offsets: np.ndarray) -> list[tuple[float, Placement]]:
+        """The guesses at these offsets, the one with the least missing first."""
+        tried = [_guess_at_offset(here, a, there, b, float(x)) for x in offsets]
+        return sorted((one for one in tried if one), key=lambda one: one[0])
+
+    near = _STEP * np.arange(-6, 7)
+    coarse = guessed(lags[best])[:_GUESSES]
+    fine = sorted((guessed(one.offset + near)[0] for _, one in coarse), key=lambda one: one[0])
+    return [placement for missed, placement in fine if missed < _AS_GOOD * fine[0][0]]
 
 
 def rates_of(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +103,8 @@ def _guess_at_offset(
     here: np.ndarray, a: np.ndarray, there: np.ndarray, b: np.ndarray, offset: float
 ) -> tuple[float, Placement] | None:
     """The best rotation from rates b, at the times `there` plus `offset`, to rates a at `here`,
-    after the share of the gyro's rotation that the reference does not have with it.
+    after the share of the gyro's rotation that the reference does not have with it, at the upper
+    end of its interval: few seconds agree by chance.
 
     Args:
         here: (A,) times of the IMU [s].
@@ -115,4 +126,5 @@ def _guess_at_offset(
     if turned == 0.0:
         return None
     missed, zero = float(np.sum((a - b @ R.T) ** 2) / turned), np.zeros(3)
+    missed *= np.exp(2.0 / np.sqrt(_STEP * len(a)))
     return missed, Placement(float(offset), R, mean_a - R @ mean_b, zero, zero, zero[:2])

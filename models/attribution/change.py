@@ -27,6 +27,7 @@ from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
     NOTHING,
+    PER_RUN,
     ZERO,
     ModelError,
     evidence_of,
@@ -249,7 +250,7 @@ def _best(
     every = np.ones(len(evidence.t), dtype=bool)
 
     def tried(known: ModelError) -> tuple[_NewRuns, list[Hypothesis]]:
-        metric = metric_of(cases, evidence, known, every, {ZERO}, not cases[0].fixed)
+        metric = metric_of(cases, evidence, known, every, PER_RUN, not cases[0].fixed)
         new = _NewRuns(cases, known, metric)
         return new, _ranked(new)
 

@@ -45,7 +45,9 @@ OF_MEAN = float(np.sqrt(1.5 * BIN / MEAN_WINDOW))
 WHOLE = 0.8
 """Share of its bins that a window has at least."""
 ZERO = "encoder_offset"
-"""The effect that every run has at a size of its own."""
+"""The effect that every run of a machine has at a size of its own."""
+PER_RUN = frozenset({ZERO, "clock_scale", "reference_delay"})
+"""Effects that every run has at a size of its own: zeros, and the clocks of its recording."""
 NO_TERMS = frozenset({"torque_scale", "gyro_scale", "accel_scale", "gyro_bias", "accel_bias"})
 """Effects that are no error of a model: biases belong to a run, and a scale together with all
 masses explains any torque.
@@ -107,7 +109,7 @@ class RunSums:
     count: np.ndarray
     nuisance: np.ndarray
     rates: dict[str, float]
-    per_run: frozenset[str] = frozenset({ZERO})
+    per_run: frozenset[str] = PER_RUN
     no_terms: frozenset[str] = NO_TERMS
     least: np.ndarray | None = None
 
@@ -196,7 +198,7 @@ def evidence_of(
 
 def run_sums(
     run: RunEvidence,
-    per_run: frozenset[str] = frozenset({ZERO}),
+    per_run: frozenset[str] = PER_RUN,
     no_terms: frozenset[str] = NO_TERMS,
 ) -> RunSums:
     """Sums of one run over each group of columns; `per_run` and `no_terms` as of `RunSums`.

@@ -16,7 +16,7 @@ from surefoot import Log, Robot, Trace, TraceOptions, load_machine, trace
 from surefoot.extend import Effect, Modelled, compensate_all, read_toml
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.metric import metric_of
-from surefoot.models.attribution.model_error import ZERO, ModelError, evidence_of
+from surefoot.models.attribution.model_error import PER_RUN, ModelError, evidence_of
 from surefoot.models.residuals.layout import layout_for
 from surefoot.scenarios.trace.run import unchanged_beside
 from surefoot.sim.effects.file import load_effects
@@ -122,7 +122,7 @@ def over_least(
     case = log_under_model(*compensate_all(declared, log, machine))
     known, _ = evidence_of([case])
     every = np.ones(len(known.t), dtype=bool)
-    S = metric_of([case], known, since, every, {ZERO}, not case.fixed).S
+    S = metric_of([case], known, since, every, PER_RUN, not case.fixed).S
     sizes = load_sizes(load, machine)
     use = [1 + known.keys.index(key) for key in sizes if key in known.keys]
     x = np.array([size for key, size in sizes.items() if key in known.keys])
