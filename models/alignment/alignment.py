@@ -10,6 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.models.alignment.least_squares import (
+    FIRST_STEPS,
+    MOST_STEPS,
     Placement,
     PlacementFit,
     Readings,
@@ -175,16 +177,21 @@ def align(
     if speed > FASTEST_LEGS:
         unit = "in mm, not m? Set the unit of ref_p in the map first"
         raise SurefootError(f"{log.name}: the reference moves at {speed:.3g} m/s: {unit}")
-    every = [one for start in starts if (one := _fitted(readings, start, seed))]
-    if not every:
-        raise too_little
-    best, rivals = most_likely([one.fit for one in every])
-    chosen = min((every[k] for k in (best, *rivals)), key=lambda one: abs(one.fit.placement.offset))
+    # Wrong strides converge slowly: those that leave clearly more after some steps are left out.
+    every: list[_Fitted] = []
+    for steps in (FIRST_STEPS, MOST_STEPS):
+        every = [one for start in starts if (one := _fitted(readings, start, seed, steps))]
+        if not every:
+            raise too_little
+        best, as_good = most_likely([one.fit for one in every])
+        every = [every[k] for k in (best, *as_good)]
+        starts = [one.start for one in every]
+    chosen, *rivals = every
     fitted, readings, turn = chosen.fit, chosen.readings, chosen.turn
     R_GW = R_GW if turn is None else turn @ R_GW
     turned = ("the reference's world has another axis up than z: see q_GW",) * (turn is not None)
     found, width = fitted.placement, fitted.half_width
-    alike = (every[k].fit.placement.offset for k in (best, *rivals))
+    alike = (one.fit.placement.offset for one in rivals)
     others = np.array(sorted(x for x in alike if abs(x - found.offset) > _SAME_OFFSET))
     halves = about + found.offset + fitted.halves[:, 0]
     missed = _turn_missed(fitted, readings)
@@ -227,18 +234,19 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A fit from one guess, the readings that it was made with, the turn of the reference's world
-    (None for none), and the sign and shift of the accelerometer.
+    """A fit, the guess that it started from, the readings that it was made with, the turn of
+    the reference's world (None for none), and the sign and shift of the accelerometer.
     """
 
     fit: PlacementFit
+    start: Placement
     readings: Readings
     turn: np.ndarray | None
     sign: np.ndarray
     shift: np.ndarray
 
 
-def _fitted(readings: Readings, start: Placement, seed: int) -> _Fitted | None:
+def _fitted(readings: Readings, start: Placement, seed: int, steps: int) -> _Fitted | None:
     """The fit from a guess; None where IMU and reference have too little in common."""
     felt, moved, lever = specific_forces(readings, start)
     if len(felt) < _FEWEST_SAMPLES:
@@ -249,10 +257,10 @@ def _fitted(readings: Readings, start: Placement, seed: int) -> _Fitted | None:
         felt, moved, lever = specific_forces(readings, start)
     sign, shift = _accelerometer(felt, moved, lever)
     readings = replace(readings, accel=readings.accel * sign + shift)
-    fit = fit_placement(readings, start, np.random.default_rng(seed))
+    fit = fit_placement(readings, start, np.random.default_rng(seed), steps)
     if fit is None or len(fit.t) < _FEWEST_SAMPLES:
         return None
-    return _Fitted(fit, readings, turn, sign, shift)
+    return _Fitted(fit, start, readings, turn, sign, shift)
 
 
 def _recorded(t: np.ndarray) -> float:

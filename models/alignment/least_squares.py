@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
+from scipy.stats import wilcoxon
 
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
@@ -39,12 +40,20 @@ capture whose floor was levelled by eye.
 """
 _OUTLIER = 2.0
 """Standard deviations beyond which a row loses weight (Huber)."""
-_FAR = 10.0
-"""Standard deviations beyond which a row counts the same in a comparison of fits."""
+_TAILS = 4.0
+"""Degrees of freedom of residuals: a few are impacts and lost samples."""
+_STRIDE = 0.5
+"""Length of the blocks in which fits are compared [s]: about a stride."""
+_SAME_STAMP = 1e-5
+"""Difference of stamps by rounding [s]."""
+_FEWEST_BLOCKS = 6
+"""Least number of blocks that can tell two fits apart."""
 _BLOCK = 1.0
 """Length of the blocks of the bootstrap [s]: some strides, which are nearly independent."""
-_MOST_ITERATIONS = 12
+MOST_STEPS = 12
 """Maximum number of Gauss-Newton steps."""
+FIRST_STEPS = 3
+"""Number of steps after which fits from different guesses are compared."""
 _CLOCK_TOLERANCE = 1e-6
 """Change of the clock offset at which the fit has converged [s]."""
 _DIFFERENCE_STEPS = np.array([1e-3] + [1e-3] * 3 + [1e-3] * 3)
@@ -189,10 +198,12 @@ def specific_forces(readings: Readings, at: Placement) -> tuple[np.ndarray, np.n
 
 
 def fit_placement(
-    readings: Readings, start: Placement, rng: np.random.Generator
+    readings: Readings, start: Placement, rng: np.random.Generator, steps: int = MOST_STEPS
 ) -> PlacementFit | None:
     """Maximum a-posteriori parameters, from a start that is accurate to a fraction of a stride;
     None if they lead to where IMU and reference have nothing in common.
+
+    steps: largest number of Gauss-Newton steps.
     """
     now, rounds = start, 0
     while True:
@@ -207,7 +218,7 @@ def fit_placement(
         if abs(step[0]) < _CLOCK_TOLERANCE:
             break
         now, rounds = now.moved(step), rounds + 1
-        if rounds == _MOST_ITERATIONS:
+        if rounds == steps:
             break
     # Blocks without samples, in a gap, do not count.
     block = np.unique(np.floor((t - t[0]) / _BLOCK), return_inverse=True)[1]
@@ -231,36 +242,39 @@ def most_likely(fits: Sequence[PlacementFit]) -> tuple[int, list[int]]:
     """Number of the fit that leaves least, and of those that do not leave significantly more.
 
     Fits of different clock offsets are compared by what they leave of the same samples of the
-    reference: by the logarithm of the squares of each block, with a confidence of 97.5 % by
-    Student's t.
+    reference: by the mean log-likelihood in each block, for residuals with the tails of Student's
+    t, with a confidence of 97.5 % by Wilcoxon's signed ranks.
     """
     size = [[_spread(part) for part in (one.rates, one.accelerations)] for one in fits]
     rates, accelerations = np.min(size, axis=0)
     left = [
-        np.sum((one.rates / rates) ** 2 + (one.accelerations / accelerations) ** 2, axis=1)
+        np.log1p(
+            np.sum((one.rates / rates) ** 2 + (one.accelerations / accelerations) ** 2, axis=1)
+            / _TAILS
+        )
         for one in fits
     ]
-    # An impact or a lost sample does not decide.
-    left = [np.minimum(one, _FAR**2) for one in left]
-    stamps = [np.round(one.t - one.placement.offset, 6) for one in fits]
+    stamps = [one.t - one.placement.offset for one in fits]
 
-    def more(k: int, of: int) -> np.ndarray:
-        """What fit k leaves more than another (2,): the mean logarithm, and its doubt."""
-        both, here, there = np.intersect1d(stamps[k], stamps[of], return_indices=True)
-        block = np.unique(np.floor(both / _BLOCK), return_inverse=True)[1]
-        if len(both) == 0 or block[-1] < 2:
-            # Nothing to compare: the one that explains more of the recordings.
-            return np.array([np.sign(len(stamps[of]) - len(stamps[k])), 0.0])
-        sums = [np.bincount(block, x) for x in (left[k][here], left[of][there])]
-        ratio = np.log(sums[0] / sums[1])
-        doubt = stdtrit(len(ratio) - 1, 0.975) * np.std(ratio, ddof=1) / np.sqrt(len(ratio))
-        return np.array([np.mean(ratio), doubt])
+    def more(k: int, other: int) -> np.ndarray:
+        """What fit k leaves more of each block than another (K,)."""
+        there = np.searchsorted(stamps[other], stamps[k] - _SAME_STAMP)
+        same = np.append(stamps[other], np.inf)[there] < stamps[k] + _SAME_STAMP
+        here, there = np.flatnonzero(same), there[same]
+        block = np.unique(np.floor(stamps[k][here] / _STRIDE), return_inverse=True)[1]
+        return np.bincount(block, left[k][here] - left[other][there]) / np.bincount(block)
+
+    def is_as_good(k: int) -> bool:
+        worse = more(k, best)
+        if len(worse) < _FEWEST_BLOCKS:  # too few to tell
+            return len(stamps[k]) >= len(stamps[best])
+        return bool(wilcoxon(worse, alternative="greater").pvalue > 0.025)
 
     best = 0
     for k in range(1, len(fits)):
-        best = k if more(k, best)[0] < 0.0 else best
-    others = [k for k in range(len(fits)) if k != best]
-    return best, [k for k in others if np.subtract(*more(k, best)) <= 0.0]
+        worse = more(k, best)
+        best = k if len(worse) and worse.mean() < 0.0 else best
+    return best, [k for k in range(len(fits)) if k != best and is_as_good(k)]
 
 
 def _spread(residual: np.ndarray) -> float:
