@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.streams import stretches_without_change
 from surefoot.sim.plausibility.view import LogView
 
@@ -54,13 +54,13 @@ stairs and slopes too, since heights are relative to the body.
 """
 
 
-@rule_named("missed steps", "t contact", when="comparable")
+@rule("missed steps", "t contact", when="comparable")
 def missed(view: LogView) -> Iterator[Finding]:
     """Check that feet touch down about as often as each other.
 
     Compares: the number of changes of each contact with that of the others.
-    Speaks from: less than {MISSES:g} of it, where the others change {MOST_SURE} times or more.
-    Because: in every gait each foot steps once a stride.
+    Threshold: less than {MISSES:g} of it, where the others change {MOST_SURE} times or more.
+    Reason: in every gait each foot steps once a stride.
     Remedy: the threshold of [contact] for that foot.
     """
     log = view.log
@@ -75,16 +75,16 @@ def missed(view: LogView) -> Iterator[Finding]:
         yield Finding((f"contact_{log.legs[i]}",), seen, cause)
 
 
-@rule_named("contacts", "contact")
+@rule("contacts", "contact")
 def dead(view: LogView) -> Iterator[Finding]:
     """Check that each foot of a walking robot touches down and lifts off.
 
     Compares: contacts with each other over time, and the velocity of each foot in contact with
         that of the others.
-    Speaks from: none changes, or one does not for {UNCHANGED:g} s in which the others change
+    Threshold: none changes, or one does not for {UNCHANGED:g} s in which the others change
         {OTHERS_CHANGE} times and more, although the robot walks; in a log in which it never
         changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time.
-    Because: a foot of a robot that walks lifts at every stride; feet that stand move alike.
+    Reason: a foot of a robot that walks lifts at every stride; feet that stand move alike.
     Remedy: the threshold of [contact]; leave a dead contact out.
     """
     log, contact = view.log, view.log.contact
@@ -133,13 +133,13 @@ def _moving_in_contact(view: LogView) -> np.ndarray:
     return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)
 
 
-@rule_named("flickering", "t contact", when="comparable")
+@rule("flickering", "t contact", when="comparable")
 def flickering(view: LogView) -> Iterator[Finding]:
     """Check that a foot does not touch down and lift off too often.
 
     Compares: contacts with themselves over time.
-    Speaks from: {FLICKERS:g} changes a second.
-    Because: four a second in strides; a sensor about its threshold has many.
+    Threshold: {FLICKERS:g} changes a second.
+    Reason: four a second in strides; a sensor about its threshold has many.
     Remedy: [contact] debounce, or a threshold that is further from the noise.
     """
     log = view.log
@@ -172,13 +172,13 @@ def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 
-@rule_named("contact heights", "contact", beside="q foot accel")
+@rule("contact heights", "contact", beside="q foot accel", finds="symptom")
 def inverted(view: LogView) -> Iterator[Finding]:
     """Check that feet in contact are lower than lifted ones.
 
     Compares: the height of a foot in contact with that when lifted.
-    Speaks from: {HIGHER:g} m higher.
-    Because: trotting robots lift their feet by 30 to 80 mm.
+    Threshold: {HIGHER:g} m higher.
+    Reason: trotting robots lift their feet by 30 to 80 mm.
     Remedy: contact from the other level of the switch; the order of the legs.
     """
     legs, up = view.feet, view.up_by_body

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.sim.importing.advice import entries, scaled
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.joints import sign_change, turned_round
 from surefoot.sim.plausibility.streams import LIMITED, stretches_without_change
 from surefoot.sim.plausibility.view import LogView
@@ -95,16 +95,16 @@ def _torques(view: LogView) -> list[_Torque]:
     ]
 
 
-@rule_named("torques of a fixed base", "t q tau", when="comparable")
+@rule("torques of a fixed base", "t q tau", when="comparable")
 def driving(view: LogView) -> Iterator[Finding]:
     """Check that the torques of drives on a fixed base explain its motion.
 
     Compares: torques with what the machine's model asks for along the motion, and friction
         beside it.
-    Speaks from: correlation below {OPPOSITE:g}; a sign that changes on the way; not
+    Threshold: correlation below {OPPOSITE:g}; a sign that changes on the way; not
         {SCALED[0]:g} to {SCALED[1]:g} times as large; no change for {LIMITED:g} s while
         {STRAYS:g} times as much is missed as else.
-    Because: three measured machines have 0.6 to 1.3 times what their models ask for.
+    Reason: three measured machines have 0.6 to 1.3 times what their models ask for.
     Remedy: sign, unit or gain of tau; torques of the output, not of the motor.
     """
     for one in _torques(view):
@@ -164,15 +164,15 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
 
 
-@rule_named("commands of a fixed base", "t q q_des", when="comparable")
+@rule("commands of a fixed base", "t q q_des", when="comparable")
 def followed(view: LogView) -> Iterator[Finding]:
     """Check that the joints of a machine on a fixed base follow their commands.
 
     Compares: q_des with q, joint by joint, and their moves within {MOVE:g} s.
-    Speaks from: correlation below {OPPOSITE:g}; a sign that changes on the way; not
+    Threshold: correlation below {OPPOSITE:g}; a sign that changes on the way; not
         {SCALED[0]:g} to {SCALED[1]:g} times as far; no change for {COMMANDED:g} s while the
         joint goes {SWEPT:.0%} of its range, or {STRAYS:g} times as far off as else.
-    Because: nothing but its drive moves a joint of an arm as far.
+    Reason: nothing but its drive moves a joint of an arm as far.
     Remedy: sign, unit or gain of q_des.
     """
     log = view.log

@@ -20,7 +20,7 @@ from surefoot.sim.plausibility.axes import (
     lag_of,
     match_axes,
 )
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.place import SPEEDING, other_point, speed_changes
 from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
@@ -89,15 +89,15 @@ _BLOCK = 2.0
 """Averaging time of a gyro's bias [s], four strides."""
 
 
-@rule_named("gravity", "accel", when="comparable")
+@rule("gravity", "accel", when="comparable")
 def gravity(view: LogView) -> Iterator[Finding]:
     """Check that the mean specific force of a body that stays near the ground is gravity,
     upwards.
 
     Compares: the mean of the accelerometer with gravity, and its direction with what is up: the
         robot's z, else away from the feet, else the reference's.
-    Speaks from: {ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {MOST_LEAN:g}° from up.
-    Because: what stays near the ground feels gravity on average; accelerometers have biases of
+    Threshold: {ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {MOST_LEAN:g}° from up.
+    Reason: what stays near the ground feels gravity on average; accelerometers have biases of
         80 mg at worst (MPU-6050 product specification); a robot that turns about on a slope of
         35° has a shorter mean.
     Remedy: unit = "g"; sign; offset (twice gravity where the motion has the right sign, see the
@@ -156,14 +156,14 @@ def _up(view: LogView) -> tuple[np.ndarray | None, str]:
     return None, ""
 
 
-@rule_named("accelerometer", "t accel gyro ref", when="trusts_reference")
+@rule("accelerometer", "t accel gyro ref", when="trusts_reference")
 def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference.
 
     Compares: the accelerometer with gravity and the acceleration of ref_p, in world and body.
-    Speaks from: correlations as of the gyro; a factor of 1 + {SCALED_ACCEL:g}; a mean
+    Threshold: correlations as of the gyro; a factor of 1 + {SCALED_ACCEL:g}; a mean
         {ZERO_G:g} m/s² off.
-    Because: impacts and filters blur accelerations, to factors of 0.6 to 1.2 in clean walks.
+    Reason: impacts and filters blur accelerations, to factors of 0.6 to 1.2 in clean walks.
     Remedy: order or sign of the axes of accel or ref_p, whichever the evidence names.
     """
     if not view.resolves:
@@ -224,7 +224,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
             yield Finding((ACCEL[i],), seen, cause)
 
 
-@rule_named("IMU's rows", "t accel gyro ref", when="trusts_reference")
+@rule("IMU's rows", "t accel gyro ref", when="trusts_reference")
 def averaged(view: LogView) -> Iterator[Finding]:
     """Check that an IMU's rows are averages: summed over time they give the change of velocity.
 
@@ -232,9 +232,9 @@ def averaged(view: LogView) -> Iterator[Finding]:
     to row imply.
 
     Compares: the accelerometer's sum over {SPEEDING:g} s with changes of velocity of ref_p.
-    Speaks from: {SUM_OFF:.0%} of these, and {IMPLIED[0]:g} to {IMPLIED[1]:g} times what
+    Threshold: {SUM_OFF:.0%} of these, and {IMPLIED[0]:g} to {IMPLIED[1]:g} times what
         independent samples cause.
-    Because: averages over each row give the change of velocity at any rate.
+    Reason: averages over each row give the change of velocity at any rate.
     Remedy: log faster, or averages over the rows: filters take rows for such.
     """
     by_imu, by_reference = speed_changes(view)
@@ -259,13 +259,13 @@ def _shakes(view: LogView, match: AxesMatch) -> bool:
     return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
 
 
-@rule_named("gyro's unit", "gyro", when="comparable")
+@rule("gyro's unit", "gyro", when="comparable")
 def gyro_unit(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures something, in rad/s.
 
     Compares: the gyro's size.
-    Speaks from: {TUMBLING:g} rad/s root mean square, or 0 throughout.
-    Because: a turn a second for as long as the log lasts is no walk.
+    Threshold: {TUMBLING:g} rad/s root mean square, or 0 throughout.
+    Reason: a turn a second for as long as the log lasts is no walk.
     Remedy: unit = "deg/s".
     """
     rms = float(np.sqrt(np.mean(np.sum(view.log.gyro**2, axis=1))))
@@ -286,14 +286,14 @@ def gyro_unit(view: LogView) -> Iterator[Finding]:
         yield Finding(GYRO, seen, *in_another_unit("gyro", GYRO, factor, "scaled"))
 
 
-@rule_named("gyro", "t gyro ref", when="compares_turning")
+@rule("gyro", "t gyro ref", when="compares_turning")
 def gyro(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures the rotation of the reference.
 
     Compares: the gyro with the turning of ref_q, axis by axis.
-    Speaks from: correlation above {OTHER:g} with another axis or its negative, {GAIN:g} more
+    Threshold: correlation above {OTHER:g} with another axis or its negative, {GAIN:g} more
         than with its own; a factor off by {GYRO_SCALED:.0%}; a mean {ZERO_RATE:g} rad/s off.
-    Because: gyros are true to 3 %, and read 20 deg/s at rest at worst (MPU-6050).
+    Reason: gyros are true to 3 %, and read 20 deg/s at rest at worst (MPU-6050).
     Remedy: order, sign or unit of the axes; where the accelerometer says the same,
         imu_orientation.
     """
@@ -398,14 +398,14 @@ def _in_body(view: LogView, axes: np.ndarray) -> bool:
     return view.stance.turning_fits(gyro @ axes) > view.stance.turning_fits(gyro)
 
 
-@rule_named("gyro and legs", "t gyro contact", beside="q foot")
+@rule("gyro and legs", "t gyro contact", beside="q foot")
 def turning_of_legs(view: LogView) -> Iterator[Finding]:
     """Check a gyro without a reference, by the rotation of lines between standing feet.
 
     Compares: without a reference: the gyro with the turning of lines between standing feet.
-    Speaks from: another order or sign of axes that leaves {LEFT:.0%} of what is unexplained, or
+    Threshold: another order or sign of axes that leaves {LEFT:.0%} of what is unexplained, or
         less.
-    Because: feet that stand do not turn; other axes fit by chance only.
+    Reason: feet that stand do not turn; other axes fit by chance only.
     Remedy: order or sign of the axes.
     """
     legs = view.stance

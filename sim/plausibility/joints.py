@@ -7,7 +7,7 @@ import numpy as np
 from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import LogView
 
@@ -50,13 +50,13 @@ _TURNED, _ALWAYS = 0.1, 0.9
 """For a rate whose sign changes: least correlation before and after, and least sum of the two."""
 
 
-@rule_named("joint rates", "t q dq", when="comparable")
+@rule("joint rates", "t q dq", when="comparable")
 def rates(view: LogView) -> Iterator[Finding]:
     """Check that a joint's rate is the derivative of its angle.
 
     Compares: means of dq with changes of q over 60 ms, joint by joint.
-    Speaks from: a factor off by {RATE_OFF:.0%}; correlation below {RATE_ALIKE:g}.
-    Because: equal by definition; clean walks agree to 1 %.
+    Threshold: a factor off by {RATE_OFF:.0%}; correlation below {RATE_ALIKE:g}.
+    Reason: equal by definition; clean walks agree to 1 %.
     Remedy: unit, sign or order of the columns.
     """
     log = view.log
@@ -165,13 +165,13 @@ def turned_round(column: str, since: float, expected: str) -> Finding:
     return Finding((column,), seen, "its sign, or its angle's, changes on the way")
 
 
-@rule_named("joints' unit", "q")
+@rule("joints' unit", "q")
 def units(view: LogView) -> Iterator[Finding]:
     """Check that angles of legs are in radians, and rates that are their change.
 
     Compares: the size of a leg's angles.
-    Speaks from: median above 2 pi rad.
-    Because: joints of legs do not turn about.
+    Threshold: median above 2 pi rad.
+    Reason: joints of legs do not turn about.
     Remedy: unit = "deg".
     """
     log = view.log
@@ -193,13 +193,13 @@ def units(view: LogView) -> Iterator[Finding]:
         yield Finding(tuple(units), seen, cause, {"columns": units})
 
 
-@rule_named("joint range", "q")
+@rule("joint range", "q", finds="symptom")
 def stops(view: LogView) -> Iterator[Finding]:
     """Check that angles are within the limits of the robot's joints.
 
     Compares: angles of legs with the robot's stops.
-    Speaks from: {BEYOND:g} rad beyond in {BEYOND_SHARE:.0%} of the rows.
-    Because: zeros are set to some degrees, links bend by less; landings touch stops for an
+    Threshold: {BEYOND:g} rad beyond in {BEYOND_SHARE:.0%} of the rows.
+    Reason: zeros are set to some degrees, links bend by less; landings touch stops for an
         instant.
     Remedy: joint_sign, joint_offset, the order of the columns, the robot's name.
     """
@@ -226,13 +226,13 @@ def stops(view: LogView) -> Iterator[Finding]:
     yield Finding(tuple(f"q_{name}" for name in names), seen, cause, changes)
 
 
-@rule_named("torque", "tau")
+@rule("torque", "tau")
 def torques(view: LogView) -> Iterator[Finding]:
     """Check that torques are within the limits of the robot's drives.
 
     Compares: torques with what the robot's drives can give.
-    Speaks from: {TOO_STRONG:g} times as much, one row in a hundred.
-    Because: drives give their peak for seconds at most, and no more.
+    Threshold: {TOO_STRONG:g} times as much, one row in a hundred.
+    Reason: drives give their peak for seconds at most, and no more.
     Remedy: unit = "mN m"; the robot's name.
     """
     if view.robot is None:
@@ -250,13 +250,13 @@ def torques(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, changes)
 
 
-@rule_named("magnitudes", "tau")
+@rule("magnitudes", "tau")
 def magnitudes(view: LogView) -> Iterator[Finding]:
     """Check that torques have both signs.
 
     Compares: the signs of torques.
-    Speaks from: none negative.
-    Because: joints of legs push both ways.
+    Threshold: none negative.
+    Reason: joints of legs push both ways.
     Remedy: torques with their signs.
     """
     if view.robot is None or len(view.log.joints) < _SEVERAL:
@@ -268,15 +268,15 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, "magnitudes, without their sign")
 
 
-@rule_named("zeros", "q", when="comparable")
+@rule("zeros", "q", when="comparable", finds="symptom")
 def zeros(view: LogView) -> Iterator[Finding]:
     """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
 
     Compares: a left joint with the right one of the same pair of legs.
-    Speaks from: {ZERO_OFF[hip]:g} rad (hips), {ZERO_OFF[thigh]:g} rad (others) between medians
+    Threshold: {ZERO_OFF[hip]:g} rad (hips), {ZERO_OFF[thigh]:g} rad (others) between medians
         (hips mirrored), while those of the other pair agree.
-    Because: legs of a pair are held alike; what holds them otherwise does so to both pairs.
+    Reason: legs of a pair are held alike; what holds them otherwise does so to both pairs.
     Remedy: joint_offset.
     """
     log, robot = view.log, view.robot
@@ -302,13 +302,13 @@ def zeros(view: LogView) -> Iterator[Finding]:
                 yield Finding((f"q_{left}", f"q_{right}"), seen, cause)
 
 
-@rule_named("commands", "q q_des")
+@rule("commands", "q q_des")
 def commands(view: LogView) -> Iterator[Finding]:
     """Check that commanded angles are in the unit of the measured ones.
 
     Compares: the size of q_des with that of q.
-    Speaks from: 10 times.
-    Because: commands are followed.
+    Threshold: 10 times.
+    Reason: a joint follows its command, so that both have about the same size.
     Remedy: unit = "deg".
     """
     log = view.log

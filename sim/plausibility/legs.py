@@ -10,7 +10,7 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import lag_of
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.stance import Stance
 from surefoot.sim.plausibility.view import STEP, LogView
 from surefoot.sim.robot.robot import Robot
@@ -132,18 +132,18 @@ class Moving:
         return np.array([self.misfit(u[:, [i]], contact[:, [i]]) for i in range(u.shape[1])])
 
 
-@rule_named("legs", "t gyro contact", beside="q ref foot")
+@rule("legs", "t gyro contact", beside="q ref foot")
 def kinematics(view: LogView) -> Iterator[Finding]:
     """Check that all legs in contact and the reference agree on the body's velocity.
 
     Compares: the velocity that the body has if feet in contact stand, leg by leg, with that of
         the reference (of each other without one): as they are, with legs exchanged, joints
         exchanged or of opposite sign, contacts inverted; all, one leg or contacts alone late.
-    Speaks from: a reading that leaves {MENDED:g} of the mean square (joints {MENDED_JOINTS:g});
+    Threshold: a reading that leaves {MENDED:g} of the mean square (joints {MENDED_JOINTS:g});
         {CLEARER:g} for a sign with which torques, which else push to a side by {LEANS:g} of the
         leg's load, do so half as much; {HOPELESS:.0%} of the body's own; not {SIZE[0]:g} to
         {SIZE[1]:g} times as fast.
-    Because: standing feet stand: 0.6 % in simulated walks, 3 to 10 % on a measured Go1, where
+    Reason: standing feet stand: 0.6 % in simulated walks, 3 to 10 % on a measured Go1, where
         each wrong reading has 1.66 times as much at least; legs that roll and give are 0.76 to
         1.05 times as fast.
     Remedy: order or sign of the columns, joint_sign, the robot's name.
@@ -178,13 +178,13 @@ def _motion(view: LogView, legs: Stance) -> Moving:
     return Moving(gyro, view.v_I[legs.which] if view.trusts_reference else None, used)
 
 
-@rule_named("climbing", "t gyro contact ref", beside="q foot accel", when="trusts_reference")
+@rule("climbing", "t gyro contact ref", beside="q foot accel", when="trusts_reference")
 def climbing(view: LogView) -> Iterator[Finding]:
     """Check that a reference climbs as its feet do.
 
     Compares: the reference's vertical velocity with that of standing feet.
-    Speaks from: {CLIMBS:g} m/s in the median.
-    Because: feet that stand do not sink.
+    Threshold: {CLIMBS:g} m/s in the median.
+    Reason: feet that stand do not sink.
     Remedy: another reference; level its world with [reference] q_GW.
     """
     legs = view.stance
@@ -458,7 +458,7 @@ def _few(legs: Stance, moving: Moving) -> tuple[Stance, Moving]:
     return legs.at(some), moving.rows(some)
 
 
-@rule_named("zeros of most legs", "t gyro q contact ref", beside="foot", when="trusts_reference")
+@rule("zeros of most legs", "t gyro q contact ref", beside="foot", when="trusts_reference")
 def zeros_of_most(view: LogView) -> Iterator[Finding]:
     """Check that the angles of most legs count from where the model's do.
 
@@ -466,9 +466,9 @@ def zeros_of_most(view: LogView) -> Iterator[Finding]:
 
     Compares: the velocity that the body has if feet in contact stand with that of the
         reference, as angles are and moved.
-    Speaks from: {OFFSETS[0]:g} rad or more, of the same joint of most legs, that leave
+    Threshold: {OFFSETS[0]:g} rad or more, of the same joint of most legs, that leave
         {MENDED:g} of the mean square.
-    Because: zeros are set to some degrees.
+    Reason: zeros are set to some degrees.
     Remedy: joint_offset.
     """
     legs, robot, log, chains = view.stance, view.robot, view.log, _chains(view)
@@ -518,13 +518,13 @@ def _size(u: np.ndarray, contact: np.ndarray, moving: Moving) -> tuple[float, fl
     return both / float(np.sum(b**2)), both / float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
 
 
-@rule_named("support", "q contact tau accel", beside="foot")
+@rule("support", "q contact tau accel", beside="foot", finds="symptom")
 def weight_carried(view: LogView) -> Iterator[Finding]:
     """Check that torques of standing legs carry the robot's weight.
 
     Compares: the weight that torques of legs in contact carry with the robot's.
-    Speaks from: {SUPPORT[0]:g} to {SUPPORT[1]:g} times.
-    Because: on average a robot carries itself; payloads add a third.
+    Threshold: {SUPPORT[0]:g} to {SUPPORT[1]:g} times.
+    Reason: on average a robot carries itself; payloads add a third.
     Remedy: sign, unit or order of tau; torques of the output, not of the motor; the robot's
         name.
     """
@@ -546,13 +546,13 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     yield Finding(columns, seen, cause, changes)
 
 
-@rule_named("late torques", "t q contact tau accel", beside="foot")
+@rule("late torques", "t q contact tau accel", beside="foot")
 def late_torques(view: LogView) -> Iterator[Finding]:
     """Check that torques load the legs while they stand.
 
     Compares: the forces that torques mean with contacts, over time.
-    Speaks from: {LATE_LOAD:g} s late or early.
-    Because: a leg is loaded while it stands: 2 ms in clean walks.
+    Threshold: {LATE_LOAD:g} s late or early.
+    Reason: a leg is loaded while it stands: 2 ms in clean walks.
     Remedy: the filter or clock of tau, or of the contacts.
     """
     if view.stance is None or view.robot is None:

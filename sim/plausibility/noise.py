@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.view import LogView
 
 NOISY = {"gyro": 0.2, "accel": 2.0, "dq": 1.5}
@@ -17,15 +17,15 @@ Hz), logs of a Go1, a SCALER and an iCub 0.3 to 0.6. Rates: one count of 12 bits
 """
 
 
-@rule_named("noise", beside="t", when="comparable")
+@rule("noise", beside="t", when="comparable")
 def noisy(view: LogView) -> Iterator[Finding]:
     """Check the noise of gyro, accelerometer and joint rates.
 
     Third differences hold little of a body's smooth motion.
 
     Compares: gyro, accelerometer and joint rates with themselves from row to row.
-    Speaks from: {NOISY[gyro]:g} rad/s, {NOISY[accel]:g} m/s², {NOISY[dq]:g} rad/s (joints).
-    Because: data sheets of IMUs have a twentieth; encoders of 12 bits, read at 1 kHz and not
+    Threshold: {NOISY[gyro]:g} rad/s, {NOISY[accel]:g} m/s², {NOISY[dq]:g} rad/s (joints).
+    Reason: data sheets of IMUs have a twentieth; encoders of 12 bits, read at 1 kHz and not
         filtered, have as much; a body with mass moves smoothly.
     Remedy: leave the log or the column out; of rates, or filter them: surefoot derives them from
         angles, and says so; a filter takes such noise for 0.01 rad/s and 0.1 m/s².

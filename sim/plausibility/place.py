@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.plausibility.axes import REF_P
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.stance import feet_at
 from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
 
@@ -42,14 +42,14 @@ _STRETCH = 20.0
 """Length of the section in the middle of a log that is used for it [s]: some tens of strides."""
 
 
-@rule_named("reference's point", "t accel gyro ref", when="trusts_reference")
+@rule("reference's point", "t accel gyro ref", when="trusts_reference")
 def point(view: LogView) -> Iterator[Finding]:
     """Check that the reference tracks the IMU: other points accelerate as the body rotates.
 
     Compares: what the accelerometer differs by from the acceleration of ref_p, with that of
         another point of the body.
-    Speaks from: {FARTHEST_POINT:g} m from the IMU, and {ARM_EXPLAINS:.0%} explained.
-    Because: ref_p is the IMU's own; markers are where there is room.
+    Threshold: {FARTHEST_POINT:g} m from the IMU, and {ARM_EXPLAINS:.0%} explained.
+    Reason: ref_p is the IMU's own; markers are where there is room.
     Remedy: [reference] p_IM; surefoot align.
     """
     found = other_point(view)
@@ -93,14 +93,14 @@ def speed_changes(view: LogView) -> tuple[np.ndarray, np.ndarray]:
     return by_imu, by_reference
 
 
-@rule_named("reference's motion", "t accel gyro ref", when="trusts_reference")
+@rule("reference's motion", "t accel gyro ref", when="trusts_reference")
 def motion(view: LogView) -> Iterator[Finding]:
     """Check that the reference's horizontal changes of velocity agree with the accelerometer.
 
     Compares: changes of speed in the plane over {SPEEDING:g} s, of ref_p and of the
         accelerometer, where they go together.
-    Speaks from: {SIZE_OFF:.0%} in size, {POSITIONS_TURNED:g}° in direction.
-    Because: accelerometers are true to 3 %, and to 1° (MPU-6050): 2 % on a measured Go1.
+    Threshold: {SIZE_OFF:.0%} in size, {POSITIONS_TURNED:g}° in direction.
+    Reason: accelerometers are true to 3 %, and to 1° (MPU-6050): 2 % on a measured Go1.
     Remedy: the calibration of the tracker; ref_p and ref_q in one world.
     """
     by_imu, by_reference = (x[:, :2] @ [1.0, 1.0j] for x in speed_changes(view))
@@ -121,13 +121,13 @@ def motion(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, "scaled: the tracker's calibration, or another unit")
 
 
-@rule_named("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
+@rule("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
 def from_legs(view: LogView) -> Iterator[Finding]:
     """Check that the reference is not leg odometry; real feet roll and slip.
 
     Compares: the velocity of ref_p with that by feet in contact.
-    Speaks from: alike to {MADE_OF_LEGS:.0%}.
-    Because: feet roll and slip: 7 % in simulated walks, 15 % on a measured Go1.
+    Threshold: alike to {MADE_OF_LEGS:.0%}.
+    Reason: feet roll and slip: 7 % in simulated walks, 15 % on a measured Go1.
     Remedy: a reference that was measured; results against this one say how alike estimates are.
     """
     begin = 0.5 * (view.t[0] + view.t[-1] - _STRETCH)

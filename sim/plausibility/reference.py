@@ -10,7 +10,7 @@ from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.plausibility.attitude import LATE, LATEST
 from surefoot.sim.plausibility.axes import GYRO, REF_P, REF_V, lag_of, match_axes
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import STEP, LogView
 
@@ -27,13 +27,13 @@ DEAD = 0.05
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
 
 
-@rule_named("reference's samples", "t ref", minor=True)
+@rule("reference's samples", "t ref", finds="note")
 def even_samples(view: LogView) -> Iterator[Finding]:
     """Check that a reference's samples are evenly spaced and continuous.
 
     Compares: each step of a reference with those around it.
-    Speaks from: jumps, repeated samples, and stamps that are off by a frame (3 % of the steps).
-    Because: a body on legs is pushed by less than 150 m/s² and 500 rad/s²; cameras count
+    Threshold: jumps, repeated samples, and stamps that are off by a frame (3 % of the steps).
+    Reason: a body on legs is pushed by less than 150 m/s² and 500 rad/s²; cameras count
         frames.
     Remedy: stamps of the tracker itself; frames in which it lost the body are to be left out.
     """
@@ -43,7 +43,7 @@ def even_samples(view: LogView) -> Iterator[Finding]:
         yield Finding((*REF_P, *_Q), seen, cause)
 
 
-@rule_named("reference's attitude", "t gyro ref")
+@rule("reference's attitude", "t gyro ref")
 def attitude(view: LogView) -> Iterator[Finding]:
     """Check that the reference rotates with the gyro, without a delay, and that gravity points
     down.
@@ -51,9 +51,9 @@ def attitude(view: LogView) -> Iterator[Finding]:
     Compares: the turning of ref_q with the gyro, its vertical with gravity, both as they are
         and under other readings (x, y, z, w; world to body; north-east-down; y up), and up to
         {LATEST:g} s late or early.
-    Speaks from: a reading that fits where ref_q as it is does not; {LATE:g} s late;
+    Threshold: a reading that fits where ref_q as it is does not; {LATE:g} s late;
         a vertical that is far from gravity.
-    Because: clean walks correlate by 0.97 and more; at 1 m/s a body is 2 cm further after 0.02
+    Reason: clean walks correlate by 0.97 and more; at 1 m/s a body is 2 cm further after 0.02
         s.
     Remedy: the order or sign of ref_q's columns; [reference] offset; surefoot align.
     """
@@ -73,13 +73,13 @@ def attitude(view: LogView) -> Iterator[Finding]:
     yield Finding((*REF_P, *_Q), fault.evidence, fault.cause, changes)
 
 
-@rule_named("reference's unit", "t ref", when="comparable")
+@rule("reference's unit", "t ref", when="comparable")
 def position(view: LogView) -> Iterator[Finding]:
     """Check that positions are in metres, by the speed.
 
     Compares: the median speed of ref_p.
-    Speaks from: {FASTEST_LEGS:g} m/s.
-    Because: the fastest robot on legs ran at 8.9 m/s (WildCat, Boston Dynamics, 2013).
+    Threshold: {FASTEST_LEGS:g} m/s.
+    Reason: the fastest robot on legs ran at 8.9 m/s (WildCat, Boston Dynamics, 2013).
     Remedy: unit = "mm".
     """
     if not view.ok.any():
@@ -91,13 +91,13 @@ def position(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, f"in {unit}, not m", entries(REF_P, unit=unit))
 
 
-@rule_named("reference's velocity", "t ref ref_v", when="comparable")
+@rule("reference's velocity", "t ref ref_v", when="comparable")
 def velocity(view: LogView) -> Iterator[Finding]:
     """Check that the reference's velocity is the derivative of its positions, in the world.
 
     Compares: ref_v with the change of ref_p.
-    Speaks from: {VELOCITY_OFF:.0%} of its size, or of its mean square.
-    Because: equal by definition, in the axes of the world.
+    Threshold: {VELOCITY_OFF:.0%} of its size, or of its mean square.
+    Reason: equal by definition, in the axes of the world.
     Remedy: unit or order of the axes; leave ref_v out, it is derived then.
     """
     if not view.ok.any():

@@ -15,7 +15,7 @@ from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import REF_V, delay_between
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.view import MEAN, RESTS, LogView
 
 LATE_RATE = 4e-3
@@ -91,13 +91,13 @@ _LEAST_DISTINCT = 20
 """Number of distinct values below which a column is a state or a command, not a reading."""
 
 
-@rule_named("frozen")
+@rule("frozen")
 def frozen(view: LogView) -> Iterator[Finding]:
     """Check that a sensor changes while related ones do.
 
     Compares: a sensor with its siblings: other axes, the joint's own rate, other joints.
-    Speaks from: no change for {FROZEN:g} s (torques {LIMITED:g} s) while they move.
-    Because: half a swing; every sensor has noise.
+    Threshold: no change for {FROZEN:g} s (torques {LIMITED:g} s) while they move.
+    Reason: half a swing; every sensor has noise.
     Remedy: leave the column out, or cut the log there.
     """
     found: dict[str, list[str]] = defaultdict(list)
@@ -224,13 +224,13 @@ def _moves(x: np.ndarray, rows: slice) -> bool:
     return bool(high > low) and float(least) > _ALIVE * float(high - low)
 
 
-@rule_named("held", beside="t", minor=True)
+@rule("held", beside="t", finds="note")
 def held(view: LogView) -> Iterator[Finding]:
     """Find columns that are sampled more slowly than the rows.
 
     Compares: rows of a sensor with the rows before.
-    Speaks from: repeated so often that it has {SLOWER:g} of the rate of the rows.
-    Because: a slower sensor; coarse readings repeat at a sixth of the rows by chance.
+    Threshold: repeated so often that it has {SLOWER:g} of the rate of the rows.
+    Reason: a slower sensor; coarse readings repeat at a sixth of the rows by chance.
     Remedy: nothing, if it is known: rates from differences are wrong, noise is less than it
         seems.
     """
@@ -250,13 +250,13 @@ def held(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, {"even": {"held": held_kinds}})
 
 
-@rule_named("interpolated", beside="t", minor=True)
+@rule("interpolated", beside="t", finds="note")
 def interpolated(view: LogView) -> Iterator[Finding]:
     """Find readings on straight lines between samples, which have been interpolated.
 
     Compares: steps of a sensor from row to row.
-    Speaks from: {STRAIGHT:.0%} of them as the one before.
-    Because: every sensor has noise.
+    Threshold: {STRAIGHT:.0%} of them as the one before.
+    Reason: every sensor has noise.
     Remedy: nothing, if it is known: noise is less than it seems, and impacts are missing.
     """
     known = " ".join(view.log.meta.derived)
@@ -272,13 +272,13 @@ def interpolated(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule_named("late", beside="t ref", minor=True)
+@rule("late", beside="t ref", finds="note")
 def late(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
     Compares: dq with the change of q, ref_v with that of ref_p.
-    Speaks from: {LATE_RATE:g} s; {LATE:g} s.
-    Because: two samples; a filter's delay moves what filters and traces see.
+    Threshold: {LATE_RATE:g} s; {LATE:g} s.
+    Reason: two samples; a filter's delay moves what filters and traces see.
     Remedy: nothing, if it is known: trace has rate_delay.
     """
     for columns, x, witness, delay in _delays(view):
@@ -315,14 +315,14 @@ def _delays(view: LogView) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.nda
         yield REF_V, log.ref_v, moved, delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
 
 
-@rule_named("coarse", minor=True)
+@rule("coarse", finds="note")
 def coarse(view: LogView) -> Iterator[Finding]:
     """Check that readings resolve what they measure.
 
     Compares: readings of gyro, accelerometer and angles with each other.
-    Speaks from: nothing between readings that are {COARSE[gyro]:g} rad/s, {COARSE[accel]:g}
+    Threshold: nothing between readings that are {COARSE[gyro]:g} rad/s, {COARSE[accel]:g}
         m/s², {COARSE[q]:g} rad apart.
-    Because: fifty times what sensors of 16 bits and encoders of 12 bits have.
+    Reason: fifty times what sensors of 16 bits and encoders of 12 bits have.
     Remedy: record more digits.
     """
     for kind, columns in _kinds(view, tuple(COARSE)).items():
@@ -334,14 +334,14 @@ def coarse(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule_named("overflow")
+@rule("overflow")
 def overflows(view: LogView) -> Iterator[Finding]:
     """Check that readings do not wrap around at the ends of their range.
 
     Compares: steps of gyro and angles from row to row with the range of their readings.
-    Speaks from: {LEAST_OVERFLOWS} steps over {FROM_END_TO_END:.0%} of it, not back at once, of
+    Threshold: {LEAST_OVERFLOWS} steps over {FROM_END_TO_END:.0%} of it, not back at once, of
         {OVERFLOWS[gyro]:g} rad/s or {OVERFLOWS[q]:g} rad.
-    Because: what has mass passes the middle of a range on its way to the other end.
+    Reason: what has mass passes the middle of a range on its way to the other end.
     Remedy: a sensor of larger range, or wider numbers; wrap for angles.
     """
     even = np.diff(view.t) < 2.0 * np.median(np.diff(view.t)) if len(view.t) > 2 else False
@@ -358,13 +358,13 @@ def overflows(view: LogView) -> Iterator[Finding]:
             yield Finding((name,), seen, cause, entries((name,), wrap=_WHOLE_TURN) if turns else {})
 
 
-@rule_named("saturated", minor=True)
+@rule("saturated", finds="note")
 def saturated(view: LogView) -> Iterator[Finding]:
     """Check that readings do not accumulate at their largest value.
 
     Compares: readings of IMU and joint rates with their largest.
-    Speaks from: {CLIPPED} rows at exactly it, and three times as many as near it.
-    Because: a sensor's noise spreads what does not clip.
+    Threshold: {CLIPPED} rows at exactly it, and three times as many as near it.
+    Reason: a sensor's noise spreads what does not clip.
     Remedy: a sensor of larger range; filters take clipped readings for true ones.
     """
     kinds = _kinds(view, ("gyro", "accel", "dq"))
@@ -385,14 +385,14 @@ def saturated(view: LogView) -> Iterator[Finding]:
                 yield Finding((name,), seen, "the sensor's range, or a clip")
 
 
-@rule_named("spikes", beside="t q dq tau gyro")
+@rule("spikes", beside="t q dq tau gyro")
 def spikes(view: LogView) -> Iterator[Finding]:
     """Check that no stream jumps for a row and back.
 
     Compares: each row with the median of five.
-    Speaks from: {SPIKE:g} times what one row in a hundred has, and 2 rad/s, 0.15 rad ...;
+    Threshold: {SPIKE:g} times what one row in a hundred has, and 2 rad/s, 0.15 rad ...;
         {DROPS} rows of exactly 0 between others.
-    Because: nothing with mass leaps for a few milliseconds and back; chatter shows in angles
+    Reason: nothing with mass leaps for a few milliseconds and back; chatter shows in angles
         too.
     Remedy: leave such rows out before the import.
     """
@@ -446,13 +446,13 @@ def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> n
     return np.abs(beside - frame[name].to_numpy()[rows]).min(axis=0) < within
 
 
-@rule_named("copied")
+@rule("copied")
 def copies(view: LogView) -> Iterator[Finding]:
     """Check that no two sensors read exactly the same.
 
     Compares: columns of one kind with each other.
-    Speaks from: equal, or of opposite sign, to 1e-9 of their mean square.
-    Because: two sensors have noise of their own.
+    Threshold: equal, or of opposite sign, to 1e-9 of their mean square.
+    Reason: two sensors have noise of their own.
     Remedy: one of two columns of the map names the wrong one of theirs.
     """
     for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot")).items():
@@ -466,13 +466,13 @@ def copies(view: LogView) -> Iterator[Finding]:
                 yield Finding((a, b), seen, f"one of two {kind} columns was read twice")
 
 
-@rule_named("derived", when="comparable")
+@rule("derived", when="comparable", finds="note")
 def derived(view: LogView) -> Iterator[Finding]:
     """Find columns that follow exactly from others and are no measurement.
 
     Compares: dq with the difference of q, tau with the motor law.
-    Speaks from: equal to 1e-8 of the mean square.
-    Because: what follows from others is no measurement, and has their errors.
+    Threshold: equal to 1e-8 of the mean square.
+    Reason: what follows from others is no measurement, and has their errors.
     Remedy: leave the column out: surefoot derives it, and says so.
     """
     log = view.log
