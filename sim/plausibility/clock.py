@@ -7,6 +7,7 @@ import numpy as np
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import legs_moving, set_forward
 from surefoot.sim.importing.columns import UNITS
+from surefoot.sim.plausibility.axes import LIKELY, SCALED
 from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.view import RESTS, LogView
 
@@ -26,12 +27,6 @@ LONGEST_GAP = 0.05
 """Largest gap between rows [s]: a tenth of a stride, too long for interpolation (as for a
 reference).
 """
-SPEED_OFF = 0.1
-"""Relative difference between logged rates and numerical derivatives; each is smoothed by a few
-percent.
-"""
-SAME_CLOCK = 0.1
-"""Largest difference between streams in that factor for which they agree on the clock."""
 _USUAL = (20.0, 1e4)
 """Usual rates of logs [Hz]."""
 LEAPS = 0.6
@@ -129,7 +124,7 @@ def speed(view: LogView) -> Iterator[Finding]:
     wrong.
 
     Compares: dq, ref_v and gyro with the change of q, ref_p and ref_q.
-    Threshold: all of them off by the same factor, {SPEED_OFF:.0%} or more.
+    Threshold: all of them off by the same factor, {SCALED:.0%} or more.
     Reason: one factor for all streams is the clock's: 1 ms taken for 2, rows that were thinned
         out.
     Remedy: mend [source] rate, or the unit of t.
@@ -147,13 +142,13 @@ def speed(view: LogView) -> Iterator[Finding]:
     for rate, change in pairs:
         both = np.sum(rate * change)
         size = np.sum(change**2)
-        if size == 0.0 or abs(both) < 0.8 * np.sqrt(np.sum(rate**2) * size):
+        if size == 0.0 or abs(both) < LIKELY * np.sqrt(np.sum(rate**2) * size):
             return
         factors.append(float(both / size))
-    if len(factors) < 2 or np.ptp(factors) > SAME_CLOCK * abs(factors[0]):
+    if len(factors) < 2 or np.ptp(factors) > SCALED * abs(factors[0]):
         return
     factor = float(np.median(factors))
-    if abs(factor - 1.0) > SPEED_OFF + error:
+    if abs(factor - 1.0) > SCALED + error:
         seen = f"rates are {factor:.3g} times the change of what they are rates of, in all streams"
         cause = "time runs backwards" if factor < 0 else "stamps at a wrong rate"
         yield Finding(("t",), seen, cause)

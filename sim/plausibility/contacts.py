@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.plausibility.finding import Finding, rule
-from surefoot.sim.plausibility.streams import stretches_without_change
+from surefoot.sim.plausibility.streams import still_sections
 from surefoot.sim.plausibility.view import LogView
 
 FARTHEST_STILL = 0.3
@@ -54,85 +54,6 @@ stairs and slopes too, since heights are relative to the body.
 """
 
 
-@rule("missed steps", "t contact", when="comparable")
-def missed(view: LogView) -> Iterator[Finding]:
-    """Check that feet touch down about as often as each other.
-
-    Compares: the number of changes of each contact with that of the others.
-    Threshold: less than {MISSES:g} of it, where the others change {MOST_SURE} times or more.
-    Reason: in every gait each foot steps once a stride.
-    Remedy: the threshold of [contact] for that foot.
-    """
-    log = view.log
-    if len(log.legs) < 3:
-        return
-    changes = np.array([_lasting(view.t, contact) for contact in log.contact.T])
-    usual = float(np.median(changes))
-    rare = (changes > 0) & (changes < MISSES * usual) & (usual >= MOST_SURE)
-    for i in np.flatnonzero(rare):
-        seen = f"changes {changes[i]} times, where most feet do {usual:.0f} times"
-        cause = "a threshold that lighter steps do not reach, or a leg that is held up"
-        yield Finding((f"contact_{log.legs[i]}",), seen, cause)
-
-
-@rule("contacts", "contact")
-def dead(view: LogView) -> Iterator[Finding]:
-    """Check that each foot of a walking robot touches down and lifts off.
-
-    Compares: contacts with each other over time, and the velocity of each foot in contact with
-        that of the others.
-    Threshold: none changes, or one does not for {UNCHANGED:g} s in which the others change
-        {OTHERS_CHANGE} times and more, although the robot walks; in a log in which it never
-        changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time.
-    Reason: a foot of a robot that walks lifts at every stride; feet that stand move alike.
-    Remedy: the threshold of [contact]; leave a dead contact out.
-    """
-    log, contact = view.log, view.log.contact
-    if len(log.legs) < 2:
-        return
-    count = np.abs(np.diff(contact.astype(int), axis=0)).sum(axis=0)
-    steps = np.array([_lasting(view.t, one) for one in contact.T])
-    moves = _moving_in_contact(view)
-    walks = int(np.sum(steps >= STRIDE)) >= 2
-    # A robot that has just begun to walk has not lifted every foot.
-    wrong = np.where(contact[0], int(np.sum(count >= OTHERS_CHANGE)) >= 2, walks)
-    wrong = np.where(np.isfinite(moves), moves > MOVES, wrong) & (count == 0)
-    if not (count.any() or wrong.any()) and log.has("reference"):
-        far = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
-        # Its feet move under it, so that it is not carried.
-        feet = None if view.stance is None else view.stance.foot[:, :, :2]
-        wrong[:] = far and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
-    for state in (1, 0):
-        found = np.flatnonzero(wrong & (contact[0] == state))
-        if found.size:
-            seen = f"always {state} although the robot walks"
-            columns = tuple(f"contact_{log.legs[i]}" for i in found)
-            yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
-    for i in np.flatnonzero(count > 0):
-        for first, last in stretches_without_change(view.t, contact[:, i], UNCHANGED)[:1]:
-            t, rows = view.t[first : last + 1], np.delete(contact, i, axis=1)[first : last + 1]
-            others = np.median([_lasting(t, x) for x in rows.T])
-            if others >= OTHERS_CHANGE:
-                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s, while the others change"
-                seen += f" {others:.0f} times"
-                yield Finding((f"contact_{log.legs[i]}",), seen, "a sensor that hangs")
-
-
-def _moving_in_contact(view: LogView) -> np.ndarray:
-    """Share (L,) of its time in contact in which a foot moves against the median of those in
-    contact; NaN where that is unknown.
-    """
-    legs = view.feet if view.log.has("imu") else None
-    if legs is None:
-        return np.full(len(view.log.legs), np.nan)
-    some = legs.at(np.flatnonzero(legs.contact.any(axis=1)))
-    by_foot = some.body_velocity(view.gyro[some.which])
-    by_foot = np.where(some.contact[..., None], by_foot, np.nan)
-    apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
-    share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
-    return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)
-
-
 @rule("flickering", "t contact", when="comparable")
 def flickering(view: LogView) -> Iterator[Finding]:
     """Check that a foot does not touch down and lift off too often.
@@ -148,6 +69,80 @@ def flickering(view: LogView) -> Iterator[Finding]:
         columns = tuple(f"contact_{log.legs[i]}" for i in bad)
         seen = f"{rate[bad].max():.0f} changes a second"
         yield Finding(columns, seen, "noise about the threshold: on, off and debounce of [contact]")
+
+
+@rule("contacts", "contact")
+def dead(view: LogView) -> Iterator[Finding]:
+    """Check that each foot of a walking robot touches down and lifts off as often as the others.
+
+    Compares: contacts with each other over time, and the velocity of each foot in contact with
+        that of the others.
+    Threshold: none changes, or one does not for {UNCHANGED:g} s in which the others change
+        {OTHERS_CHANGE} times and more, although the robot walks; in a log in which it never
+        changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time;
+        less than {MISSES:g} of the changes of most feet, where these have {MOST_SURE} or more.
+    Reason: a foot of a robot that walks lifts once a stride; feet that stand move alike.
+    Remedy: the threshold of [contact] for that foot; leave a dead contact out.
+    """
+    log, contact = view.log, view.log.contact
+    if len(log.legs) < 2:
+        return
+    steps = np.array([_lasting(view.t, one) for one in contact.T])
+    wrong = _never_changes(view, steps)
+    for state in (1, 0):
+        found = np.flatnonzero(wrong & (contact[0] == state))
+        if found.size:
+            seen = f"always {state} although the robot walks"
+            columns = tuple(f"contact_{log.legs[i]}" for i in found)
+            yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
+    usual = float(np.median(steps))
+    for i in np.flatnonzero(contact.any(axis=0) & ~contact.all(axis=0)):
+        column = (f"contact_{log.legs[i]}",)
+        # Of two feet, neither is unlike most.
+        if len(steps) > 2 and usual >= MOST_SURE and 0 < steps[i] < MISSES * usual:
+            seen = f"changes {steps[i]} times, where most feet do {usual:.0f} times"
+            cause = "a threshold that lighter steps do not reach, or a leg that is held up"
+            yield Finding(column, seen, cause)
+        for rows in still_sections(view.t, contact[:, i], UNCHANGED)[:1]:
+            t, beside = view.t[rows], np.delete(contact, i, axis=1)[rows]
+            others = np.median([_lasting(t, x) for x in beside.T])
+            if others >= OTHERS_CHANGE:
+                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s, while the others change"
+                yield Finding(column, f"{seen} {others:.0f} times", "a sensor that hangs")
+
+
+def _never_changes(view: LogView, steps: np.ndarray) -> np.ndarray:
+    """Mask (L,) of contacts that never change although the robot walks; `steps` (L,) are the
+    lasting changes of each.
+    """
+    log, contact = view.log, view.log.contact
+    count = np.abs(np.diff(contact.astype(int), axis=0)).sum(axis=0)
+    moves = _moving_in_contact(view)
+    # A robot that has just begun to walk has not lifted every foot.
+    walks = int(np.sum(steps >= STRIDE)) >= 2
+    wrong = np.where(contact[0], int(np.sum(count >= OTHERS_CHANGE)) >= 2, walks)
+    wrong = np.where(np.isfinite(moves), moves > MOVES, wrong) & (count == 0)
+    if not (count.any() or wrong.any()) and log.has("reference"):
+        far = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
+        # Its feet move under it, so that it is not carried.
+        feet = None if view.stance is None else view.stance.foot[:, :, :2]
+        wrong[:] = far and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
+    return wrong
+
+
+def _moving_in_contact(view: LogView) -> np.ndarray:
+    """Share (L,) of its time in contact in which a foot moves against the median of those in
+    contact; NaN where that is unknown.
+    """
+    legs = view.feet if view.log.has("imu") else None
+    if legs is None:
+        return np.full(len(view.log.legs), np.nan)
+    some = legs.at(np.flatnonzero(legs.contact.any(axis=1)))
+    by_foot = some.body_velocity(view.gyro[some.which])
+    by_foot = np.where(some.contact[..., None], by_foot, np.nan)
+    apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
+    share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
+    return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)
 
 
 def _changes(t: np.ndarray, contact: np.ndarray) -> int:

@@ -71,10 +71,11 @@ class Rule:
 
     @property
     def place(self) -> tuple[int, int]:
-        """Its place among all rules: causes, then symptoms, then notes; the fewer columns it
-        compares, the earlier, since fewer may be at fault.
+        """Its place among all rules: causes, then symptoms, then notes; the fewer columns beside
+        `t` it compares, the earlier, since fewer may be at fault.
         """
-        return ("cause", "symptom", "note").index(self.finds), len(self.needs + self.beside)
+        compared = {*self.needs, *self.beside} - {"t"}
+        return ("cause", "symptom", "note").index(self.finds), len(compared)
 
     def findings(self, view: LogView, doubted: set[str]) -> list[Finding]:
         """What it finds in a log, besides what is only about columns in doubt."""

@@ -9,19 +9,13 @@ from surefoot.sim.importing.reference import REFERENCE_OFFSET
 from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.plausibility.attitude import LATE, LATEST
-from surefoot.sim.plausibility.axes import GYRO, REF_P, REF_V, lag_of, match_axes
+from surefoot.sim.plausibility.axes import GYRO, REF_P, REF_V, SCALED, SURELY, lag_of, match_axes
+from surefoot.sim.plausibility.causes import in_another_unit, in_other_axes
 from surefoot.sim.plausibility.finding import Finding, rule
-from surefoot.sim.plausibility.units import in_another_unit
 from surefoot.sim.plausibility.view import STEP, LogView
 
 FASTEST_LEGS = 12.0
 """Speed that no legged robot has reached [m/s] (WildCat, 8.9 m/s, Boston Dynamics 2013)."""
-VELOCITY_OFF = 0.15
-"""Relative difference of velocities from the derivative of positions, or of accelerations from the
-accelerometer: averaging over a stride and a lever arm cause several percent.
-"""
-_SURELY = 0.9
-"""Correlation from which a delay is the cause."""
 DEAD = 0.05
 """Standard deviation of the change of a position [m/s] from which its velocity must vary, too."""
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
@@ -64,7 +58,7 @@ def attitude(view: LogView) -> Iterator[Finding]:
         yield Finding(_Q, fault.evidence, fault.cause, fault.changes)
         return
     by_force, alike = lag_of(view.accel[view.ok], view.felt[view.ok], STEP, LATEST)
-    if not fault.changes and alike > _SURELY and abs(by_force) < 0.5 * abs(fault.late):
+    if not fault.changes and alike > SURELY and abs(by_force) < 0.5 * abs(fault.late):
         seen = f"{fault.evidence}, and the accelerometer does not"
         yield Finding(GYRO, seen, "a filter, or another clock, of the gyro alone")
         return
@@ -96,7 +90,7 @@ def velocity(view: LogView) -> Iterator[Finding]:
     """Check that the reference's velocity is the derivative of its positions, in the world.
 
     Compares: ref_v with the change of ref_p.
-    Threshold: {VELOCITY_OFF:.0%} of its size, or of its mean square.
+    Threshold: {SCALED:.0%} of its size, or of its mean square.
     Reason: equal by definition, in the axes of the world.
     Remedy: unit or order of the axes; leave ref_v out, it is derived then.
     """
@@ -113,10 +107,10 @@ def velocity(view: LogView) -> Iterator[Finding]:
         yield Finding(tuple(REF_V[i] for i in dead), seen, "not measured")
     size = float(np.sqrt(np.sum(logged**2) / max(np.sum(moved**2), 1e-12)))
     missed = float(np.sum((logged - moved) ** 2) / max(np.sum(moved**2), 1e-12))
-    if missed < VELOCITY_OFF:
+    if missed < SCALED:
         return
     seen = f"{size:.3g} times the change of positions"
-    if abs(np.log(max(size, 1e-9))) > np.log1p(VELOCITY_OFF):
+    if abs(np.log(max(size, 1e-9))) > np.log1p(SCALED):
         yield Finding(REF_V, seen, *in_another_unit("ref_v", REF_V, size, "scaled, or ref_p is"))
         return
     seen = f"{100 * missed:.0f} % of its mean square is not the change of positions"
@@ -124,12 +118,12 @@ def velocity(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_V, seen, "in the body's axes, not the world's")
         return
     match = match_axes(logged, moved)
-    late, shifted = lag_of(logged, moved, STEP, LATEST)
-    if abs(late) > view.least_lag(LATE) and shifted > max(_SURELY, match.best.mean()):
+    late, shifted = view.delay(logged, moved, LATE, LATEST)
+    if late and shifted > max(SURELY, match.best.mean()):
         seen = f"{1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
         seen += " against the change of ref_p"
         yield Finding(REF_V, seen, "a filter, or stamps of another clock")
-        return
-    columns = tuple(REF_V[i] for i in match.wrong) or REF_V
-    words = match.words or "another clock, another body, or a filter that lags"
-    yield Finding(columns, seen, words)
+    elif match.wrong:
+        yield in_other_axes(match, "ref_v", "the change of positions")
+    else:
+        yield Finding(REF_V, seen, "another clock, another body, or a filter that lags")

@@ -16,6 +16,7 @@ from surefoot.sim.plausibility import (
     imu,
     joints,
     legs,
+    loads,
     noise,
     place,
     reference,
@@ -25,7 +26,7 @@ from surefoot.sim.plausibility.finding import Finding, Rule
 from surefoot.sim.plausibility.view import LogView
 from surefoot.sim.robot.machine import Machine
 
-_FILES = clock, streams, imu, joints, noise, reference, place, contacts, legs, drives
+_FILES = clock, joints, streams, noise, reference, imu, place, contacts, legs, loads, drives
 RULES = tuple(
     sorted(
         (one for file in _FILES for one in vars(file).values() if isinstance(one, Rule)),

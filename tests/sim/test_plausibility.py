@@ -575,7 +575,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "IMU turned by 30 deg": (
         imu_turned(Rotation.from_euler("z", 30, degrees=True)), "gyro", "the IMU is turned"),
     "reference's world not level": (tilted_world, "accelerometer", "not level"),
-    "reference that sinks": (sinking, "climbing", "sinks by 0.30 m/s"),
+    "reference that sinks": (sinking, "legs", "sinks by 0.30 m/s"),
     "gyro that is noise": (noisy_gyro, "noise", "gyro_x, gyro_y, gyro_z"),
     "reference of a point before the IMU": (
         of_another_point(0.5, 0.0, 0.0), "reference's point", "of a point at (0.5"),
@@ -585,7 +585,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         times(1.2, "ref_p", "ref_v"), "reference's motion", "times as much"),
     "reference's positions turned": (positions_turned, "reference's motion", "30 deg about z"),
     "reference made of the legs": (leg_odometry, "reference from legs", "made of the legs"),
-    "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or the joints are late"),
+    "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or joints are late"),
     "contacts late": (late(0.06, "contact_"), "legs", "0.06 s earlier"),
     "one leg late": (
         late(0.05, "q_FL", "dq_FL", "tau_FL", "contact_FL"), "legs", "FL moves 0.04 s after"),
@@ -611,11 +611,12 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "an angle within a turn": (within_a_turn, "overflow", "wrap = 6.28"),
     "a leg disconnected for a while": (disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
     "a contact late": (late(0.1, "contact_RR"), "legs", "contact_RR: late, unlike the other"),
-    "a contact that misses steps": (every_second_step, "missed steps", "contact_FR"),
+    "a contact that misses steps": (
+        every_second_step, "contacts", "contact_FR: a threshold that lighter steps"),
     "all calves from another zero": (
-        from_another_zero(0.3, "_calf"), "zeros of most legs", "-0.3 rad added"),
+        from_another_zero(0.3, "_calf"), "legs", "-0.3 rad added"),
     "all thighs from another zero": (
-        from_another_zero(-0.2, "_thigh"), "zeros of most legs", "+0.2 rad added"),
+        from_another_zero(-0.2, "_thigh"), "legs", "+0.2 rad added"),
     "gyro late": (late(0.06, "gyro"), "reference's attitude", "gyro_x, gyro_y, gyro_z: a filter"),
     "a heading that turns clockwise": (
         euler_angles(lambda yaw, pitch, roll: (-yaw, pitch, roll)),
@@ -904,6 +905,25 @@ def test_a_vibration_that_a_filter_inverts_has_no_wrong_sign(window, sign, cause
 @pytest.mark.parametrize("rows", [1, 2, 5])
 def test_a_log_of_some_rows_has_nothing_to_compare(log, rows):
     assert found_in(log.rows(slice(rows))) == []
+
+
+def test_the_fewer_columns_a_rule_compares_the_earlier_it_is_asked():
+    """A cause is asked about before a symptom of several, and what compares no others first."""
+    order = [rule.name for rule in RULES]
+    for earlier, later in (
+        ("rows", "joint rates"),
+        ("gyro's unit", "gyro"),
+        ("reference's attitude", "gyro"),
+        ("joint rates", "legs"),
+        ("legs", "joint range"),
+        ("joint range", "coarse"),
+    ):
+        assert order.index(earlier) < order.index(later), (earlier, later)
+
+
+def test_a_note_and_a_fault_of_a_stream_are_both_found(log):
+    found = check_log(both(rounded(0.1, "gyro"), exchanged(("gyro_x", "gyro_y")))(log), SPOT)
+    assert {"coarse", "gyro"} <= {one.rule for one in found}
 
 
 def test_every_rule_says_why():
