@@ -17,7 +17,7 @@ not. Clean walks have 0.97 and more (gyros, rates of joints) and 0.8 (accelerome
 measure, below 0.6 with other axes, since roll and sway are correlated, and 0.87 at most at a delay
 of whole strides. Measured drives have 0.7 with their models.
 """
-SCALED = 0.15
+SCALED = 0.1
 """Relative scale error of streams that measure the same; single columns have twice as much. Data
 sheets allow 3 %; averages over a stride, filters of drives and lever arms cost several percent.
 """

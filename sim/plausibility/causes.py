@@ -54,5 +54,5 @@ def axes_put_right(match: AxesMatch, *kinds: str) -> Changes:
 
 def of_changing_sign(column: str, since: float, expected: str) -> Finding:
     """The finding for a stream with another sign `since` some time [s]."""
-    seen = f"from {since:.2f} s on minus {expected}, before it is that, or the other way round"
-    return Finding((column,), seen, "its sign, or its angle's, changes on the way")
+    seen = f"at {since:.2f} s, relative to {expected}"
+    return Finding((column,), seen, "its sign, or that of its angle, changes during the log")

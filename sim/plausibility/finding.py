@@ -58,8 +58,8 @@ class Rule:
         needs: columns or their prefixes; the rule is skipped where one is missing or in doubt.
         beside: columns or prefixes that may be missing, but must not be in doubt.
         when: property of the view without which there is nothing to compare.
-        finds: the "cause" of what is wrong; a "symptom" that several causes have; a "note" that is
-            good to know, and puts no column in doubt.
+        finds: the "cause" of what is wrong; a "symptom" that several causes have; a "note" on what
+            is good to know, which puts no column in doubt.
     """
 
     name: str
@@ -70,12 +70,11 @@ class Rule:
     finds: _Finds
 
     @property
-    def place(self) -> tuple[int, int]:
-        """Its place among all rules: causes, then symptoms, then notes; the fewer columns beside
-        `t` it compares, the earlier, since fewer may be at fault.
+    def place(self) -> tuple[bool, int]:
+        """Its place among all rules: symptoms last; the fewer columns beside `t` it compares, the
+        earlier, since fewer may be at fault.
         """
-        compared = {*self.needs, *self.beside} - {"t"}
-        return ("cause", "symptom", "note").index(self.finds), len(compared)
+        return self.finds == "symptom", len({*self.needs, *self.beside} - {"t"})
 
     def findings(self, view: LogView, doubted: set[str]) -> list[Finding]:
         """What it finds in a log, besides what is only about columns in doubt."""

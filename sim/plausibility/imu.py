@@ -87,9 +87,9 @@ def gravity(view: LogView) -> Iterator[Finding]:
     Compares: the mean of the accelerometer with gravity, and its direction with what is up: the
         robot's z, else away from the feet, else the reference's.
     Threshold: {ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {MOST_LEAN:g}° from up.
-    Reason: what stays near the ground feels gravity on average; accelerometers have biases of
-        80 mg at worst (MPU-6050 product specification); a robot that turns about on a slope of
-        35° has a shorter mean.
+    Reason: the mean acceleration of what stays near the ground is zero, so that gravity is left;
+        accelerometers have biases of 80 mg at worst (MPU-6050 product specification); a robot that
+        turns about on a slope of 35° has a shorter mean.
     Remedy: unit = "g"; sign; offset (twice gravity where the motion has the right sign, see the
         evidence); the order of the axes.
     """
@@ -221,7 +221,7 @@ def averaged(view: LogView) -> Iterator[Finding]:
     Threshold: {SUM_OFF:.0%} of these, and {IMPLIED[0]:g} to {IMPLIED[1]:g} times what
         independent samples cause.
     Reason: averages over each row give the change of velocity at any rate.
-    Remedy: log faster, or averages over the rows: filters take rows for such.
+    Remedy: log faster, or averages over the rows: filters take each row for an average.
     """
     by_imu, by_reference = speed_changes(view)
     if len(by_imu) < FEWEST:
@@ -382,8 +382,7 @@ def turning_of_legs(view: LogView) -> Iterator[Finding]:
     """Check a gyro without a reference, by the rotation of lines between standing feet.
 
     Compares: without a reference: the gyro with the turning of lines between standing feet.
-    Threshold: another order or sign of axes that leaves {MENDED:.0%} of what is unexplained, or
-        less.
+    Threshold: another order or sign of axes that leaves {MENDED:.0%} of what is unexplained.
     Reason: feet that stand do not turn; other axes fit by chance only.
     Remedy: order or sign of the axes.
     """

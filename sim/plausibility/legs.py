@@ -119,7 +119,7 @@ def kinematics(view: LogView) -> Iterator[Finding]:
         exchanged or of opposite sign, contacts inverted; all, one leg or contacts alone late;
         angles of most legs from another zero; the reference's vertical velocity with that of
         standing feet.
-    Threshold: a reading that leaves {MENDED:g} of the mean square (joints {MENDED_JOINTS:g});
+    Threshold: a correction that leaves {MENDED:g} of the mean square (joints {MENDED_JOINTS:g});
         {CLEARER:g} for a sign with which torques, which else push to a side by {LEANS:g} of the
         leg's load, do so half as much; {HOPELESS:.0%} of the body's own; not {SIZE[0]:g} to
         {SIZE[1]:g} times as fast; {CLIMBS:g} m/s upwards or downwards in the median.
@@ -206,7 +206,7 @@ def _late_parts(view: LogView, legs: Stance, motion: Motion) -> list[Finding]:
 
 
 def _moved(late: float) -> str:
-    return f"{abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
+    return f"if taken {abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
 
 
 def _earlier(view: LogView, legs: Stance, motion: Motion, late: float) -> Motion:
@@ -290,8 +290,8 @@ def _swapped(
     return base / left, [Finding(columns, _less(base / left), cause)]
 
 
-def _less(gain: float, how: str = "when put right") -> str:
-    return f"standing feet move {gain:.3g} times less (squared) {how}"
+def _less(gain: float, how: str = "if corrected") -> str:
+    return f"the mean square velocity of standing feet is {gain:.3g} times less {how}"
 
 
 def _by_each_leg(
@@ -391,7 +391,7 @@ def _of_another_robot(
         cause = "another robot's log (its legs have another length), or units of positions"
         return [Finding(("q", "ref_p"), seen, cause)]
     if base > HOPELESS:
-        seen = f"standing feet have {100 * base:.0f} % of the body's velocity, squared"
+        seen = f"standing feet have {100 * base:.0f} % of the body's mean square velocity"
         return [Finding(("q", "contact"), seen, "wrong joints, contacts or robot; or it slides")]
     return []
 
@@ -435,9 +435,11 @@ def _zeros(view: LogView, legs: Stance, motion: Motion) -> list[Finding]:
             columns += [f"q_{log.joints[chains[i, k]]}" for i in which]
             added = sorted({float(OFFSETS[misfits[k, :, i].argmin()]) for i in which})
             gain = 1.0 / float(np.median(left[k, which]))
-            seen.append(f"{gain:.1f} times with {' or '.join(f'{x:+g}' for x in added)} rad added")
+            seen.append(
+                f"{gain:.1f} times less with {' or '.join(f'{x:+g}' for x in added)} rad added"
+            )
     if not columns:
         return []
-    words = f"standing feet move less (squared): {', else '.join(seen)}"
+    words = f"the mean square velocity of standing feet is {', or '.join(seen)}"
     cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
     return [Finding(tuple(columns), words, cause)]

@@ -102,10 +102,10 @@ def motion(view: LogView) -> Iterator[Finding]:
     turned = float(np.degrees(np.angle(both)))
     size = float(np.sqrt(power[1] / power[0]))
     if abs(turned) > POSITIONS_TURNED:
-        seen = f"it speeds up {turned:.0f} deg about z from where accelerometer and ref_q say"
+        seen = f"its acceleration is {turned:.0f} deg about z from that of accelerometer and ref_q"
         yield Finding(REF_P, seen, "positions and attitudes are in different worlds")
     elif abs(np.log(size)) > np.log1p(SCALED):
-        seen = f"it speeds up {size:.3g} times as much as the accelerometer says"
+        seen = f"its acceleration is {size:.3g} times that of the accelerometer"
         yield Finding(REF_P, seen, "scaled: the tracker's calibration, or another unit")
 
 
@@ -116,7 +116,7 @@ def from_legs(view: LogView) -> Iterator[Finding]:
     Compares: the velocity of ref_p with that by feet in contact.
     Threshold: alike to {MADE_OF_LEGS:.0%}.
     Reason: feet roll and slip: 7 % in simulated walks, 15 % on a measured Go1.
-    Remedy: a reference that was measured; results against this one say how alike estimates are.
+    Remedy: a reference that was measured; errors against this one only say how far estimates agree.
     """
     begin = 0.5 * (view.t[0] + view.t[-1] - MIDDLE)
     rows = (view.t >= begin) & (view.t <= begin + MIDDLE)
@@ -136,7 +136,9 @@ def from_legs(view: LogView) -> Iterator[Finding]:
     missed = np.median(np.linalg.norm((odometry - few.v_I)[throughout], axis=1))
     if speed > _WALKS and missed < MADE_OF_LEGS * speed:
         seen = f"the velocity by standing feet to {100 * missed / speed:.1g} %"
-        yield Finding(REF_P, seen, "made of the legs, not measured: it tells nothing of them")
+        yield Finding(
+            REF_P, seen, "computed from the legs, not measured: they cannot be compared with it"
+        )
 
 
 def _cross(w: np.ndarray) -> np.ndarray:

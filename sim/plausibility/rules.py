@@ -1,9 +1,9 @@
 """The rules of plausibility, in the order in which they are checked.
 
 A rule is checked only where no earlier rule doubts what it compares. One fault therefore gives one
-finding, and a second fault of a log may show only when the first is corrected. Rules that find a
-cause come first, those that compare fewer columns before those that compare more; then rules that
-find a symptom of several causes; at last notes, which put nothing in doubt.
+finding, and a second fault of a log may show only when the first is corrected. Rules that compare
+fewer columns come before those that compare more, and rules that find a symptom of several causes
+last. Notes put nothing in doubt.
 """
 
 from operator import attrgetter

@@ -39,7 +39,7 @@ _FEWEST_ALIKE = 4
 """Rows that do not change by chance no more, of coarse readings at a low rate."""
 LIMITED = 0.5
 """The same as FROZEN for torques, which drives hold at their limit for a while [s]."""
-_SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
+_SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "ref_v", "foot")
 _ALIVE = 0.25
 """Share of its usual spread from which a related stream moves."""
 CLIPPED = 5
@@ -60,6 +60,8 @@ SPIKE, SPIKES = 12.0, 10.0
 """Least size of a spike, relative to the 99 % quantile of the deviation from the median of five
 rows, and to NOISE: no body or joint moves so far and back within a row of 2 to 10 ms.
 """
+IMPACT = 150.0
+"""Least size of a spike of an accelerometer [m/s^2]: touchdowns reach 70."""
 LONE = 4.0
 """Standard deviations of a joint's angle, rate or torque that are a spike at any size."""
 SEVERAL = 10
@@ -117,13 +119,10 @@ def _twin(view: LogView, kind: str, name: str) -> np.ndarray | None:
 
     None where there is none, or it is in another unit.
     """
-    frame, joint = view.log.frame, name.removeprefix(f"{kind}_")
+    q, dq = _of_joint(view, kind, name)
     derived = any(d.startswith("dq") for d in view.log.meta.derived)
-    if kind not in ("q", "dq") or derived or not view.comparable:
+    if kind not in ("q", "dq") or q is None or dq is None or derived or not view.comparable:
         return None
-    if not {f"q_{joint}", f"dq_{joint}"} <= {*frame}:
-        return None
-    q, dq = (frame[f"{k}_{joint}"].to_numpy() for k in ("q", "dq"))
     rate, change = view.means(dq[:, None]).std(), view.changes(q[:, None]).std()
     if np.ptp(q) > _WHOLE_TURN or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
         return None
@@ -170,9 +169,8 @@ def _others_move(
         name: of the column.
         rows: consecutive ones.
     """
-    # The joints of an arm rest one by one, and those of legs between two counts.
-    of_joint, turned = kind in ("q", "dq", "tau"), np.ptp(kinds[kind][name])
-    if of_joint and (view.robot is None or (kind == "q" and 0.0 < turned < RESTS)):
+    # The joints of an arm rest one by one.
+    if kind in ("q", "dq", "tau") and (view.robot is None or _rests(view, kind, name)):
         return False
     siblings = [_moves(x, rows) for other, x in kinds[kind].items() if other != name]
     if sum(siblings) >= max(1, 0.5 * len(siblings)):
@@ -180,6 +178,26 @@ def _others_move(
     others = [k for k in ("gyro", "q", "ref_p") if k != kind and k in kinds]
     elsewhere = [_moves(x, rows) for k in others for x in kinds[k].values()]
     return len(elsewhere) > 2 and sum(elsewhere) > 0.7 * len(elsewhere)
+
+
+def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Angle and rate (N,) of the joint of a column; None for what the log lacks."""
+    joint, frame = name.removeprefix(f"{kind}_"), view.log.frame
+    q, dq = (frame[c].to_numpy() if c in frame else None for c in (f"q_{joint}", f"dq_{joint}"))
+    return q, dq
+
+
+def _rests(view: LogView, kind: str, name: str) -> bool:
+    """Whether a column is of a joint that rests throughout, by angle and rate.
+
+    An angle that never changes and has no rate beside it may also be a dead sensor.
+    """
+    q, dq = _of_joint(view, kind, name)
+    turned = [] if q is None else [float(np.ptp(q))]
+    if dq is not None:
+        # Without its mean, since rates of a joint at rest may have an offset.
+        turned.append(float(np.ptp(np.cumsum((dq - dq.mean()) * np.gradient(view.t)))))
+    return max(turned, default=np.inf) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
 
 
 def _moves(x: np.ndarray, rows: slice) -> bool:
@@ -201,20 +219,19 @@ def held(view: LogView) -> Iterator[Finding]:
     Remedy: nothing, if it is known: rates from differences are wrong, noise is less than it
         seems.
     """
-    rate, slow = view.log.rate, {}
-    for columns in held_streams(view.log).values():
+    rate, slow, kinds = view.log.rate, {}, []
+    for kind, columns in held_streams(view.log).items():
         usual = float(np.round(np.median([*columns.values()])))
         if usual < SLOWER * rate and not next(iter(columns)).startswith(_COMMANDS):
             slow |= dict.fromkeys(columns, usual)
+            kinds.append(kind)
     if slow:
         columns = tuple(c for c in map(str, view.log.frame) if c in slow)
         limits = (pick(slow.values()) for pick in (min, max))
         rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
         seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
-        kinds = _kinds(view, (*_SENSORS, "force"))
-        held_kinds = tuple(kind for kind, named in kinds.items() if slow.keys() & named.keys())
-        yield Finding(columns, seen, cause, {"even": {"held": held_kinds}})
+        yield Finding(columns, seen, cause, {"even": {"held": tuple(kinds)}})
 
 
 @rule("interpolated", beside="t", finds="note")
@@ -239,7 +256,7 @@ def interpolated(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule("late", beside="t ref", finds="note")
+@rule("late", beside="t q dq ref ref_v", finds="note")
 def late(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
@@ -282,7 +299,7 @@ def _delays(view: LogView) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.nda
         yield REF_V, log.ref_v, moved, delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
 
 
-@rule("coarse", finds="note")
+@rule("coarse", beside="gyro accel q", finds="note")
 def coarse(view: LogView) -> Iterator[Finding]:
     """Check that readings resolve what they measure.
 
@@ -376,7 +393,7 @@ def spikes(view: LogView) -> Iterator[Finding]:
             if zeros >= DROPS:
                 dropped.append((name, zeros))
                 continue
-            least = SPIKES * NOISE.get(kind, np.inf)
+            least = IMPACT if kind == "accel" else SPIKES * NOISE.get(kind, np.inf)
             if kind in ("q", "dq", "tau"):
                 least = min(least, LONE * float(x.std()))
             usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
@@ -392,7 +409,7 @@ def spikes(view: LogView) -> Iterator[Finding]:
             yield Finding(names, seen, "drop-outs filled with zeros")
         if leaping:
             seen = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
-            yield Finding(tuple(leaping), seen, "readings garbled on their way")
+            yield Finding(tuple(leaping), seen, "readings corrupted in transmission")
 
 
 def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> np.ndarray:
