@@ -120,7 +120,7 @@ def _rates_scaled(names: list[str], slope: np.ndarray, error: np.ndarray) -> Ite
     for i in np.flatnonzero(np.abs(slope / typical - 1.0) > 2.0 * SCALED + error):
         column, seen = f"dq_{names[i]}", f"{slope[i]:.3g} times the change of q_{names[i]}"
         too_large = float(slope[i]) / typical
-        yield Finding((column,), seen, "scaled, or its angle is scaled", scaled(column, too_large))
+        yield Finding((column,), seen, "scaled, or its angle is", scaled(column, too_large))
 
 
 @rule("joints' unit", "q")

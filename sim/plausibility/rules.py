@@ -27,6 +27,9 @@ from surefoot.sim.plausibility.view import LogView
 from surefoot.sim.robot.machine import Machine
 
 _FILES = clock, joints, streams, noise, reference, imu, place, contacts, legs, loads, drives
+"""In the order in which rules of equal place are checked: the readings of a reference's attitudes
+come before those of the gyro, since more can be wrong with them.
+"""
 RULES = tuple(
     sorted(
         (one for file in _FILES for one in vars(file).values() if isinstance(one, Rule)),

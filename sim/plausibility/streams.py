@@ -256,7 +256,7 @@ def interpolated(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule("late", beside="t q dq ref ref_v", finds="note")
+@rule("late", beside="t ref", finds="symptom")
 def late(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
