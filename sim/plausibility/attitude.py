@@ -7,21 +7,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.importing.advice import Changes, entries, quaternion
-from surefoot.sim.plausibility.axes import angle_between, match_axes
+from surefoot.sim.plausibility.axes import (
+    HARDLY,
+    LIKELY,
+    SURELY,
+    angle_between,
+    match_axes,
+    number_words,
+)
 
 LATEST = 2.0
 """Largest delay of a reference that is searched for [s]; `surefoot align` searches further."""
 LATE = 0.02
 """Delay of a reference that is reported [s]: at 1 m/s the body moves 2 cm in it, and clocks set by
 hand or network are worse. `trace` finds smaller ones as an effect.
-"""
-_ALIKE = 0.6
-"""Mean correlation of the three axes from which gyro and reference match: 0.97 and more in clean
-walks.
-"""
-_SAME_MOTION = 0.9
-"""Mean correlation from which a delay is accepted: strides are similar, so clocks with a larger
-offset, or wrong axes, correlate by up to 0.87 at multiples of a stride.
 """
 _CLEARLY = 0.02
 """Least improvement of the correlation by a delay."""
@@ -166,13 +165,13 @@ def attitude_fault(
     match, lean = match_axes(gyro, as_is), leaning(lambda R: R)
     own = float(match.own.mean())
     late, shifted = delay
-    if not (late and shifted > _SAME_MOTION and shifted > own + _CLEARLY):
+    if not (late and shifted > SURELY and shifted > own + _CLEARLY):
         late, shifted = 0.0, own
     which, how = ("after", "late") if late > 0 else ("before", "early")
     clock = f"the reference's clock is {how}"
     if late and lean < TILT:
         return AttitudeFault(f"turns {abs(late):.2f} s {which} the gyro", clock, {}, late)
-    if not match.wrong and own > 0.5 and lean < TILT:
+    if not match.wrong and own > HARDLY and lean < TILT:
         return None
     tried = [
         # A body turns alike in any world.
@@ -180,7 +179,7 @@ def attitude_fault(
          leaning(r.read), r)
         for r in OTHER_READINGS
     ]  # fmt: skip
-    fitting = [one for one in tried if one[1] < _UPRIGHT and one[0] > _ALIKE]
+    fitting = [one for one in tried if one[1] < _UPRIGHT and one[0] > LIKELY]
     if not fitting:
         return None
     # Interpretations with the same rotation rate differ in the direction of gravity.
@@ -193,8 +192,7 @@ def attitude_fault(
         put_right[:, list(match.order)] = gyro * match.sign
         if match.wrong and not trusts_gyro(put_right):
             return None
-    alike = ", ".join(f"{x:.2f}" for x in match.own)
-    seen = f"correlation of its turning with the gyro {alike} about x, y, z, "
+    seen = f"correlation of its turning with the gyro {number_words(match.own)} about x, y, z, "
     seen += f"its vertical {lean:.0f} deg from gravity"
     if late and best[2].of_world:
         return AttitudeFault(seen, f"{best[2].words}, and {clock}", best[2].changes, late)

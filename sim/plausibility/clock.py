@@ -7,7 +7,8 @@ import numpy as np
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import legs_moving, set_forward
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.axes import LIKELY, SCALED
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.view import RESTS, LogView
 
 STEP_OFF = 0.02
@@ -26,12 +27,6 @@ LONGEST_GAP = 0.05
 """Largest gap between rows [s]: a tenth of a stride, too long for interpolation (as for a
 reference).
 """
-SPEED_OFF = 0.1
-"""Relative difference between logged rates and numerical derivatives; each is smoothed by a few
-percent.
-"""
-SAME_CLOCK = 0.1
-"""Largest difference between streams in that factor for which they agree on the clock."""
 _USUAL = (20.0, 1e4)
 """Usual rates of logs [Hz]."""
 LEAPS = 0.6
@@ -48,14 +43,14 @@ _AT_ONCE = 0.4
 """Share of joints, or of the reference's columns, that jump at one row."""
 
 
-@rule_named("rows")
+@rule("rows")
 def stamps(view: LogView) -> Iterator[Finding]:
     """Check that rows come at the stated rate, without gaps.
 
     Compares: steps of t with each other and with the log's rate.
-    Speaks from: {STEP_OFF:.0%} of the rate, {SLOWEST_ROWS:g} to {FASTEST_ROWS:g} Hz;
+    Threshold: {STEP_OFF:.0%} of the rate, {SLOWEST_ROWS:g} to {FASTEST_ROWS:g} Hz;
         {MISSING_ROWS:.0%} of the rows missing, or a gap of {LONGEST_GAP:g} s.
-    Because: loops that wait whole time slices are 1 % slow; filters bridge single rows, nothing
+    Reason: loops that wait whole time slices are 1 % slow; filters bridge single rows, nothing
         can be interpolated over a tenth of a stride.
     Remedy: state the rate that the rows have; record again, or cut the log at the gap.
     """
@@ -93,13 +88,13 @@ def _leaps_from_row_to_row(view: LogView) -> bool:
     return bool(step.size) and float(np.median(step)) > LEAPS
 
 
-@rule_named("single rows", "t", minor=True)
+@rule("single rows", "t", finds="note")
 def single_rows(view: LogView) -> Iterator[Finding]:
     """Find single missing rows, which can be interpolated.
 
     Compares: stamps with even ones.
-    Speaks from: {MISSING_ROWS:.0%} of the rows missing, without a gap.
-    Because: loops that share a computer are late for some per cent.
+    Threshold: {MISSING_ROWS:.0%} of the rows missing, without a gap.
+    Reason: loops that share a computer are late for some per cent.
     Remedy: nothing, if it is known: [even] makes rows even.
     """
     if len(view.t) > 2:
@@ -123,14 +118,14 @@ def _lost(view: LogView) -> tuple[str, bool]:
     return f"{seen} {1e3 * longest:.0f} ms after {after:.2f} s", gap
 
 
-@rule_named("speed of time", "t", when="comparable")
+@rule("speed of time", "t", when="comparable")
 def speed(view: LogView) -> Iterator[Finding]:
     """Check that logged rates agree with numerical derivatives in all streams; else the stamps are
     wrong.
 
     Compares: dq, ref_v and gyro with the change of q, ref_p and ref_q.
-    Speaks from: all of them off by the same factor, {SPEED_OFF:.0%} or more.
-    Because: one factor for all streams is the clock's: 1 ms taken for 2, rows that were thinned
+    Threshold: all of them off by the same factor, {SCALED:.0%} or more.
+    Reason: one factor for all streams is the clock's: 1 ms taken for 2, rows that were thinned
         out.
     Remedy: mend [source] rate, or the unit of t.
     """
@@ -147,25 +142,25 @@ def speed(view: LogView) -> Iterator[Finding]:
     for rate, change in pairs:
         both = np.sum(rate * change)
         size = np.sum(change**2)
-        if size == 0.0 or abs(both) < 0.8 * np.sqrt(np.sum(rate**2) * size):
+        if size == 0.0 or abs(both) < LIKELY * np.sqrt(np.sum(rate**2) * size):
             return
         factors.append(float(both / size))
-    if len(factors) < 2 or np.ptp(factors) > SAME_CLOCK * abs(factors[0]):
+    if len(factors) < 2 or np.ptp(factors) > SCALED * abs(factors[0]):
         return
     factor = float(np.median(factors))
-    if abs(factor - 1.0) > SPEED_OFF + error:
+    if abs(factor - 1.0) > SCALED + error:
         seen = f"rates are {factor:.3g} times the change of what they are rates of, in all streams"
         cause = "time runs backwards" if factor < 0 else "stamps at a wrong rate"
         yield Finding(("t",), seen, cause)
 
 
-@rule_named("jumps", beside="t q foot", when="comparable")
+@rule("jumps", beside="t q foot", when="comparable")
 def leaps(view: LogView) -> Iterator[Finding]:
     """Check that joints and body do not jump between two rows.
 
     Compares: joints from row to row.
-    Speaks from: two in five leap at one row, to five times what one row in a hundred has.
-    Because: rows are missing there, although stamps are even.
+    Threshold: two in five leap at one row, to five times what one row in a hundred has.
+    Reason: rows are missing there, although stamps are even.
     Remedy: record again, with the sensor's own stamps.
     """
     x = legs_moving(view.log.frame)

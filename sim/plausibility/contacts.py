@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from surefoot.sim.plausibility.finding import Finding, rule_named
-from surefoot.sim.plausibility.streams import stretches_without_change
+from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.streams import still_sections
 from surefoot.sim.plausibility.view import LogView
 
 FARTHEST_STILL = 0.3
@@ -54,47 +54,72 @@ stairs and slopes too, since heights are relative to the body.
 """
 
 
-@rule_named("missed steps", "t contact", when="comparable")
-def missed(view: LogView) -> Iterator[Finding]:
-    """Check that feet touch down about as often as each other.
+@rule("flickering", "t contact", when="comparable")
+def flickering(view: LogView) -> Iterator[Finding]:
+    """Check that a foot does not touch down and lift off too often.
 
-    Compares: the number of changes of each contact with that of the others.
-    Speaks from: less than {MISSES:g} of it, where the others change {MOST_SURE} times or more.
-    Because: in every gait each foot steps once a stride.
-    Remedy: the threshold of [contact] for that foot.
+    Compares: contacts with themselves over time.
+    Threshold: {FLICKERS:g} changes a second.
+    Reason: four a second in strides; a sensor about its threshold has many.
+    Remedy: [contact] debounce, or a threshold that is further from the noise.
     """
     log = view.log
-    if len(log.legs) < 3:
-        return
-    changes = np.array([_lasting(view.t, contact) for contact in log.contact.T])
-    usual = float(np.median(changes))
-    rare = (changes > 0) & (changes < MISSES * usual) & (usual >= MOST_SURE)
-    for i in np.flatnonzero(rare):
-        seen = f"changes {changes[i]} times, where most feet do {usual:.0f} times"
-        cause = "a threshold that lighter steps do not reach, or a leg that is held up"
-        yield Finding((f"contact_{log.legs[i]}",), seen, cause)
+    rate = np.array([_changes(view.t, x) for x in log.contact.T]) / (view.t[-1] - view.t[0])
+    if (bad := np.flatnonzero(rate > FLICKERS)).size:
+        columns = tuple(f"contact_{log.legs[i]}" for i in bad)
+        seen = f"{rate[bad].max():.0f} changes a second"
+        yield Finding(columns, seen, "noise about the threshold: on, off and debounce of [contact]")
 
 
-@rule_named("contacts", "contact")
+@rule("contacts", "contact")
 def dead(view: LogView) -> Iterator[Finding]:
-    """Check that each foot of a walking robot touches down and lifts off.
+    """Check that each foot of a walking robot touches down and lifts off as often as the others.
 
     Compares: contacts with each other over time, and the velocity of each foot in contact with
         that of the others.
-    Speaks from: none changes, or one does not for {UNCHANGED:g} s in which the others change
+    Threshold: none changes, or one does not for {UNCHANGED:g} s in which the others change
         {OTHERS_CHANGE} times and more, although the robot walks; in a log in which it never
-        changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time.
-    Because: a foot of a robot that walks lifts at every stride; feet that stand move alike.
-    Remedy: the threshold of [contact]; leave a dead contact out.
+        changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time;
+        less than {MISSES:g} of the changes of most feet, where these have {MOST_SURE} or more.
+    Reason: a foot of a robot that walks lifts once a stride; feet that stand move alike.
+    Remedy: the threshold of [contact] for that foot; leave a dead contact out.
     """
     log, contact = view.log, view.log.contact
     if len(log.legs) < 2:
         return
-    count = np.abs(np.diff(contact.astype(int), axis=0)).sum(axis=0)
     steps = np.array([_lasting(view.t, one) for one in contact.T])
+    wrong = _never_changes(view, steps)
+    for state in (1, 0):
+        found = np.flatnonzero(wrong & (contact[0] == state))
+        if found.size:
+            seen = f"always {state} although the robot walks"
+            columns = tuple(f"contact_{log.legs[i]}" for i in found)
+            yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
+    usual = float(np.median(steps))
+    for i in np.flatnonzero(contact.any(axis=0) & ~contact.all(axis=0)):
+        column = (f"contact_{log.legs[i]}",)
+        # Of two feet, neither is unlike most.
+        if len(steps) > 2 and usual >= MOST_SURE and 0 < steps[i] < MISSES * usual:
+            seen = f"changes {steps[i]} times, where most feet do {usual:.0f} times"
+            cause = "a threshold that lighter steps do not reach, or a leg that is held up"
+            yield Finding(column, seen, cause)
+        for rows in still_sections(view.t, contact[:, i], UNCHANGED)[:1]:
+            t, beside = view.t[rows], np.delete(contact, i, axis=1)[rows]
+            others = np.median([_lasting(t, x) for x in beside.T])
+            if others >= OTHERS_CHANGE:
+                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s, while the others change"
+                yield Finding(column, f"{seen} {others:.0f} times", "a sensor that hangs")
+
+
+def _never_changes(view: LogView, steps: np.ndarray) -> np.ndarray:
+    """Mask (L,) of contacts that never change although the robot walks; `steps` (L,) are the
+    lasting changes of each.
+    """
+    log, contact = view.log, view.log.contact
+    count = np.abs(np.diff(contact.astype(int), axis=0)).sum(axis=0)
     moves = _moving_in_contact(view)
-    walks = int(np.sum(steps >= STRIDE)) >= 2
     # A robot that has just begun to walk has not lifted every foot.
+    walks = int(np.sum(steps >= STRIDE)) >= 2
     wrong = np.where(contact[0], int(np.sum(count >= OTHERS_CHANGE)) >= 2, walks)
     wrong = np.where(np.isfinite(moves), moves > MOVES, wrong) & (count == 0)
     if not (count.any() or wrong.any()) and log.has("reference"):
@@ -102,20 +127,7 @@ def dead(view: LogView) -> Iterator[Finding]:
         # Its feet move under it, so that it is not carried.
         feet = None if view.stance is None else view.stance.foot[:, :, :2]
         wrong[:] = far and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
-    for state in (1, 0):
-        found = np.flatnonzero(wrong & (contact[0] == state))
-        if found.size:
-            seen = f"always {state} although the robot walks"
-            columns = tuple(f"contact_{log.legs[i]}" for i in found)
-            yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
-    for i in np.flatnonzero(count > 0):
-        for first, last in stretches_without_change(view.t, contact[:, i], UNCHANGED)[:1]:
-            t, rows = view.t[first : last + 1], np.delete(contact, i, axis=1)[first : last + 1]
-            others = np.median([_lasting(t, x) for x in rows.T])
-            if others >= OTHERS_CHANGE:
-                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s, while the others change"
-                seen += f" {others:.0f} times"
-                yield Finding((f"contact_{log.legs[i]}",), seen, "a sensor that hangs")
+    return wrong
 
 
 def _moving_in_contact(view: LogView) -> np.ndarray:
@@ -131,23 +143,6 @@ def _moving_in_contact(view: LogView) -> np.ndarray:
     apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
     share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
     return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)
-
-
-@rule_named("flickering", "t contact", when="comparable")
-def flickering(view: LogView) -> Iterator[Finding]:
-    """Check that a foot does not touch down and lift off too often.
-
-    Compares: contacts with themselves over time.
-    Speaks from: {FLICKERS:g} changes a second.
-    Because: four a second in strides; a sensor about its threshold has many.
-    Remedy: [contact] debounce, or a threshold that is further from the noise.
-    """
-    log = view.log
-    rate = np.array([_changes(view.t, x) for x in log.contact.T]) / (view.t[-1] - view.t[0])
-    if (bad := np.flatnonzero(rate > FLICKERS)).size:
-        columns = tuple(f"contact_{log.legs[i]}" for i in bad)
-        seen = f"{rate[bad].max():.0f} changes a second"
-        yield Finding(columns, seen, "noise about the threshold: on, off and debounce of [contact]")
 
 
 def _changes(t: np.ndarray, contact: np.ndarray) -> int:
@@ -172,13 +167,13 @@ def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 
-@rule_named("contact heights", "contact", beside="q foot accel")
+@rule("contact heights", "contact", beside="q foot accel", finds="symptom")
 def inverted(view: LogView) -> Iterator[Finding]:
     """Check that feet in contact are lower than lifted ones.
 
     Compares: the height of a foot in contact with that when lifted.
-    Speaks from: {HIGHER:g} m higher.
-    Because: trotting robots lift their feet by 30 to 80 mm.
+    Threshold: {HIGHER:g} m higher.
+    Reason: trotting robots lift their feet by 30 to 80 mm.
     Remedy: contact from the other level of the switch; the order of the legs.
     """
     legs, up = view.feet, view.up_by_body

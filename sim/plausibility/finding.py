@@ -1,4 +1,4 @@
-"""Plausibility rules, and what they find in a log."""
+"""Plausibility rules, what they declare, and what they find in a log."""
 
 import inspect
 import re
@@ -13,7 +13,8 @@ from surefoot.sim.plausibility.view import LogView
 _OF_NEED = {"gyro": "imu", "accel": "imu", "ref": "reference"}
 """Group of columns of a log by what a rule needs, where it has another name."""
 _When = Literal["comparable", "compares_turning", "trusts_reference"] | None
-PARAGRAPHS = ("Compares", "Speaks from", "Because", "Remedy")
+_Finds = Literal["cause", "symptom", "note"]
+PARAGRAPHS = ("Compares", "Threshold", "Reason", "Remedy")
 """Titles of the paragraphs that explain a rule."""
 
 
@@ -57,7 +58,8 @@ class Rule:
         needs: columns or their prefixes; the rule is skipped where one is missing or in doubt.
         beside: columns or prefixes that may be missing, but must not be in doubt.
         when: property of the view without which there is nothing to compare.
-        minor: it puts no column in doubt.
+        finds: the "cause" of what is wrong; a "symptom" that several causes have; a "note" on what
+            is good to know, which puts no column in doubt.
     """
 
     name: str
@@ -65,7 +67,14 @@ class Rule:
     needs: tuple[str, ...]
     beside: tuple[str, ...]
     when: _When
-    minor: bool
+    finds: _Finds
+
+    @property
+    def place(self) -> tuple[bool, int]:
+        """Its place among all rules: symptoms last; the fewer columns beside `t` it compares, the
+        earlier, since fewer may be at fault.
+        """
+        return self.finds == "symptom", len({*self.needs, *self.beside} - {"t"})
 
     def findings(self, view: LogView, doubted: set[str]) -> list[Finding]:
         """What it finds in a log, besides what is only about columns in doubt."""
@@ -91,19 +100,13 @@ class Rule:
         return dict(zip(parts[::2], texts, strict=True))
 
 
-def rule_named(
-    name: str, needs: str = "", beside: str = "", when: _When = None, minor: bool = False
+def rule(
+    name: str, needs: str = "", beside: str = "", when: _When = None, finds: _Finds = "cause"
 ) -> Callable[[Callable[[LogView], Iterator[Finding]]], Rule]:
-    """Make a function that finds violations in a log a rule.
-
-    Args:
-        name: unique.
-        needs: columns or their prefixes that it needs, as one text.
-        beside: those that may be missing, but must not be in doubt.
-        when: property of the view without which there is nothing to compare.
-        minor: it puts no column in doubt.
+    """Make a function that finds violations in a log a `Rule`; `needs` and `beside` are one text
+    each.
     """
-    return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, minor)
+    return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, finds)
 
 
 def _named(columns: Sequence[str]) -> str:

@@ -1,29 +1,33 @@
 """Checks of gyro and accelerometer: gravity, units, axes and signs."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import permutations, product
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
-from surefoot.sim.importing.advice import Changes, entries, quaternion
+from surefoot.sim.importing.advice import entries, quaternion
 from surefoot.sim.plausibility.axes import (
     ACCEL,
     GAIN,
     GYRO,
-    OTHER,
+    HARDLY,
+    LIKELY,
+    MENDED,
     REF_P,
+    SCALED,
+    SURELY,
     AxesMatch,
     angle_between,
-    lag_of,
     match_axes,
+    number_words,
 )
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.causes import axes_put_right, in_another_unit, in_other_axes
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.place import SPEEDING, other_point, speed_changes
-from surefoot.sim.plausibility.units import in_another_unit
-from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
+from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, STEP, LogView
 
 ZERO_G = 0.8
 """Difference of an accelerometer's mean from gravity [m/s^2]: InvenSense MPU-6050 product
@@ -41,30 +45,16 @@ deg/s.
 """
 TUMBLING = 6.0
 """RMS of a gyro [rad/s]: a turn per second for the whole log."""
-GYRO_SCALED = 0.15
-"""Relative scale error of a gyro or reference: data sheets allow 3 %, and averaging over a stride
-costs a few percent.
-"""
 SCALED_ACCEL = 0.7
-"""The same for accelerations, which impacts and filters distort more: 0.6 to 1.2 in clean walks."""
-LEFT = 0.6
-"""Share of the rotation that a gyro leaves unexplained as logged, and that other axes or signs may
-leave; correlation alone hides axes with little motion. On clean walks and a measured Go1, none does
-better than the right ones. Corrected, two swapped axes leave 0.15 on clean walks; on the Go1 0.52
-to 0.56, but x for y 0.72, which is not detected.
+"""Relative scale error of accelerations, which impacts and filters distort more: 0.6 to 1.2 in
+clean walks.
 """
 TURNED_IMU = 12.0
 """Rotation of an IMU's axes in the tracked body that is reported [deg]: brackets are accurate to
 some degrees, and inclined ones are declared.
 """
-STILL_LEFT = 0.5
-"""Share of the difference between gyro and reference that may remain after such a rotation."""
-WEAK = 0.3
-"""Relative scale error of a single axis of a gyro that correlates well with the reference."""
-_GOES_WELL = 0.9
-"""Correlation from which single axes are compared in scale."""
-LATE_ACCEL, LATEST_ACCEL = 0.03, 0.5
-"""Smallest delay of an accelerometer that is reported, and largest that is searched for [s]."""
+LATEST_ACCEL = 0.5
+"""Largest delay of an accelerometer that is searched for [s]."""
 SHAKES = 0.05
 """Least standard deviation of the accelerations along axes that are compared [m/s^2]: 0.5 in walks;
 0.01, of the order of noise, in turns on the spot.
@@ -89,17 +79,17 @@ _BLOCK = 2.0
 """Averaging time of a gyro's bias [s], four strides."""
 
 
-@rule_named("gravity", "accel", when="comparable")
+@rule("gravity", "accel", when="comparable")
 def gravity(view: LogView) -> Iterator[Finding]:
     """Check that the mean specific force of a body that stays near the ground is gravity,
     upwards.
 
     Compares: the mean of the accelerometer with gravity, and its direction with what is up: the
         robot's z, else away from the feet, else the reference's.
-    Speaks from: {ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {MOST_LEAN:g}° from up.
-    Because: what stays near the ground feels gravity on average; accelerometers have biases of
-        80 mg at worst (MPU-6050 product specification); a robot that turns about on a slope of
-        35° has a shorter mean.
+    Threshold: {ZERO_G:g} m/s² above {GRAVITY:g}, a quarter below; {MOST_LEAN:g}° from up.
+    Reason: the mean acceleration of what stays near the ground is zero, so that gravity is left;
+        accelerometers have biases of 80 mg at worst (MPU-6050 product specification); a robot that
+        turns about on a slope of 35° has a shorter mean.
     Remedy: unit = "g"; sign; offset (twice gravity where the motion has the right sign, see the
         evidence); the order of the axes.
     """
@@ -107,7 +97,7 @@ def gravity(view: LogView) -> Iterator[Finding]:
     mean, spread = accel.mean(axis=0), float(accel.std(axis=0).max())
     size = float(np.linalg.norm(mean))
     up, source = _up(view)
-    seen = f"mean ({_numbers(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
+    seen = f"mean ({number_words(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
     cause, changes = in_another_unit("accel", ACCEL, size / GRAVITY, "")
     if 0.8 < size / GRAVITY**2 < 1.2:
         cause, changes = "multiplied by gravity twice", {}
@@ -156,75 +146,71 @@ def _up(view: LogView) -> tuple[np.ndarray | None, str]:
     return None, ""
 
 
-@rule_named("accelerometer", "t accel gyro ref", when="trusts_reference")
+@rule("accelerometer", "t accel gyro ref", when="trusts_reference")
 def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference.
 
     Compares: the accelerometer with gravity and the acceleration of ref_p, in world and body.
-    Speaks from: correlations as of the gyro; a factor of 1 + {SCALED_ACCEL:g}; a mean
+    Threshold: correlations as of the gyro; a factor of 1 + {SCALED_ACCEL:g}; a mean
         {ZERO_G:g} m/s² off.
-    Because: impacts and filters blur accelerations, to factors of 0.6 to 1.2 in clean walks.
+    Reason: impacts and filters blur accelerations, to factors of 0.6 to 1.2 in clean walks.
     Remedy: order or sign of the axes of accel or ref_p, whichever the evidence names.
     """
     if not view.resolves:
         return
-    accel, felt = view.accel[view.ok], view.felt[view.ok]
+    accel, felt, R_GI = view.accel[view.ok], view.felt[view.ok], view.R_GI[view.ok]
     in_body = match_axes(accel, felt)
-    late, shifted = lag_of(accel, felt, STEP, LATEST_ACCEL)
     # Motion is periodic: half a stride later, a swaying axis is its own negative.
-    in_world = match_axes(view.ref_a[view.ok], view.R_GI.apply(view.accel)[view.ok] + GRAVITY_G)
+    in_world = match_axes(view.ref_a[view.ok], R_GI.apply(accel) + GRAVITY_G)
     fits = max(in_body.own.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
-    delayed = abs(late) > view.least_lag(LATE_ACCEL) and shifted > max(0.6, fits)
-    if delayed and other_point(view) is None:
+    late, shifted = view.delay(accel, felt, LATE_STREAM, LATEST_ACCEL)
+    as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).own[:2]
+    size = float(np.sqrt(np.sum(accel.var(axis=0)) / max(np.sum(felt.var(axis=0)), 1e-12)))
+    if late and shifted > max(HARDLY, fits) and other_point(view) is None:
         seen = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
         yield Finding((*ACCEL, *REF_P), seen, cause)
-        return
-    as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).own[:2]
-    if as_world.min() > OTHER and (as_world - in_body.own[:2]).mean() > 0.5 * GAIN:
-        seen = f"correlation with the reference's accelerations in G {_numbers(as_world)}"
+    elif as_world.min() > LIKELY and (as_world - in_body.own[:2]).mean() > 0.5 * GAIN:
+        seen = f"correlation with the reference's accelerations in G {number_words(as_world)}"
         yield Finding(ACCEL, seen, "in the world's axes, not the body's")
-        return
-    size = float(np.sqrt(np.sum(accel.var(axis=0)) / max(np.sum(felt.var(axis=0)), 1e-12)))
-    if size < QUIET:
+    elif size < QUIET:
         seen = f"has {size:.2f} of the accelerations of the reference's motion"
         yield Finding(ACCEL, seen, "filtered, or gravity alone")
-        return
     # If gravity shows that the IMU's z is upright, the reference's is at fault.
-    if _shakes(view, in_world) and (
+    elif _shakes(view, in_world) and (
         in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
     ):
-        columns = tuple(f"ref_p_{'xyz'[i]}" for i in in_world.wrong)
-        seen = f"correlation with the accelerometer {_of(in_world, in_world.own)}"
+        found = in_other_axes(in_world, "ref_p", "the accelerometer")
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
-        yield Finding(columns, seen, f"{down}{in_world.words}", _put_right(in_world, "ref_p"))
+        yield replace(found, cause=f"{down}{found.cause}")
     elif _shakes(view, in_body):
-        columns = tuple(ACCEL[i] for i in in_body.wrong)
-        seen = f"correlation with the reference's motion {_of(in_body, in_body.own)}"
-        yield Finding(columns, seen, in_body.words, _put_right(in_body, "accel"))
+        yield in_other_axes(in_body, "accel", "the reference's motion")
     elif abs(np.log(in_world.scaled)) > np.log1p(SCALED_ACCEL):
         seen = f"accelerates {in_world.scaled:.3g} times as fast as the accelerometer"
-        cause = "scaled, another unit, or stamps at a wrong rate"
-        yield Finding(REF_P, seen, cause)
+        yield Finding(REF_P, seen, "scaled, another unit, or stamps at a wrong rate")
     else:
-        apart = accel.mean(axis=0) - felt.mean(axis=0)
-        up = view.R_GI[view.ok].apply(accel - felt).mean(axis=0) - GRAVITY_G  # pyright: ignore[reportArgumentType]
-        aside = up[:2]
-        lean = float(np.degrees(np.arctan2(np.linalg.norm(aside), GRAVITY)))
-        if lean > NOT_LEVEL and np.linalg.norm(aside) > 1.05 * np.linalg.norm(apart):
-            seen = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
-            cause = "the reference's world is not level"
-            level = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
-            changes = {"reference": {"q_GW": quaternion(level)}}
-            yield Finding((*REF_P, "ref_q"), seen, cause, changes)
-            return
-        for i in np.flatnonzero(np.abs(apart) > ZERO_G):
-            seen = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
-            cause = "a bias, or a leaning mount"
-            yield Finding((ACCEL[i],), seen, cause)
+        yield from _constant_force(accel - felt, R_GI)
 
 
-@rule_named("IMU's rows", "t accel gyro ref", when="trusts_reference")
+def _constant_force(missed: np.ndarray, R_GI: Rotation) -> Iterator[Finding]:
+    """Check that what an accelerometer differs by from the reference's motion (M, 3) has no mean,
+    in the body or in the world.
+    """
+    apart, up = missed.mean(axis=0), R_GI.apply(missed).mean(axis=0) - GRAVITY_G
+    aside = float(np.linalg.norm(up[:2]))
+    lean = float(np.degrees(np.arctan2(aside, GRAVITY)))
+    if lean > NOT_LEVEL and aside > 1.05 * np.linalg.norm(apart):
+        seen = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
+        level = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
+        changes = {"reference": {"q_GW": quaternion(level)}}
+        yield Finding((*REF_P, "ref_q"), seen, "the reference's world is not level", changes)
+        return
+    for i in np.flatnonzero(np.abs(apart) > ZERO_G):
+        seen = f"mean {apart[i]:.2f} m/s^2 off what the reference's motion implies"
+        yield Finding((ACCEL[i],), seen, "a bias, or a leaning mount")
+
+
+@rule("IMU's rows", "t accel gyro ref", when="trusts_reference")
 def averaged(view: LogView) -> Iterator[Finding]:
     """Check that an IMU's rows are averages: summed over time they give the change of velocity.
 
@@ -232,13 +218,13 @@ def averaged(view: LogView) -> Iterator[Finding]:
     to row imply.
 
     Compares: the accelerometer's sum over {SPEEDING:g} s with changes of velocity of ref_p.
-    Speaks from: {SUM_OFF:.0%} of these, and {IMPLIED[0]:g} to {IMPLIED[1]:g} times what
+    Threshold: {SUM_OFF:.0%} of these, and {IMPLIED[0]:g} to {IMPLIED[1]:g} times what
         independent samples cause.
-    Because: averages over each row give the change of velocity at any rate.
-    Remedy: log faster, or averages over the rows: filters take rows for such.
+    Reason: averages over each row give the change of velocity at any rate.
+    Remedy: log faster, or averages over the rows: filters take each row for an average.
     """
     by_imu, by_reference = speed_changes(view)
-    if len(by_imu) * STEP < SHORTEST_LOG:
+    if len(by_imu) < FEWEST:
         return
     missed, changed = (
         float(np.sqrt(np.sum(x.var(axis=0)))) for x in (by_imu - by_reference, by_reference)
@@ -259,13 +245,13 @@ def _shakes(view: LogView, match: AxesMatch) -> bool:
     return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
 
 
-@rule_named("gyro's unit", "gyro", when="comparable")
+@rule("gyro's unit", "gyro", when="comparable")
 def gyro_unit(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures something, in rad/s.
 
     Compares: the gyro's size.
-    Speaks from: {TUMBLING:g} rad/s root mean square, or 0 throughout.
-    Because: a turn a second for as long as the log lasts is no walk.
+    Threshold: {TUMBLING:g} rad/s root mean square, or 0 throughout.
+    Reason: a turn a second for as long as the log lasts is no walk.
     Remedy: unit = "deg/s".
     """
     rms = float(np.sqrt(np.mean(np.sum(view.log.gyro**2, axis=1))))
@@ -286,14 +272,14 @@ def gyro_unit(view: LogView) -> Iterator[Finding]:
         yield Finding(GYRO, seen, *in_another_unit("gyro", GYRO, factor, "scaled"))
 
 
-@rule_named("gyro", "t gyro ref", when="compares_turning")
+@rule("gyro", "t gyro ref", when="compares_turning")
 def gyro(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures the rotation of the reference.
 
     Compares: the gyro with the turning of ref_q, axis by axis.
-    Speaks from: correlation above {OTHER:g} with another axis or its negative, {GAIN:g} more
-        than with its own; a factor off by {GYRO_SCALED:.0%}; a mean {ZERO_RATE:g} rad/s off.
-    Because: gyros are true to 3 %, and read 20 deg/s at rest at worst (MPU-6050).
+    Threshold: correlation above {LIKELY:g} with another axis or its negative, {GAIN:g} more
+        than with its own; a factor off by {SCALED:.0%}; a mean {ZERO_RATE:g} rad/s off.
+    Reason: gyros are true to 3 %, and read 20 deg/s at rest at worst (MPU-6050).
     Remedy: order, sign or unit of the axes; where the accelerometer says the same,
         imu_orientation.
     """
@@ -302,26 +288,21 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield turned
         return
     if match.wrong:
-        columns = tuple(GYRO[i] for i in match.wrong)
-        seen = f"correlation with the reference's turning {_of(match, match.own)}"
-        yield Finding(columns, seen, match.words, _put_right(match, "gyro"))
+        yield in_other_axes(match, "gyro", "the reference's turning")
         return
     if not match.alike:
-        if not view.resolves:
-            return
-        seen = f"correlation of turning {_numbers(match.own)} about x, y, z"
-        cause = "another body, other axes or another clock; try surefoot align"
-        yield Finding((*GYRO, "ref_q"), seen, cause)
+        if view.resolves:
+            seen = f"correlation of turning {number_words(match.own)} about x, y, z"
+            cause = "another body, other axes or another clock; try surefoot align"
+            yield Finding((*GYRO, "ref_q"), seen, cause)
         return
-    factor = match.scaled
-    scaled = np.abs(np.log(match.scale)) > np.log1p(WEAK)
-    weak = np.flatnonzero((match.best > _GOES_WELL) & scaled)
-    if len(weak) == 1:
-        seen = f"{match.scale[weak[0]]:.3g} times as fast as the reference turns, unlike the others"
-        yield Finding((GYRO[weak[0]],), seen, "scaled")
-    elif abs(factor - 1.0) > GYRO_SCALED:
+    weak = (match.best > SURELY) & (np.abs(np.log(match.scale)) > np.log1p(2.0 * SCALED))
+    factor, columns = match.scaled, GYRO
+    if weak.sum() == 1:
+        factor, columns = float(match.scale[weak][0]), (GYRO[int(np.argmax(weak))],)
+    if abs(factor - 1.0) > SCALED:
         seen = f"{factor:.3g} times as fast as the reference turns"
-        yield Finding(GYRO, seen, *in_another_unit("gyro", GYRO, factor, "scaled"))
+        yield Finding(columns, seen, *in_another_unit("gyro", columns, factor, "scaled"))
     off = (view.gyro - view.turning)[view.ok]
     blocks = np.array_split(off, max(1, round(len(off) * STEP / _BLOCK)))
     means = np.array([one.mean(axis=0) for one in blocks])
@@ -342,7 +323,7 @@ def _imu_turned(view: LogView) -> Finding | None:
     columns, turn, words = (*GYRO, *ACCEL), None, "mirrored"
     if np.linalg.det(axes) > 0.0:
         turn = Rotation.from_matrix(axes)
-        words = f"by {_numbers(turn.as_rotvec(degrees=True))} deg about x, y, z"
+        words = f"by {number_words(turn.as_rotvec(degrees=True))} deg about x, y, z"
     changes = {"reference": {"q_IM": quaternion(turn)}} if turn else {}
     if turn and not _in_body(view, axes):
         seen = f"{words}, from the tracked body's axes, as turning and motion say"
@@ -351,7 +332,7 @@ def _imu_turned(view: LogView) -> Finding | None:
     if np.array_equal(axes, np.round(axes)):
         match = AxesMatch.of(axes)
         cause = f"the IMU is turned in the body: {match.words}"
-        return Finding(columns, seen, cause, _put_right(match, "gyro", "accel"))
+        return Finding(columns, seen, cause, axes_put_right(match, "gyro", "accel"))
     cause = "the IMU is turned in the body; surefoot align finds q_IM closer"
     if view.robot is not None:
         q_BI = Rotation.from_matrix(view.robot.R_BI @ axes.T)
@@ -371,14 +352,12 @@ def _axes_of_imu(view: LogView) -> np.ndarray | None:
     match = view.gyro_match
     mirrored = np.zeros((3, 3))
     mirrored[range(3), match.order] = match.sign
-    if np.linalg.det(mirrored) < 0 and len(match.wrong) and match.best.min() > OTHER:
+    if np.linalg.det(mirrored) < 0 and len(match.wrong) and match.best.min() > LIKELY:
         found = mirrored
     if np.abs(found - np.round(found)).max() < np.sin(np.radians(TURNED_IMU)):
         found = np.round(found) + 0.0
     pairs = ((a, b), (view.accel[view.ok], view.felt[view.ok]))
-    mends = all(
-        np.sum((x - y @ found.T) ** 2) < STILL_LEFT * np.sum((x - y) ** 2) for x, y in pairs
-    )
+    mends = all(np.sum((x - y @ found.T) ** 2) < MENDED * np.sum((x - y) ** 2) for x, y in pairs)
     return found if mends and not np.array_equal(found, np.eye(3)) else None
 
 
@@ -398,14 +377,13 @@ def _in_body(view: LogView, axes: np.ndarray) -> bool:
     return view.stance.turning_fits(gyro @ axes) > view.stance.turning_fits(gyro)
 
 
-@rule_named("gyro and legs", "t gyro contact", beside="q foot")
+@rule("gyro and legs", "t gyro contact", beside="q foot")
 def turning_of_legs(view: LogView) -> Iterator[Finding]:
     """Check a gyro without a reference, by the rotation of lines between standing feet.
 
     Compares: without a reference: the gyro with the turning of lines between standing feet.
-    Speaks from: another order or sign of axes that leaves {LEFT:.0%} of what is unexplained, or
-        less.
-    Because: feet that stand do not turn; other axes fit by chance only.
+    Threshold: another order or sign of axes that leaves {MENDED:.0%} of what is unexplained.
+    Reason: feet that stand do not turn; other axes fit by chance only.
     Remedy: order or sign of the axes.
     """
     legs = view.stance
@@ -416,27 +394,9 @@ def turning_of_legs(view: LogView) -> Iterator[Finding]:
     signed = product(permutations(np.eye(3)), product((1.0, -1.0), repeat=3))
     ways = [np.diag(signs) @ rows for rows, signs in signed]
     fits, best = max(((legs.turning_fits(gyro @ axes), k) for k, axes in enumerate(ways)))
-    if 1.0 - fits**2 > LEFT * (1.0 - max(as_is, 0.0) ** 2):
+    if 1.0 - fits**2 > MENDED * (1.0 - max(as_is, 0.0) ** 2):
         return
     match = AxesMatch.of(ways[best])
     columns = tuple(GYRO[i] for i in match.wrong)
     seen = f"correlation with the turning that standing feet see {as_is:.2f}, put right {fits:.2f}"
     yield Finding(columns, seen, match.words)
-
-
-def _of(match: AxesMatch, values: np.ndarray) -> str:
-    return ", ".join(f"{'xyz'[i]} {values[i]:.2f}" for i in match.wrong)
-
-
-def _put_right(match: AxesMatch, *kinds: str) -> Changes:
-    """Changes of the map that correct each wrong axis of vectors of some kinds."""
-    entry: dict[str, dict[str, Any]] = {}
-    for kind, i in product(kinds, match.wrong):
-        axis, own = (f"{kind}_{'xyz'[k]}" for k in (match.order[i], i))
-        of = {"of": own} if own != axis else {}
-        entry[axis] = of | ({"sign": -1.0} if match.sign[i] < 0 else {})
-    return {"columns": entry}
-
-
-def _numbers(values: np.ndarray) -> str:
-    return ", ".join(f"{x:.2f}" for x in values)

@@ -7,18 +7,11 @@ import numpy as np
 from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.finding import Finding, rule_named
-from surefoot.sim.plausibility.units import in_another_unit
+from surefoot.sim.plausibility.axes import HARDLY, LIKELY, SCALED, SURELY, match_axes, sign_change
+from surefoot.sim.plausibility.causes import in_another_unit, of_changing_sign
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.view import LogView
 
-RATE_OFF = 0.1
-"""Relative scale error of joint rates: 0.01 in clean walks, plus what the filters of drives take
-from a swing.
-"""
-RATE_ALIKE = 0.5
-"""Correlation of a rate with its angle's derivative below which it belongs to another joint: 0.9
-and more in clean logs, 0.7 with a delay of a tenth of a swing.
-"""
 BEYOND = 0.1
 """Angle beyond a joint's limits [rad]: encoder zeros are set to some degrees, links bend by
 less.
@@ -40,138 +33,103 @@ _MOVES, _STIRS = 0.2, 0.02
 """RMS rate [rad/s] below which a joint's rate is not compared: if it does not correlate with its
 angle's derivative, and if it does, unlike noise.
 """
-_SURELY = 0.95
-"""Correlation from which the scale of a slowly moving joint is compared."""
 _INVERTED = 0.5
 """Scale, relative to the other rates', below which a rate of the opposite sign is a vibration that
 a filter inverts: a moving average passes 0.22 of it at most.
 """
-_TURNED, _ALWAYS = 0.1, 0.9
-"""For a rate whose sign changes: least correlation before and after, and least sum of the two."""
 
 
-@rule_named("joint rates", "t q dq", when="comparable")
+@rule("joint rates", "t q dq", when="comparable")
 def rates(view: LogView) -> Iterator[Finding]:
     """Check that a joint's rate is the derivative of its angle.
 
     Compares: means of dq with changes of q over 60 ms, joint by joint.
-    Speaks from: a factor off by {RATE_OFF:.0%}; correlation below {RATE_ALIKE:g}.
-    Because: equal by definition; clean walks agree to 1 %.
+    Threshold: a factor off by {SCALED:.0%}; correlation below {HARDLY:g}.
+    Reason: equal by definition; clean walks agree to 1 %.
     Remedy: unit, sign or order of the columns.
     """
     log = view.log
     # The same whatever moves, if right.
     logged, moved = view.means(log.dq), view.changes(log.q)
-    size = np.sqrt(np.mean(moved**2, axis=0))
-    error = view.between_samples(log.dq, log.q)
+    size, error = np.sqrt(np.mean(moved**2, axis=0)), view.between_samples(log.dq, log.q)
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
-    if not moves.size:
-        return
-    names = [log.joints[j] for j in moves]
+    names, slow = [log.joints[j] for j in moves], size[moves] < _MOVES
     logged, moved = logged[:, moves], moved[:, moves]
-    slow = size[moves] < _MOVES
-    alike = np.corrcoef(logged, moved, rowvar=False)[: len(names), len(names) :]
-    own = np.diag(alike)
-    # What does not correlate says nothing of the size.
-    error = error[moves] + 1.0 - own
+    match = match_axes(logged, moved)
     slope = logged.std(axis=0) / moved.std(axis=0)
-    when = [sign_change(view.at, a, b) for a, b in zip(logged.T, moved.T, strict=True)]
-    steady = np.array([one is None for one in when])
-    other = np.abs(alike - np.diag(own)).argmax(axis=1)
-    excess = np.abs(alike[range(len(own)), other]) - np.abs(own)
-    exchanged = (other[other] == np.arange(len(own))) & ~slow
-    exchanged &= np.minimum(excess, excess[other]) > _ANOTHERS
-    opposite = steady & ~exchanged & (own < np.where(slow, -0.8, -RATE_ALIKE))
-    strange = steady & ~opposite & ~slow & ((own < RATE_ALIKE) | exchanged)
-    usual = float(np.median(slope[np.abs(own) > RATE_ALIKE])) if opposite.any() else 1.0
-    inverted = opposite & (slope < _INVERTED * usual)
-    for name, since in zip(names, when, strict=True):
+    # What does not correlate says nothing of the size.
+    error = error[moves] + 1.0 - match.own
+    exchanged = (np.array(match.order) != np.arange(len(names))) & ~slow
+    exchanged &= match.best - np.abs(match.own) > _ANOTHERS
+    opposite, good = [], []
+    for i, (name, own) in enumerate(zip(names, match.own, strict=True)):
+        since = sign_change(view.at, logged[:, i], moved[:, i])
         if since is not None:
-            yield turned_round(f"dq_{name}", since, f"the change of q_{name}")
-    for i in np.flatnonzero(inverted):
-        seen = f"correlation with the change of q {own[i]:.2f}, at {slope[i]:.2g} of its size"
+            yield of_changing_sign(f"dq_{name}", since, f"the change of q_{name}")
+        elif not exchanged[i] and own < (-LIKELY if slow[i] else -HARDLY):
+            opposite.append(i)
+        elif own > (SURELY if slow[i] else LIKELY) and not exchanged[i]:
+            good.append(i)
+        elif not slow[i] and (own < HARDLY or exchanged[i]):
+            seen = f"correlation with the change of q_{name} {own:.2f}"
+            cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
+            changes: Changes = {}
+            if match.best[i] > LIKELY and exchanged[i]:
+                its = names[match.order[i]]
+                seen += f", of q_{its} {match.best[i]:.2f}"
+                cause = f"it is the rate of {its}: swapped"
+                changes = entries((f"dq_{its}",), of=f"dq_{name}")
+            yield Finding((f"dq_{name}",), seen, cause, changes)
+    usual = float(np.median(slope[good])) if good else 1.0
+    inverted = [i for i in opposite if slope[i] < _INVERTED * usual]
+    for i in inverted:
+        seen = f"correlation with the change of q {match.own[i]:.2f}, at {slope[i]:.2g} of its size"
         yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
-    flipped = opposite & ~inverted
-    by_legs = legs.opposite_angles(view) if flipped.any() else set()
-    of_angle = np.array([f"q_{name}" in by_legs for name in names])
-    for kind, which in (("q", flipped & of_angle), ("dq", flipped & ~of_angle)):
-        if not which.any():
-            continue
-        columns = tuple(f"{kind}_{names[i]}" for i in np.flatnonzero(which))
-        seen = f"correlation of dq with the change of q {own[which].max():.2f} at best"
-        cause = "wrong sign" if not which.all() else "wrong sign, or time runs backwards"
-        yield Finding(columns, seen, cause, entries(columns, sign=-1.0))
-    for i in np.flatnonzero(strange):
-        seen = f"correlation with the change of q_{names[i]} {own[i]:.2f}"
-        cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-        changes: Changes = {}
-        if alike[i, other[i]] > 0.8:
-            its = names[other[i]]
-            seen += f", of q_{its} {alike[i, other[i]]:.2f}"
-            cause = f"it is the rate of {its}: swapped"
-            changes = entries((f"dq_{its}",), of=f"dq_{names[i]}")
-        yield Finding((f"dq_{names[i]}",), seen, cause, changes)
-    good = own > np.where(slow, _SURELY, 0.8)
-    if not (good.any() and view.resolves):
-        return
-    typical = float(np.median(slope[good]))
-    together = good & (np.abs(slope / typical - 1.0) < 2.0 * RATE_OFF)
+    flipped = [i for i in opposite if i not in inverted]
+    of_angle = legs.opposite_angles(view) if flipped else set()
+    for kind in ("q", "dq"):
+        which = [i for i in flipped if (f"q_{names[i]}" in of_angle) == (kind == "q")]
+        if which:
+            columns = tuple(f"{kind}_{names[i]}" for i in which)
+            seen = f"correlation of dq with the change of q {match.own[which].max():.2f} at best"
+            whole = ", or time runs backwards" * (len(which) == len(names))
+            yield Finding(columns, seen, f"wrong sign{whole}", entries(columns, sign=-1.0))
+    if good and view.resolves:
+        yield from _rates_scaled([names[i] for i in good], slope[good], error[good])
+
+
+def _rates_scaled(names: list[str], slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:
+    """Check the scale of rates of G joints, as the slope (G,) over the changes of angles, with the
+    error (G,) of that.
+    """
+    typical = float(np.median(slope))
+    together = np.abs(slope / typical - 1.0) < 2.0 * SCALED
     # What lies between samples makes rates smaller, never larger.
-    common = not -RATE_OFF - np.median(error[good]) < typical - 1.0 < RATE_OFF
-    if common and 2 * together.sum() > good.sum():
+    common = not -SCALED - np.median(error) < typical - 1.0 < SCALED
+    if common and 2 * together.sum() > len(names):
         which = [name for name, one in zip(names, together, strict=True) if one]
         columns, angles = (tuple(f"{kind}_{name}" for name in which) for kind in ("dq", "q"))
         seen = f"{typical:.3g} times the change of q"
-        if abs(np.degrees(typical) - 1.0) < 0.2:
+        if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
             yield Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
         else:
             otherwise = "scaled, or stamps at a wrong rate"
             yield Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
     else:
         typical = 1.0
-    for i in np.flatnonzero(good & (np.abs(slope / typical - 1.0) > 2.0 * RATE_OFF + error)):
-        seen = f"{slope[i]:.3g} times the change of q_{names[i]}"
-        column, too_large = f"dq_{names[i]}", float(slope[i]) / typical
+    for i in np.flatnonzero(np.abs(slope / typical - 1.0) > 2.0 * SCALED + error):
+        column, seen = f"dq_{names[i]}", f"{slope[i]:.3g} times the change of q_{names[i]}"
+        too_large = float(slope[i]) / typical
         yield Finding((column,), seen, "scaled, or its angle is", scaled(column, too_large))
 
 
-def sign_change(
-    at: np.ndarray, logged: np.ndarray, moved: np.ndarray, always: float = _ALWAYS
-) -> float | None:
-    """Time at which a stream changes its sign relative to the expected one; None where it does not.
-
-    Args:
-        at: times (M,) [s].
-        logged: the stream (M,), such as a joint's rate.
-        moved: the expected one (M,), such as the derivative of the joint's angle.
-        always: least sum of the magnitudes of the correlations before and after.
-    """
-    # Clip outliers: an angle that changes its sign jumps.
-    most = [np.quantile(np.abs(x), 0.95) for x in (logged, moved)]
-    a, b = (np.clip(x, -m, m) for x, m in zip((logged, moved), most, strict=True))
-    both = np.cumsum(a * b)
-    k = int(np.argmax(np.abs(both) + np.abs(both[-1] - both)))
-    before, after = both[k], both[-1] - both[k]
-    whole = np.linalg.norm(a) * np.linalg.norm(b)
-    least = min(abs(before), abs(after))
-    if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < always * whole:
-        return None
-    return float(at[k])
-
-
-def turned_round(column: str, since: float, expected: str) -> Finding:
-    """The finding for a stream with another sign `since` some time [s]."""
-    seen = f"from {since:.2f} s on minus {expected}, before it is that, or the other way round"
-    return Finding((column,), seen, "its sign, or its angle's, changes on the way")
-
-
-@rule_named("joints' unit", "q")
+@rule("joints' unit", "q")
 def units(view: LogView) -> Iterator[Finding]:
     """Check that angles of legs are in radians, and rates that are their change.
 
     Compares: the size of a leg's angles.
-    Speaks from: median above 2 pi rad.
-    Because: joints of legs do not turn about.
+    Threshold: median above 2 pi rad.
+    Reason: joints of legs do not turn about.
     Remedy: unit = "deg".
     """
     log = view.log
@@ -187,19 +145,19 @@ def units(view: LogView) -> Iterator[Finding]:
         units = {f"q_{j}": {"unit": "deg"} for j in turned}
         if log.has("dq") and view.comparable:
             size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
-            if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * RATE_OFF:
+            if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * SCALED:
                 units |= {f"dq_{j}": {"unit": "deg/s"} for j in turned}
         cause = "in deg, not rad, or not unwrapped"
         yield Finding(tuple(units), seen, cause, {"columns": units})
 
 
-@rule_named("joint range", "q")
+@rule("joint range", "q", finds="symptom")
 def stops(view: LogView) -> Iterator[Finding]:
     """Check that angles are within the limits of the robot's joints.
 
     Compares: angles of legs with the robot's stops.
-    Speaks from: {BEYOND:g} rad beyond in {BEYOND_SHARE:.0%} of the rows.
-    Because: zeros are set to some degrees, links bend by less; landings touch stops for an
+    Threshold: {BEYOND:g} rad beyond in {BEYOND_SHARE:.0%} of the rows.
+    Reason: zeros are set to some degrees, links bend by less; landings touch stops for an
         instant.
     Remedy: joint_sign, joint_offset, the order of the columns, the robot's name.
     """
@@ -226,13 +184,13 @@ def stops(view: LogView) -> Iterator[Finding]:
     yield Finding(tuple(f"q_{name}" for name in names), seen, cause, changes)
 
 
-@rule_named("torque", "tau")
+@rule("torque", "tau")
 def torques(view: LogView) -> Iterator[Finding]:
     """Check that torques are within the limits of the robot's drives.
 
     Compares: torques with what the robot's drives can give.
-    Speaks from: {TOO_STRONG:g} times as much, one row in a hundred.
-    Because: drives give their peak for seconds at most, and no more.
+    Threshold: {TOO_STRONG:g} times as much, one row in a hundred.
+    Reason: drives give their peak for seconds at most, and no more.
     Remedy: unit = "mN m"; the robot's name.
     """
     if view.robot is None:
@@ -250,13 +208,13 @@ def torques(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, changes)
 
 
-@rule_named("magnitudes", "tau")
+@rule("magnitudes", "tau")
 def magnitudes(view: LogView) -> Iterator[Finding]:
     """Check that torques have both signs.
 
     Compares: the signs of torques.
-    Speaks from: none negative.
-    Because: joints of legs push both ways.
+    Threshold: none negative.
+    Reason: joints of legs push both ways.
     Remedy: torques with their signs.
     """
     if view.robot is None or len(view.log.joints) < _SEVERAL:
@@ -268,15 +226,15 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, "magnitudes, without their sign")
 
 
-@rule_named("zeros", "q", when="comparable")
+@rule("zeros", "q", when="comparable", finds="symptom")
 def zeros(view: LogView) -> Iterator[Finding]:
     """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
 
     Compares: a left joint with the right one of the same pair of legs.
-    Speaks from: {ZERO_OFF[hip]:g} rad (hips), {ZERO_OFF[thigh]:g} rad (others) between medians
+    Threshold: {ZERO_OFF[hip]:g} rad (hips), {ZERO_OFF[thigh]:g} rad (others) between medians
         (hips mirrored), while those of the other pair agree.
-    Because: legs of a pair are held alike; what holds them otherwise does so to both pairs.
+    Reason: legs of a pair are held alike; what holds them otherwise does so to both pairs.
     Remedy: joint_offset.
     """
     log, robot = view.log, view.robot
@@ -302,13 +260,13 @@ def zeros(view: LogView) -> Iterator[Finding]:
                 yield Finding((f"q_{left}", f"q_{right}"), seen, cause)
 
 
-@rule_named("commands", "q q_des")
+@rule("commands", "q q_des")
 def commands(view: LogView) -> Iterator[Finding]:
     """Check that commanded angles are in the unit of the measured ones.
 
     Compares: the size of q_des with that of q.
-    Speaks from: 10 times.
-    Because: commands are followed.
+    Threshold: 10 times.
+    Reason: a joint follows its command, so that both have about the same size.
     Remedy: unit = "deg".
     """
     log = view.log

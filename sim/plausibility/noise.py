@@ -1,31 +1,32 @@
-"""Noise of streams from row to row."""
+"""Noise of streams from row to row, and its largest size, from which other limits follow."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.view import LogView
 
-NOISY = {"gyro": 0.2, "accel": 2.0, "dq": 1.5}
-"""Noise between rows that is reported, by kind [rad/s, m/s^2, rad/s].
+NOISE = {"gyro": 0.2, "accel": 2.0, "q": 0.03, "dq": 1.5, "ref_p": 0.01, "foot": 0.005}
+"""Largest noise between rows of a sensor that works, by kind [rad/s, m/s^2, rad, rad/s, m, m].
 
 Gyros: data sheets have 0.01 (MPU-6050, 0.05 deg/s behind a filter, 0.005 deg/s/√Hz), logs of a Go1
 and a SCALER 0.03 including vibration. Accelerometers: 0.06 (MPU-6050, 400 ug/sqrt(Hz), over 250
-Hz), logs of a Go1, a SCALER and an iCub 0.3 to 0.6. Rates: one count of 12 bits in a row of 1 ms.
+Hz), logs of a Go1, a SCALER and an iCub 0.3 to 0.6. Angles: five counts of 10 bits. Rates: one
+count of 12 bits in a row of 1 ms. References: motion capture without a rigid body.
 """
 
 
-@rule_named("noise", beside="t", when="comparable")
+@rule("noise", beside="t gyro accel dq", when="comparable")
 def noisy(view: LogView) -> Iterator[Finding]:
     """Check the noise of gyro, accelerometer and joint rates.
 
     Third differences hold little of a body's smooth motion.
 
     Compares: gyro, accelerometer and joint rates with themselves from row to row.
-    Speaks from: {NOISY[gyro]:g} rad/s, {NOISY[accel]:g} m/s², {NOISY[dq]:g} rad/s (joints).
-    Because: data sheets of IMUs have a twentieth; encoders of 12 bits, read at 1 kHz and not
+    Threshold: {NOISE[gyro]:g} rad/s, {NOISE[accel]:g} m/s², {NOISE[dq]:g} rad/s (joints).
+    Reason: data sheets of IMUs have a twentieth; encoders of 12 bits, read at 1 kHz and not
         filtered, have as much; a body with mass moves smoothly.
     Remedy: leave the log or the column out; of rates, or filter them: surefoot derives them from
         angles, and says so; a filter takes such noise for 0.01 rad/s and 0.1 m/s².
@@ -40,7 +41,7 @@ def noisy(view: LogView) -> Iterator[Finding]:
     for kind, x in streams.items():
         # Third differences of white noise have 20 times its variance; the median ignores impacts.
         rough = np.median(np.abs(np.diff(x, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
-        over = np.flatnonzero(rough > NOISY[kind])
+        over = np.flatnonzero(rough > NOISE[kind])
         if over.size:
             names = log.joints if kind == "dq" else "xyz"
             columns = tuple(f"{kind}_{names[i]}" for i in over)

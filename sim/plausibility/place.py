@@ -7,29 +7,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY_G
-from surefoot.sim.plausibility.axes import REF_P
-from surefoot.sim.plausibility.finding import Finding, rule_named
+from surefoot.sim.plausibility.axes import MENDED, REF_P, SCALED, SURELY
+from surefoot.sim.plausibility.finding import Finding, rule
 from surefoot.sim.plausibility.stance import feet_at
-from surefoot.sim.plausibility.view import SHORTEST_LOG, STEP, LogView
+from surefoot.sim.plausibility.view import FEWEST, MIDDLE, STEP, LogView
 
 FARTHEST_POINT = 0.2
 """Distance between the IMU and the reference's tracked point [m]: 0.05 in clean walks, 0.02 on a
 measured Go1, 0.15 where nothing is consistent.
 """
-ARM_EXPLAINS = 0.5
-"""Share of the difference between accelerometer and reference that a lever arm removes: 0.14 at
-most where there is none, 0.92 to 0.97 for half a metre.
-"""
 SPEEDING = 0.3
 """Interval of the changes of velocity [s]: a stance, in which tilts hardly matter and impacts
 end.
 """
-SURELY = 0.95
-"""Correlation of the two changes of velocity from which they are compared: 0.97 to 1.0 where both
-sensors are good.
-"""
-SIZE_OFF = 0.1
-"""Relative scale error of a reference's motion: 0.02 in clean walks and on a measured Go1."""
 POSITIONS_TURNED = 10.0
 """Heading difference between a reference's positions and attitudes [deg]: 1 in clean walks."""
 MADE_OF_LEGS = 0.01
@@ -38,18 +28,16 @@ a reference derived from it; 0.07 in clean walks, whose feet roll, and 0.15 on a
 """
 _WALKS = 0.05
 """Speed below which there is nothing to compare [m/s]."""
-_STRETCH = 20.0
-"""Length of the section in the middle of a log that is used for it [s]: some tens of strides."""
 
 
-@rule_named("reference's point", "t accel gyro ref", when="trusts_reference")
+@rule("reference's point", "t accel gyro ref", when="trusts_reference")
 def point(view: LogView) -> Iterator[Finding]:
     """Check that the reference tracks the IMU: other points accelerate as the body rotates.
 
     Compares: what the accelerometer differs by from the acceleration of ref_p, with that of
         another point of the body.
-    Speaks from: {FARTHEST_POINT:g} m from the IMU, and {ARM_EXPLAINS:.0%} explained.
-    Because: ref_p is the IMU's own; markers are where there is room.
+    Threshold: {FARTHEST_POINT:g} m from the IMU, and {MENDED:.0%} unexplained or less.
+    Reason: ref_p is the IMU's own; markers are where there is room.
     Remedy: [reference] p_IM; surefoot align.
     """
     found = other_point(view)
@@ -75,7 +63,7 @@ def other_point(view: LogView) -> tuple[np.ndarray, float] | None:
     arm = arm - arm.mean(axis=0)
     p_IM = np.linalg.lstsq(arm.reshape(-1, 3), missed.reshape(-1), rcond=None)[0]
     explained = 1.0 - np.sum((missed - arm @ p_IM) ** 2) / max(float(np.sum(missed**2)), 1e-12)
-    elsewhere = np.linalg.norm(p_IM) > FARTHEST_POINT and explained > ARM_EXPLAINS
+    elsewhere = np.linalg.norm(p_IM) > FARTHEST_POINT and explained > 1.0 - MENDED
     return (p_IM, float(explained)) if elsewhere else None
 
 
@@ -93,18 +81,18 @@ def speed_changes(view: LogView) -> tuple[np.ndarray, np.ndarray]:
     return by_imu, by_reference
 
 
-@rule_named("reference's motion", "t accel gyro ref", when="trusts_reference")
+@rule("reference's motion", "t accel gyro ref", when="trusts_reference")
 def motion(view: LogView) -> Iterator[Finding]:
     """Check that the reference's horizontal changes of velocity agree with the accelerometer.
 
     Compares: changes of speed in the plane over {SPEEDING:g} s, of ref_p and of the
         accelerometer, where they go together.
-    Speaks from: {SIZE_OFF:.0%} in size, {POSITIONS_TURNED:g}° in direction.
-    Because: accelerometers are true to 3 %, and to 1° (MPU-6050): 2 % on a measured Go1.
+    Threshold: {SCALED:.0%} in size, {POSITIONS_TURNED:g}° in direction.
+    Reason: accelerometers are true to 3 %, and to 1° (MPU-6050): 2 % on a measured Go1.
     Remedy: the calibration of the tracker; ref_p and ref_q in one world.
     """
     by_imu, by_reference = (x[:, :2] @ [1.0, 1.0j] for x in speed_changes(view))
-    if len(by_imu) * STEP < SHORTEST_LOG:
+    if len(by_imu) < FEWEST:
         return
     by_imu, by_reference = by_imu - by_imu.mean(), by_reference - by_reference.mean()
     both = np.vdot(by_imu, by_reference)
@@ -114,24 +102,24 @@ def motion(view: LogView) -> Iterator[Finding]:
     turned = float(np.degrees(np.angle(both)))
     size = float(np.sqrt(power[1] / power[0]))
     if abs(turned) > POSITIONS_TURNED:
-        seen = f"it speeds up {turned:.0f} deg about z from where accelerometer and ref_q say"
+        seen = f"its acceleration is {turned:.0f} deg about z from that of accelerometer and ref_q"
         yield Finding(REF_P, seen, "positions and attitudes are in different worlds")
-    elif abs(np.log(size)) > np.log1p(SIZE_OFF):
-        seen = f"it speeds up {size:.3g} times as much as the accelerometer says"
+    elif abs(np.log(size)) > np.log1p(SCALED):
+        seen = f"its acceleration is {size:.3g} times that of the accelerometer"
         yield Finding(REF_P, seen, "scaled: the tracker's calibration, or another unit")
 
 
-@rule_named("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
+@rule("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
 def from_legs(view: LogView) -> Iterator[Finding]:
     """Check that the reference is not leg odometry; real feet roll and slip.
 
     Compares: the velocity of ref_p with that by feet in contact.
-    Speaks from: alike to {MADE_OF_LEGS:.0%}.
-    Because: feet roll and slip: 7 % in simulated walks, 15 % on a measured Go1.
-    Remedy: a reference that was measured; results against this one say how alike estimates are.
+    Threshold: alike to {MADE_OF_LEGS:.0%}.
+    Reason: feet roll and slip: 7 % in simulated walks, 15 % on a measured Go1.
+    Remedy: a reference that was measured; errors against this one only say how far estimates agree.
     """
-    begin = 0.5 * (view.t[0] + view.t[-1] - _STRETCH)
-    rows = (view.t >= begin) & (view.t <= begin + _STRETCH)
+    begin = 0.5 * (view.t[0] + view.t[-1] - MIDDLE)
+    rows = (view.t >= begin) & (view.t <= begin + MIDDLE)
     few = LogView(view.log.rows(rows), view.machine)
     log, feet_of = few.log, feet_at(few.log, few.robot)
     if feet_of is None or not few.comparable:
@@ -142,13 +130,15 @@ def from_legs(view: LogView) -> Iterator[Finding]:
     count = standing.sum(axis=1)
     odometry = few.means(np.sum(by_leg * standing, axis=1) / np.maximum(count, 1))
     throughout = (few.means((count > 0).astype(float))[:, 0] > 0.999) & few.ok
-    if throughout.sum() * STEP < 1.0:
+    if throughout.sum() < FEWEST:
         return
     speed = float(np.median(np.linalg.norm(few.v_I[throughout], axis=1)))
     missed = np.median(np.linalg.norm((odometry - few.v_I)[throughout], axis=1))
     if speed > _WALKS and missed < MADE_OF_LEGS * speed:
         seen = f"the velocity by standing feet to {100 * missed / speed:.1g} %"
-        yield Finding(REF_P, seen, "made of the legs, not measured: it tells nothing of them")
+        yield Finding(
+            REF_P, seen, "computed from the legs, not measured: they cannot be compared with it"
+        )
 
 
 def _cross(w: np.ndarray) -> np.ndarray:

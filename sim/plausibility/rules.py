@@ -1,9 +1,12 @@
 """The rules of plausibility, in the order in which they are checked.
 
 A rule is checked only where no earlier rule doubts what it compares. One fault therefore gives one
-finding, and a second fault of a log may show only when the first is corrected. Minor rules put
-nothing in doubt.
+finding, and a second fault of a log may show only when the first is corrected. Rules that compare
+fewer columns come before those that compare more, and rules that find a symptom of several causes
+last. Notes put nothing in doubt.
 """
+
+from operator import attrgetter
 
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import (
@@ -13,6 +16,7 @@ from surefoot.sim.plausibility import (
     imu,
     joints,
     legs,
+    loads,
     noise,
     place,
     reference,
@@ -22,58 +26,15 @@ from surefoot.sim.plausibility.finding import Finding, Rule
 from surefoot.sim.plausibility.view import LogView
 from surefoot.sim.robot.machine import Machine
 
-RULES: tuple[Rule, ...] = (
-    # What each column is by itself.
-    clock.stamps,
-    clock.speed,
-    streams.frozen,
-    streams.copies,
-    streams.overflows,
-    streams.saturated,
-    imu.gyro_unit,
-    imu.gravity,
-    reference.position,
-    joints.units,
-    streams.coarse,
-    joints.rates,
-    streams.spikes,
-    clock.leaps,
-    reference.even_samples,
-    # IMU and reference with each other.
-    reference.attitude,
-    imu.gyro,
-    noise.noisy,
-    imu.averaged,
-    imu.turning_of_legs,
-    reference.velocity,
-    imu.accelerometer,
-    place.point,
-    place.motion,
-    # Legs with both.
-    contacts.dead,
-    legs.kinematics,
-    joints.stops,
-    contacts.flickering,
-    contacts.missed,
-    joints.zeros,
-    legs.climbing,
-    legs.zeros_of_most,
-    place.from_legs,
-    contacts.inverted,
-    # Torques and commands.
-    joints.torques,
-    joints.magnitudes,
-    drives.driving,
-    legs.weight_carried,
-    legs.late_torques,
-    joints.commands,
-    drives.followed,
-    # What is good to know.
-    streams.held,
-    streams.interpolated,
-    streams.late,
-    clock.single_rows,
-    streams.derived,
+_FILES = clock, joints, streams, noise, reference, imu, place, contacts, legs, loads, drives
+"""In the order in which rules of equal place are checked: the readings of a reference's attitudes
+come before those of the gyro, since more can be wrong with them.
+"""
+RULES = tuple(
+    sorted(
+        (one for file in _FILES for one in vars(file).values() if isinstance(one, Rule)),
+        key=attrgetter("place"),
+    )
 )
 
 
@@ -88,7 +49,7 @@ def check_log(log: Log, machine: Machine | None = None) -> tuple[Finding, ...]:
     for rule in RULES:
         new = rule.findings(view, doubted)
         found += new
-        if not rule.minor:
+        if rule.finds != "note":
             doubted.update(*(one.streams for one in new))
     return tuple(found)
 

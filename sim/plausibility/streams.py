@@ -4,19 +4,20 @@ derived from another column.
 
 from collections import defaultdict
 from collections.abc import Iterator
-from itertools import chain, combinations
+from itertools import combinations, product
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import median_filter
 
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import column_kind
 from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.plausibility.attitude import LATE
-from surefoot.sim.plausibility.axes import REF_V, delay_between
-from surefoot.sim.plausibility.finding import Finding, rule_named
-from surefoot.sim.plausibility.view import MEAN, RESTS, LogView
+from surefoot.sim.plausibility.axes import MENDED, REF_V, delay_between
+from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.noise import NOISE
+from surefoot.sim.plausibility.view import RESTS, LogView
 
 LATE_RATE = 4e-3
 """Delay of joint rates relative to the derivative of their angles [s]: two samples at 500 Hz."""
@@ -38,37 +39,29 @@ _FEWEST_ALIKE = 4
 """Rows that do not change by chance no more, of coarse readings at a low rate."""
 LIMITED = 0.5
 """The same as FROZEN for torques, which drives hold at their limit for a while [s]."""
-_SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "foot")
+_SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "ref_v", "foot")
 _ALIVE = 0.25
 """Share of its usual spread from which a related stream moves."""
 CLIPPED = 5
 """Rows at exactly the largest value from which a sensor is saturated; there must also be three
 times as many as in the 3 % of its span below.
 """
-COARSE = {"gyro": 0.05, "accel": 0.5, "q": 0.02}
-"""Least difference of two readings that is reported, by kind [rad/s, m/s^2, rad]: fifty times what
-sensors of 16 bits and encoders of 12 bits have.
+COARSE = 0.25
+"""Least difference of two readings that is reported, relative to NOISE: fifty times what sensors of
+16 bits and encoders of 12 bits have.
 """
-OVERFLOWS = {"gyro": 4.0, "q": 1.0}
-"""Least step from row to row that is an overflow, by kind [rad/s, rad]: nothing with mass does it.
+OVERFLOWS = 30.0
+"""Least step from row to row that is an overflow, relative to NOISE: nothing with mass does it.
 Accelerometers do, at impacts.
 """
 FROM_END_TO_END, LEAST_OVERFLOWS = 0.9, 3
 """Least step relative to the readings' whole range, and least number of such steps."""
-SPIKE = 12.0
-"""Ratio to the 99 % quantile of the deviation from the median of five rows."""
-SPIKES = {
-    "gyro": 2.0,
-    "accel": 150.0,
-    "q": 0.15,
-    "dq": 8.0,
-    "tau": np.inf,
-    "ref_p": 0.1,
-    "foot": 0.05,
-}
-"""Least size of a spike, by kind: rad/s, m/s^2 (touchdowns reach 70), rad, rad/s, N m (none, see
-LONE), m, m; no body or joint moves so far and back within a row of 2 to 10 ms.
+SPIKE, SPIKES = 12.0, 10.0
+"""Least size of a spike, relative to the 99 % quantile of the deviation from the median of five
+rows, and to NOISE: no body or joint moves so far and back within a row of 2 to 10 ms.
 """
+IMPACT = 150.0
+"""Least size of a spike of an accelerometer [m/s^2]: touchdowns reach 70."""
 LONE = 4.0
 """Standard deviations of a joint's angle, rate or torque that are a spike at any size."""
 SEVERAL = 10
@@ -91,13 +84,13 @@ _LEAST_DISTINCT = 20
 """Number of distinct values below which a column is a state or a command, not a reading."""
 
 
-@rule_named("frozen")
+@rule("frozen")
 def frozen(view: LogView) -> Iterator[Finding]:
     """Check that a sensor changes while related ones do.
 
     Compares: a sensor with its siblings: other axes, the joint's own rate, other joints.
-    Speaks from: no change for {FROZEN:g} s (torques {LIMITED:g} s) while they move.
-    Because: half a swing; every sensor has noise.
+    Threshold: no change for {FROZEN:g} s (torques {LIMITED:g} s) while they move.
+    Reason: half a swing; every sensor has noise.
     Remedy: leave the column out, or cut the log there.
     """
     found: dict[str, list[str]] = defaultdict(list)
@@ -105,57 +98,20 @@ def frozen(view: LogView) -> Iterator[Finding]:
     for kind, columns in kinds.items():
         least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
         for name, x in columns.items():
-            stretches = stretches_without_change(view.t, x, least)
-            if not stretches:
+            sections = still_sections(view.t, x, least)
+            if not sections:
                 continue
-            holds = [slice(first, last + 1) for first, last in stretches]
-            twin, is_angle = _twin(view, kind, name), kind == "q"
-            hangs = []
+            twin = _twin(view, kind, name)
             if twin is not None:
-                hangs = [r for r in holds if _turns_meanwhile(view.t, x, twin, r, is_angle)]
-            rows = (hangs or holds)[0]
-            # The joints of an arm do rest one by one.
-            of_arm = kind in ("q", "dq", "tau") and view.robot is None
-            rests = of_arm or _rests(view, kind, name)
-            if hangs or (not rests and _others_move(view, kinds, kind, name, rows)):
-                t = view.t[rows]
+                hangs = [r for r in sections if _turns_meanwhile(view.t, x, twin, r, kind == "q")]
+            else:
+                hangs = [r for r in sections[:1] if _others_move(view, kinds, kind, name, r)]
+            if hangs:
+                t = view.t[hangs[0]]
                 whole, seen = len(t) == len(x), f"no change from {t[0]:.2f} to {t[-1]:.2f} s"
                 found["one value in every row" if whole else seen].append(name)
     for seen, names in found.items():
         yield Finding(tuple(names), f"{seen} while others move", "a sensor that hangs")
-
-
-def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Angle and rate (N,) of the joint of a column; None for what the log lacks."""
-    joint, frame = name.removeprefix(f"{kind}_"), view.log.frame
-    q, dq = (frame[c].to_numpy() if c in frame else None for c in (f"q_{joint}", f"dq_{joint}"))
-    return q, dq
-
-
-def _others_move(
-    view: LogView, kinds: dict[str, dict[str, np.ndarray]], kind: str, name: str, rows: slice
-) -> bool:
-    """Whether streams related to a column move in some rows: its rate or angle, else others of its
-    kind, else gyro, angles and positions.
-
-    Args:
-        view: of the log.
-        kinds: columns (N,) by kind and name.
-        kind: of the column.
-        name: of the column.
-        rows: consecutive ones.
-    """
-    q, dq = _of_joint(view, kind, name)
-    twin = {"q": dq, "dq": q}.get(kind)
-    if twin is not None and np.ptp(twin[rows]) > 0.0:
-        width = 2 * round(0.5 * MEAN * view.log.rate) + 1  # a mean, so that noise is no motion
-        return _moves(uniform_filter1d(twin, width), rows)
-    siblings = [_moves(x, rows) for other, x in kinds[kind].items() if other != name]
-    if sum(siblings) >= max(1, 0.5 * len(siblings)):
-        return True
-    others = [k for k in ("gyro", "q", "ref_p") if k != kind and k in kinds]
-    elsewhere = [_moves(x, rows) for k in others for x in kinds[k].values()]
-    return len(elsewhere) > 2 and sum(elsewhere) > 0.7 * len(elsewhere)
 
 
 def _twin(view: LogView, kind: str, name: str) -> np.ndarray | None:
@@ -200,19 +156,48 @@ def _turns_meanwhile(
     return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
 
 
+def _others_move(
+    view: LogView, kinds: dict[str, dict[str, np.ndarray]], kind: str, name: str, rows: slice
+) -> bool:
+    """Whether streams that go with a column move in some rows: others of its kind, else gyro,
+    angles and positions.
+
+    Args:
+        view: of the log.
+        kinds: columns (N,) by kind and name.
+        kind: of the column.
+        name: of the column.
+        rows: consecutive ones.
+    """
+    # The joints of an arm rest one by one.
+    if kind in ("q", "dq", "tau") and (view.robot is None or _rests(view, kind, name)):
+        return False
+    siblings = [_moves(x, rows) for other, x in kinds[kind].items() if other != name]
+    if sum(siblings) >= max(1, 0.5 * len(siblings)):
+        return True
+    others = [k for k in ("gyro", "q", "ref_p") if k != kind and k in kinds]
+    elsewhere = [_moves(x, rows) for k in others for x in kinds[k].values()]
+    return len(elsewhere) > 2 and sum(elsewhere) > 0.7 * len(elsewhere)
+
+
+def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Angle and rate (N,) of the joint of a column; None for what the log lacks."""
+    joint, frame = name.removeprefix(f"{kind}_"), view.log.frame
+    q, dq = (frame[c].to_numpy() if c in frame else None for c in (f"q_{joint}", f"dq_{joint}"))
+    return q, dq
+
+
 def _rests(view: LogView, kind: str, name: str) -> bool:
     """Whether a column is of a joint that rests throughout, by angle and rate.
 
     An angle that never changes and has no rate beside it may also be a dead sensor.
     """
-    if kind not in ("q", "dq"):
-        return False
     q, dq = _of_joint(view, kind, name)
     turned = [] if q is None else [float(np.ptp(q))]
     if dq is not None:
         # Without its mean, since rates of a joint at rest may have an offset.
         turned.append(float(np.ptp(np.cumsum((dq - dq.mean()) * np.gradient(view.t)))))
-    return max(turned) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
+    return max(turned, default=np.inf) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
 
 
 def _moves(x: np.ndarray, rows: slice) -> bool:
@@ -224,39 +209,38 @@ def _moves(x: np.ndarray, rows: slice) -> bool:
     return bool(high > low) and float(least) > _ALIVE * float(high - low)
 
 
-@rule_named("held", beside="t", minor=True)
+@rule("held", beside="t", finds="note")
 def held(view: LogView) -> Iterator[Finding]:
     """Find columns that are sampled more slowly than the rows.
 
     Compares: rows of a sensor with the rows before.
-    Speaks from: repeated so often that it has {SLOWER:g} of the rate of the rows.
-    Because: a slower sensor; coarse readings repeat at a sixth of the rows by chance.
+    Threshold: repeated so often that it has {SLOWER:g} of the rate of the rows.
+    Reason: a slower sensor; coarse readings repeat at a sixth of the rows by chance.
     Remedy: nothing, if it is known: rates from differences are wrong, noise is less than it
         seems.
     """
-    rate, slow = view.log.rate, {}
-    for columns in held_streams(view.log).values():
+    rate, slow, kinds = view.log.rate, {}, []
+    for kind, columns in held_streams(view.log).items():
         usual = float(np.round(np.median([*columns.values()])))
         if usual < SLOWER * rate and not next(iter(columns)).startswith(_COMMANDS):
             slow |= dict.fromkeys(columns, usual)
+            kinds.append(kind)
     if slow:
         columns = tuple(c for c in map(str, view.log.frame) if c in slow)
         limits = (pick(slow.values()) for pick in (min, max))
         rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
         seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
         cause = "a slower sensor, read more often than it measures"
-        kinds = _kinds(view, (*_SENSORS, "force"))
-        held_kinds = tuple(kind for kind, named in kinds.items() if slow.keys() & named.keys())
-        yield Finding(columns, seen, cause, {"even": {"held": held_kinds}})
+        yield Finding(columns, seen, cause, {"even": {"held": tuple(kinds)}})
 
 
-@rule_named("interpolated", beside="t", minor=True)
+@rule("interpolated", beside="t", finds="note")
 def interpolated(view: LogView) -> Iterator[Finding]:
     """Find readings on straight lines between samples, which have been interpolated.
 
     Compares: steps of a sensor from row to row.
-    Speaks from: {STRAIGHT:.0%} of them as the one before.
-    Because: every sensor has noise.
+    Threshold: {STRAIGHT:.0%} of them as the one before.
+    Reason: every sensor has noise.
     Remedy: nothing, if it is known: noise is less than it seems, and impacts are missing.
     """
     known = " ".join(view.log.meta.derived)
@@ -272,20 +256,20 @@ def interpolated(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule_named("late", beside="t ref", minor=True)
+@rule("late", beside="t ref", finds="symptom")
 def late(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
     Compares: dq with the change of q, ref_v with that of ref_p.
-    Speaks from: {LATE_RATE:g} s; {LATE:g} s.
-    Because: two samples; a filter's delay moves what filters and traces see.
+    Threshold: {LATE_RATE:g} s; {LATE:g} s.
+    Reason: two samples; a filter's delay moves what filters and traces see.
     Remedy: nothing, if it is known: trace has rate_delay.
     """
     for columns, x, witness, delay in _delays(view):
         rates = columns[0].startswith("dq")
         shifted = np.column_stack([np.interp(view.t + delay, view.t, one) for one in x.T])
         left, whole = (float(np.sum((one - witness) ** 2)) for one in (shifted, x))
-        if not left < 0.5 * whole or abs(delay) < view.least_lag(LATE_RATE if rates else LATE):
+        if not left < MENDED * whole or abs(delay) < view.least_lag(LATE_RATE if rates else LATE):
             continue
         of = "ref_p" if not rates else columns[0][1:] if len(columns) == 1 else "q"
         when = "late" if delay > 0 else "early"
@@ -315,40 +299,40 @@ def _delays(view: LogView) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.nda
         yield REF_V, log.ref_v, moved, delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
 
 
-@rule_named("coarse", minor=True)
+@rule("coarse", beside="gyro accel q", finds="note")
 def coarse(view: LogView) -> Iterator[Finding]:
     """Check that readings resolve what they measure.
 
     Compares: readings of gyro, accelerometer and angles with each other.
-    Speaks from: nothing between readings that are {COARSE[gyro]:g} rad/s, {COARSE[accel]:g}
-        m/s², {COARSE[q]:g} rad apart.
-    Because: fifty times what sensors of 16 bits and encoders of 12 bits have.
+    Threshold: nothing between readings that are {COARSE:g} times as far apart as the largest
+        noise of a sensor that works.
+    Reason: fifty times what sensors of 16 bits and encoders of 12 bits have.
     Remedy: record more digits.
     """
-    for kind, columns in _kinds(view, tuple(COARSE)).items():
+    for kind, columns in _kinds(view, ("gyro", "accel", "q")).items():
         least = {n: float(np.diff(np.unique(x)).min(initial=np.inf)) for n, x in columns.items()}
-        found = {name: x for name, x in least.items() if COARSE[kind] < x < np.inf}
+        found = {name: x for name, x in least.items() if COARSE * NOISE[kind] < x < np.inf}
         if found:
             seen = f"readings are {min(found.values()):.3g} apart or more"
             cause = "rounded, or the numbers of a sensor not converted"
             yield Finding(tuple(found), seen, cause)
 
 
-@rule_named("overflow")
+@rule("overflow")
 def overflows(view: LogView) -> Iterator[Finding]:
     """Check that readings do not wrap around at the ends of their range.
 
     Compares: steps of gyro and angles from row to row with the range of their readings.
-    Speaks from: {LEAST_OVERFLOWS} steps over {FROM_END_TO_END:.0%} of it, not back at once, of
-        {OVERFLOWS[gyro]:g} rad/s or {OVERFLOWS[q]:g} rad.
-    Because: what has mass passes the middle of a range on its way to the other end.
+    Threshold: {LEAST_OVERFLOWS} steps over {FROM_END_TO_END:.0%} of it, not back at once, of
+        {OVERFLOWS:g} times the largest noise of a sensor that works.
+    Reason: what has mass passes the middle of a range on its way to the other end.
     Remedy: a sensor of larger range, or wider numbers; wrap for angles.
     """
     even = np.diff(view.t) < 2.0 * np.median(np.diff(view.t)) if len(view.t) > 2 else False
-    for kind, columns in _kinds(view, tuple(OVERFLOWS)).items():
+    for kind, columns in _kinds(view, ("gyro", "q")).items():
         for name, x in columns.items():
             steps, span = np.abs(np.diff(x)), float(np.ptp(x))
-            over = even & (steps > max(FROM_END_TO_END * span, OVERFLOWS[kind]))
+            over = even & (steps > max(FROM_END_TO_END * span, OVERFLOWS * NOISE[kind]))
             over[1:-1] &= ~(over[:-2] | over[2:])  # a row there and back is a spike
             if np.sum(over) < LEAST_OVERFLOWS or not _varied(x):
                 continue
@@ -358,45 +342,45 @@ def overflows(view: LogView) -> Iterator[Finding]:
             yield Finding((name,), seen, cause, entries((name,), wrap=_WHOLE_TURN) if turns else {})
 
 
-@rule_named("saturated", minor=True)
+@rule("saturated", finds="note")
 def saturated(view: LogView) -> Iterator[Finding]:
     """Check that readings do not accumulate at their largest value.
 
     Compares: readings of IMU and joint rates with their largest.
-    Speaks from: {CLIPPED} rows at exactly it, and three times as many as near it.
-    Because: a sensor's noise spreads what does not clip.
+    Threshold: {CLIPPED} rows at exactly it, and three times as many as near it.
+    Reason: a sensor's noise spreads what does not clip.
     Remedy: a sensor of larger range; filters take clipped readings for true ones.
     """
-    kinds = _kinds(view, ("gyro", "accel", "dq"))
-    for name, x in chain.from_iterable(columns.items() for columns in kinds.values()):
-        for side, y in (("largest", x), ("smallest", -x)):
+    for columns in _kinds(view, ("gyro", "accel", "dq")).values():
+        for name, sign in product(columns, (1.0, -1.0)):
+            y = sign * columns[name]
             top = float(y.max())
-            span = top - float(np.median(y))
-            at_top = int(np.sum(y == top))
+            at_top = y == top
             # A coarse sensor may have no reading within 3 % of it.
-            next_to_it = float(y[y < top].max(initial=-np.inf))
-            near = max(0.03 * span, 1.5 * (top - next_to_it))
+            next_to_it = float(y[~at_top].max(initial=-np.inf))
+            near = max(0.03 * (top - float(np.median(y))), 1.5 * (top - next_to_it))
             # One row more below: a coarse reading's peak may leave out a step by chance.
             below = int(np.sum((y < top) & (y > top - near))) + 1
-            times = int(np.sum(np.diff((y == top).astype(int)) > 0))
-            clips = at_top >= CLIPPED and times > 1 and at_top > 3 * below
-            if span > 0 and clips and _varied(x):
-                seen = f"{at_top} rows at exactly {x[np.argmax(y)]:.4g}, its {side}"
+            times = int(np.sum(np.diff(at_top.astype(int)) > 0))
+            if at_top.sum() > max(CLIPPED - 1, 3 * below) and times > 1 and _varied(y):
+                side = "largest" if sign > 0 else "smallest"
+                seen = f"{at_top.sum()} rows at exactly {sign * top:.4g}, its {side}"
                 yield Finding((name,), seen, "the sensor's range, or a clip")
 
 
-@rule_named("spikes", beside="t q dq tau gyro")
+@rule("spikes", beside="t q dq")
 def spikes(view: LogView) -> Iterator[Finding]:
     """Check that no stream jumps for a row and back.
 
     Compares: each row with the median of five.
-    Speaks from: {SPIKE:g} times what one row in a hundred has, and 2 rad/s, 0.15 rad ...;
+    Threshold: {SPIKE:g} times what one row in a hundred has, and {SPIKES:g} times the largest noise
+        of a sensor that works, or {LONE:g} standard deviations of a joint;
         {DROPS} rows of exactly 0 between others.
-    Because: nothing with mass leaps for a few milliseconds and back; chatter shows in angles
+    Reason: nothing with mass leaps for a few milliseconds and back; chatter shows in angles
         too.
     Remedy: leave such rows out before the import.
     """
-    for kind, columns in _kinds(view, tuple(SPIKES)).items():
+    for kind, columns in _kinds(view, (*NOISE, "tau")).items():
         if kind == "tau" and not view.on_fixed_base:
             continue  # a leg that lands asks for any torque
         dropped, leaping, most, first = [], [], 0.0, len(view.t)
@@ -409,7 +393,7 @@ def spikes(view: LogView) -> Iterator[Finding]:
             if zeros >= DROPS:
                 dropped.append((name, zeros))
                 continue
-            least = SPIKES[kind]
+            least = IMPACT if kind == "accel" else SPIKES * NOISE.get(kind, np.inf)
             if kind in ("q", "dq", "tau"):
                 least = min(least, LONE * float(x.std()))
             usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
@@ -425,7 +409,7 @@ def spikes(view: LogView) -> Iterator[Finding]:
             yield Finding(names, seen, "drop-outs filled with zeros")
         if leaping:
             seen = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
-            yield Finding(tuple(leaping), seen, "readings garbled on their way")
+            yield Finding(tuple(leaping), seen, "readings corrupted in transmission")
 
 
 def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> np.ndarray:
@@ -446,13 +430,13 @@ def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> n
     return np.abs(beside - frame[name].to_numpy()[rows]).min(axis=0) < within
 
 
-@rule_named("copied")
+@rule("copied")
 def copies(view: LogView) -> Iterator[Finding]:
     """Check that no two sensors read exactly the same.
 
     Compares: columns of one kind with each other.
-    Speaks from: equal, or of opposite sign, to 1e-9 of their mean square.
-    Because: two sensors have noise of their own.
+    Threshold: equal, or of opposite sign, to 1e-9 of their mean square.
+    Reason: two sensors have noise of their own.
     Remedy: one of two columns of the map names the wrong one of theirs.
     """
     for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot")).items():
@@ -466,13 +450,13 @@ def copies(view: LogView) -> Iterator[Finding]:
                 yield Finding((a, b), seen, f"one of two {kind} columns was read twice")
 
 
-@rule_named("derived", when="comparable")
+@rule("derived", when="comparable", finds="note")
 def derived(view: LogView) -> Iterator[Finding]:
     """Find columns that follow exactly from others and are no measurement.
 
     Compares: dq with the difference of q, tau with the motor law.
-    Speaks from: equal to 1e-8 of the mean square.
-    Because: what follows from others is no measurement, and has their errors.
+    Threshold: equal to 1e-8 of the mean square.
+    Reason: what follows from others is no measurement, and has their errors.
     Remedy: leave the column out: surefoot derives it, and says so.
     """
     log = view.log
@@ -511,9 +495,8 @@ def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.nda
     return found
 
 
-def stretches_without_change(t: np.ndarray, x: np.ndarray, least: float) -> list[tuple[int, int]]:
-    """First and last row of the sections of at least `least` [s] in which x (N,) is constant,
-    longest first.
+def still_sections(t: np.ndarray, x: np.ndarray, least: float) -> list[slice]:
+    """Rows of the sections of at least `least` [s] in which x (N,) is constant, longest first.
 
     t (N,) [s] are the times of the rows.
     """
@@ -522,7 +505,7 @@ def stretches_without_change(t: np.ndarray, x: np.ndarray, least: float) -> list
     last = np.concatenate([change, [len(x) - 1]])
     long = np.flatnonzero(t[last] - t[first] >= least)
     order = long[np.argsort(first[long] - last[long], kind="stable")]
-    return [(int(first[k]), int(last[k])) for k in order[:_MOST_HOLDS]]
+    return [slice(int(first[k]), int(last[k]) + 1) for k in order[:_MOST_HOLDS]]
 
 
 def _straight(x: np.ndarray) -> float:

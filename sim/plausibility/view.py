@@ -19,13 +19,22 @@ STEP = 0.02
 """Interval between the times at which streams are compared [s]: some tens per stride."""
 MEAN = 0.06
 """Averaging time of the streams [s], which suppresses impacts and the noise of derivatives."""
+LATE_STREAM, LATEST_STREAM = 0.03, 0.16
+"""Smallest delay that is reported of streams that are compared by what they do to legs [s], a tenth
+of a stance, and largest that is searched for, before the next step begins. Feet spring back before
+they lift, and foot sensors are filtered, by 0.02 on a measured Go1.
+"""
 MOST_COMPARED, COMPARED_A_ROW = 1_000_000, 5
 """Largest number of times at which streams are compared, in all and per row (a log at 10 Hz has
 five per row). A clock that was set during the log, or stamps in nanoseconds, would require more
 memory than there is.
 """
-SHORTEST_LOG = 1.0
-"""Shortest log whose streams are compared [s]: two strides."""
+FEWEST = 50
+"""Least number of times at which streams are compared: a second, two strides."""
+MIDDLE = 20.0
+"""Length of the section in the middle of a log that is enough for some comparisons [s]: some tens
+of strides.
+"""
 RESTS = 0.02
 """Least range of a joint that moves [rad]: a dozen encoder counts; a joint at rest may stay between
 two for seconds.
@@ -63,7 +72,7 @@ class LogView:
     @property
     def comparable(self) -> bool:
         """Whether the log is long enough to compare streams."""
-        return len(self.at) * STEP >= SHORTEST_LOG and len(self.t) > 20
+        return len(self.at) >= FEWEST and len(self.t) > 20
 
     @property
     def robot(self) -> Robot | None:
@@ -86,6 +95,15 @@ class LogView:
         What is averaged over the step before a row lags by half a row what is sampled at it.
         """
         return least + 0.5 * self.step
+
+    def delay(
+        self, late: np.ndarray, witness: np.ndarray, least: float, most: float
+    ) -> tuple[float, float]:
+        """Delay [s] of `late` (M, D) relative to `witness` (M, D), 0 where it is smaller than
+        `least`, and their correlation at it; at most `most` [s].
+        """
+        found, alike = lag_of(late, witness, STEP, most)
+        return (found if abs(found) > self.least_lag(least) else 0.0), alike
 
     def means(self, x: np.ndarray) -> np.ndarray:
         """Means (M, D) of a stream x (N, D), sampled at the rows, about the times `at`."""
@@ -173,7 +191,7 @@ class LogView:
         if not (self.comparable and self.log.has("imu") and self.log.has("reference")):
             return False
         moves = max(self.gyro.std(axis=0).max(), self.turning.std(axis=0).max()) > _STILL
-        return bool(moves) and int(self.ok.sum()) * STEP >= SHORTEST_LOG
+        return bool(moves) and int(self.ok.sum()) >= FEWEST
 
     @cached_property
     def gyro_match(self) -> AxesMatch:
@@ -191,8 +209,7 @@ class LogView:
             force = np.zeros(3)  # the accelerometer is what leans
         begin, end = (self.attitudes(after, self.ok) for after in (-0.5 * MEAN, 0.5 * MEAN))
         gyro = self.gyro[self.ok]
-        late, alike = lag_of(self.turning[self.ok], gyro, STEP, LATEST)
-        delay = (late, alike) if abs(late) > self.least_lag(LATE) else (0.0, 0.0)
+        delay = self.delay(self.turning[self.ok], gyro, LATE, LATEST)
         return attitude_fault(begin, end, gyro, force, delay, self._fits_gyro)
 
     def _fits_gyro(self, put_right: np.ndarray) -> bool:

@@ -485,7 +485,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "a rate late": (late(0.02, "dq_FR_calf"), "late", "late = { dq_FR_calf = 0.0"),
     "an angle whose sign changes": (
         lambda log: edited(log, q_FR_thigh=np.where(log.t > 5.0, -1, 1) * log.frame["q_FR_thigh"]),
-        "joint rates", "dq_FR_thigh: its sign, or its angle's, changes on the way (from 4.9"),
+        "joint rates", "dq_FR_thigh: its sign, or that of its angle, changes during the log"),
     "rates late": (late(0.02, "dq_"), "late", "ms late against the change of q"),
     "torques in mN m": (times(1e3, "tau_"), "torque", 'unit = "mN m"'),
     "torques negated": (times(-1, "tau_"), "support", "wrong sign"),
@@ -563,7 +563,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         straight(5, "q_", "dq_"), "interpolated", "readings at 100 Hz"),
     "reference at 5 Hz": (straight(100, "ref_p"), "interpolated", "ref_p_x"),
     "rates all zero": (constant(0.0, "dq_"), "frozen", "dq_FL_hip"),
-    "velocities all zero": (constant(0.0, "ref_v"), "reference's velocity", "ref_v_x"),
+    "velocities all zero": (constant(0.0, "ref_v"), "frozen", "ref_v_x"),
     "accelerometer late": (late(0.1, "accel"), "accelerometer", "0.10 s late"),
     "accelerometer that is a direction": (directions, "gravity", "a direction"),
     "accelerometer of gravity alone": (gravity_alone, "accelerometer", "a filter"),
@@ -575,17 +575,17 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "IMU turned by 30 deg": (
         imu_turned(Rotation.from_euler("z", 30, degrees=True)), "gyro", "the IMU is turned"),
     "reference's world not level": (tilted_world, "accelerometer", "not level"),
-    "reference that sinks": (sinking, "climbing", "sinks by 0.30 m/s"),
+    "reference that sinks": (sinking, "legs", "sinks by 0.30 m/s"),
     "gyro that is noise": (noisy_gyro, "noise", "gyro_x, gyro_y, gyro_z"),
     "reference of a point before the IMU": (
         of_another_point(0.5, 0.0, 0.0), "reference's point", "of a point at (0.5"),
     "reference of a point above the IMU": (
         of_another_point(0.0, 0.0, 0.5), "reference's point", "0.50) m in the IMU's axes"),
     "reference scaled": (
-        times(1.2, "ref_p", "ref_v"), "reference's motion", "times as much"),
+        times(1.2, "ref_p", "ref_v"), "reference's motion", "times that of the accelerometer"),
     "reference's positions turned": (positions_turned, "reference's motion", "30 deg about z"),
-    "reference made of the legs": (leg_odometry, "reference from legs", "made of the legs"),
-    "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or the joints are late"),
+    "reference made of the legs": (leg_odometry, "reference from legs", "computed from the legs"),
+    "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or joints are late"),
     "contacts late": (late(0.06, "contact_"), "legs", "0.06 s earlier"),
     "one leg late": (
         late(0.05, "q_FL", "dq_FL", "tau_FL", "contact_FL"), "legs", "FL moves 0.04 s after"),
@@ -611,11 +611,12 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "an angle within a turn": (within_a_turn, "overflow", "wrap = 6.28"),
     "a leg disconnected for a while": (disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
     "a contact late": (late(0.1, "contact_RR"), "legs", "contact_RR: late, unlike the other"),
-    "a contact that misses steps": (every_second_step, "missed steps", "contact_FR"),
+    "a contact that misses steps": (
+        every_second_step, "contacts", "contact_FR: a threshold that lighter steps"),
     "all calves from another zero": (
-        from_another_zero(0.3, "_calf"), "zeros of most legs", "-0.3 rad added"),
+        from_another_zero(0.3, "_calf"), "legs", "-0.3 rad added"),
     "all thighs from another zero": (
-        from_another_zero(-0.2, "_thigh"), "zeros of most legs", "+0.2 rad added"),
+        from_another_zero(-0.2, "_thigh"), "legs", "+0.2 rad added"),
     "gyro late": (late(0.06, "gyro"), "reference's attitude", "gyro_x, gyro_y, gyro_z: a filter"),
     "a heading that turns clockwise": (
         euler_angles(lambda yaw, pitch, roll: (-yaw, pitch, roll)),
@@ -626,7 +627,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "velocities in km/h": (times(3.6, "ref_v"), "reference's velocity", "in km/h"),
     "velocities in inches/s": (times(39.37, "ref_v"), "reference's velocity", "in inches/s"),
     "no velocity along an axis": (
-        constant(0.0, "ref_v_x"), "reference's velocity", "ref_v_x: not measured"),
+        constant(0.0, "ref_v_x"), "frozen", "ref_v_x: a sensor that hangs"),
     "gyro held": (
         lambda log: edited(
             log, **{c: np.repeat(log.frame[c].to_numpy()[::4], 4)[: len(log.t)] for c in GYRO}
@@ -904,6 +905,24 @@ def test_a_vibration_that_a_filter_inverts_has_no_wrong_sign(window, sign, cause
 @pytest.mark.parametrize("rows", [1, 2, 5])
 def test_a_log_of_some_rows_has_nothing_to_compare(log, rows):
     assert found_in(log.rows(slice(rows))) == []
+
+
+def test_the_fewer_columns_a_rule_compares_the_earlier_it_is_asked():
+    """And a symptom of several causes is asked about after these."""
+    order = [rule.name for rule in RULES]
+    for earlier, later in (
+        ("rows", "joint rates"),
+        ("gyro's unit", "gyro"),
+        ("reference's attitude", "gyro"),
+        ("joint rates", "legs"),
+        ("legs", "joint range"),
+    ):
+        assert order.index(earlier) < order.index(later), (earlier, later)
+
+
+def test_a_note_and_a_fault_of_a_stream_are_both_found(log):
+    found = check_log(both(clipped("gyro_z"), exchanged(("gyro_x", "gyro_y")))(log), SPOT)
+    assert {"saturated", "gyro"} <= {one.rule for one in found}
 
 
 def test_every_rule_says_why():

@@ -1,0 +1,115 @@
+"""Checks of torques against contacts: what legs carry, when, and on which side."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.importing.advice import entries
+from surefoot.sim.plausibility.axes import LIKELY
+from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.stance import Stance
+from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, LATEST_STREAM, MIDDLE, LogView
+from surefoot.sim.robot.robot import Robot
+
+SUPPORT = (0.5, 1.7)
+"""Range of the weight carried by the torques of standing legs, relative to the model's: payloads
+add a third, single legs of a stride carry twice.
+"""
+
+
+@rule("support", "q contact tau accel", beside="foot", finds="symptom")
+def weight_carried(view: LogView) -> Iterator[Finding]:
+    """Check that torques of standing legs carry the robot's weight.
+
+    Compares: the weight that torques of legs in contact carry with the robot's.
+    Threshold: {SUPPORT[0]:g} to {SUPPORT[1]:g} times.
+    Reason: on average a robot carries itself; payloads add a third.
+    Remedy: sign, unit or order of tau; torques of the output, not of the motor; the robot's
+        name.
+    """
+    robot, log = view.robot, view.log
+    loads, contact = _loads(view)
+    if robot is None or not loads.any() or contact.mean() < 0.2:
+        return
+    share = float(np.median(np.sum(loads * contact, axis=1)[contact.any(axis=1)]))
+    share /= robot.mass * GRAVITY
+    if SUPPORT[0] < share < SUPPORT[1]:
+        return
+    seen = f"legs in contact carry {share:.2f} times the weight of {robot.name}"
+    columns = tuple(f"tau_{joint}" for joint in log.joints)
+    cause, changes = "swapped joints, another unit, a motor's side of a gear, or another robot", {}
+    if -SUPPORT[1] < share < -SUPPORT[0]:
+        cause, changes = "wrong sign", entries(columns, sign=-1.0)
+    yield Finding(columns, seen, cause, changes)
+
+
+@rule("late torques", "t q contact tau accel", beside="foot")
+def late_torques(view: LogView) -> Iterator[Finding]:
+    """Check that torques load the legs while they stand.
+
+    Compares: the forces that torques mean with contacts, over time.
+    Threshold: {LATE_STREAM:g} s late or early.
+    Reason: a leg is loaded while it stands: 2 ms in clean walks.
+    Remedy: the filter or clock of tau, or of the contacts.
+    """
+    loads, contact = _loads(view)
+    walks = (contact.std(axis=0) > 0.2) & (loads.std(axis=0) > 0.0)
+    if len(loads) < FEWEST or not walks.any():
+        return
+    steps = contact[:, walks].astype(float)
+    late, alike = view.delay(loads[:, walks], steps, LATE_STREAM, LATEST_STREAM)
+    if late and alike > LIKELY:
+        seen = f"load legs {abs(late):.3f} s {'after' if late > 0 else 'before'} they stand"
+        columns = tuple(f"tau_{joint}" for joint in view.log.joints)
+        yield Finding(columns, seen, "a filter, or another clock (or that of the contacts)")
+
+
+def _loads(view: LogView) -> tuple[np.ndarray, np.ndarray]:
+    """Force [N] on each leg along the body's z by its torques, and contacts, (K, L) each, in the
+    middle of the log; without rows where these are not known.
+    """
+    if view.stance is None or view.robot is None:
+        return np.zeros((0, 1)), np.zeros((0, 1), dtype=bool)
+    at = view.at[np.abs(view.at - 0.5 * (view.t[0] + view.t[-1])) < 0.5 * MIDDLE]
+    rows = np.clip(np.searchsorted(view.t, at), 0, len(view.t) - 1)
+    pushed = _pushes(view.robot, view.log.q[rows], view.log.tau[rows])
+    return pushed @ view.robot.R_BI[2], view.log.contact[rows]
+
+
+def leaning(
+    view: LogView, robot: Robot, legs: Stance, columns: np.ndarray, sign: np.ndarray
+) -> np.ndarray:
+    """Sideways part (L,) of the load that torques mean on each leg, relative to the upward one,
+    where up is the specific force; 0 where it is not known.
+
+    Args:
+        view: of the log.
+        robot: its robot.
+        legs: their times.
+        columns: that joints are read from (J,).
+        sign: (J,) of the angles and torques read.
+    """
+    log, rows, on = view.log, legs.rows[1], legs.contact
+    if not log.has("tau"):
+        return np.zeros(on.shape[1])
+    pushed = _pushes(robot, log.q[rows][:, columns] * sign, log.tau[rows][:, columns] * sign)
+    up = view.accel[legs.which]
+    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    upward = np.einsum("kli,ki->kl", pushed, up)
+    aside = pushed @ robot.R_BI[1] - upward * (up @ robot.R_BI[1])[:, None]
+    in_all = [np.abs(np.sum(x * on, axis=0)) for x in (aside, upward)]
+    return in_all[0] / np.maximum(in_all[1], 1e-9)
+
+
+def _pushes(robot: Robot, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Force (K, L, 3) [N] in I on each leg that balances torques (K, J) quasi-statically, at
+    angles (K, J); 0 where a leg is stretched, or legs have not three joints.
+    """
+    chains = robot.limbs.chains
+    if {*map(len, chains)} != {3}:
+        return np.zeros((len(q), len(chains), 3))
+    J = robot.feet_jacobian_I(q)
+    usable = (np.abs(np.linalg.det(J)) > 1e-4)[..., None]
+    J_T = np.where(usable[..., None], np.swapaxes(J, 2, 3), np.eye(3))
+    return -np.linalg.solve(J_T, tau[:, np.array(chains)][..., None])[..., 0] * usable
