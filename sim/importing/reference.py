@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix, slerp
 from surefoot.sim.importing.clock import Columns, span
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.sections import ReferenceTable
@@ -117,25 +117,13 @@ def interpolate_reference(
     must lie within the reference.
     """
     after = np.clip(np.searchsorted(reference_t, t, side="left"), 1, len(reference_t) - 1)
-    before = after - 1
-    gap = reference_t[after] - reference_t[before]
-    share = ((t - reference_t[before]) / gap)[:, None]
-    ok = (gap <= MAX_GAP) | (t == reference_t[before]) | (t == reference_t[after])
-    position = (1.0 - share) * p[before] + share * p[after]
-    start, end = q[before], q[after]
-    cosine = np.sum(start * end, axis=1, keepdims=True)
-    end = np.where(cosine < 0.0, -end, end)
-    # atan2 of half the chord is accurate for small angles.
-    angle = 2.0 * np.arctan2(
-        np.linalg.norm(end - start, axis=1), np.linalg.norm(end + start, axis=1)
-    )
-    angle = angle[:, None]
-    apart = angle > 1e-9
-    sine = np.sin(np.where(apart, angle, 1.0))
-    first = np.where(apart, np.sin((1.0 - share) * angle) / sine, 1.0 - share)
-    second = np.where(apart, np.sin(share * angle) / sine, share)
-    attitude = first * start + second * end
-    return position, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), ok
+    start, end = reference_t[after - 1], reference_t[after]
+    ok = (end - start <= MAX_GAP) | (t == start) | (t == end)
+    position = np.column_stack([np.interp(t, reference_t, x) for x in p.T])
+    attitude = slerp(reference_t, q, t)
+    # As recorded, q may stand for its negative.
+    opposite = np.sum(attitude * q[after - 1], axis=1, keepdims=True) < 0.0
+    return position, np.where(opposite, -attitude, attitude), ok
 
 
 def reference_offset(rules: ImportMap, name: str) -> float:

@@ -7,16 +7,16 @@ import numpy as np
 
 from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.importing.draft import Entry
-from surefoot.sim.importing.guess_units import (
+from surefoot.sim.importing.guessing.draft import Entry
+from surefoot.sim.importing.guessing.names import HINGES, Named, by_their_legs, lists_of, words_of
+from surefoot.sim.importing.guessing.recorded_file import RecordedFile, name_in_file
+from surefoot.sim.importing.guessing.units import (
     stride_in_turns,
     unit_of_accel,
     unit_of_angles,
     unit_of_gyro,
     unit_of_rates,
 )
-from surefoot.sim.importing.names import HINGES, Named, by_their_legs, lists_of, words_of
-from surefoot.sim.importing.recorded_file import RecordedFile, name_in_file
 from surefoot.sim.log.schema import JOINTS, LEGS, joint_prefix
 
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")

@@ -12,14 +12,19 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.bag import is_bag, topic_of
 from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import EULER, UNITS
-from surefoot.sim.importing.draft import Draft, Entry
-from surefoot.sim.importing.guess_columns import guess_columns, vectors
-from surefoot.sim.importing.guess_units import unit_of_angles
-from surefoot.sim.importing.names import Named, lists_of, read_name, words_of
-from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
+from surefoot.sim.importing.guessing.draft import Draft, Entry
+from surefoot.sim.importing.guessing.entries import guess_columns, vectors
+from surefoot.sim.importing.guessing.names import Named, lists_of, read_name, words_of
+from surefoot.sim.importing.guessing.recorded_file import (
+    RecordedFile,
+    recorded_files,
+    times_of_topic,
+)
+from surefoot.sim.importing.guessing.units import unit_of_angles
+from surefoot.sim.importing.readers.bag import is_bag
+from surefoot.sim.importing.readers.table import topic_of
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.sensors.streams import SLOWEST
