@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_file
-from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
+from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.clock import (
     Columns,
     Stamped,
@@ -20,14 +20,15 @@ from surefoot.sim.importing.clock import (
     outside_lines,
     seconds,
 )
-from surefoot.sim.importing.columns import EULER, MapColumn
+from surefoot.sim.importing.columns import MapColumn
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.readers.bag import is_bag
 from surefoot.sim.importing.readers.file import read_file
 from surefoot.sim.importing.readers.table import NoReadings, RecordedTable, column_readings
-from surefoot.sim.importing.reference import poses_of, quaternions_of, reference_offset
+from surefoot.sim.importing.reference import poses_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
+from surefoot.sim.log.reference import Poses
 
 _Rows = tuple[np.ndarray, np.ndarray]
 """Indices of rows, and the values there, both (M,)."""
@@ -60,11 +61,18 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     main = _main_file(first, rules)
     sources = (*rules.sections.sources.values(), rules.sections.reference)
     named = {one.file.replace(STEM, main.stem) for one in sources if one and one.file}
-    beside = {name: given.get(name, main.parent / name) for name in named}
     further = iter([path for path in paths if path is not first and path.name not in named])
+
+    def file_of(source: Source) -> Path | None:
+        """The file that the map names or, where it names none, the next one given."""
+        if source.file is None:
+            return next(further, None)
+        name = source.file.replace(STEM, main.stem)
+        return given.get(name, main.parent / name)
+
     streams, clock, notes = _streams(main, rules.sections.source, rules, None)
     for name, source in rules.sections.sources.items():
-        path = beside[source.file.replace(STEM, main.stem)] if source.file else next(further, None)
+        path = file_of(source)
         if path is None:
             raise SurefootError(f"{rules.path}: [sources.{name}] has no file, and none is given")
         found, _, said = _streams(path, source, rules, name)
@@ -74,10 +82,9 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     if epoch:
         notes.append(f"t: counts from {seconds(epoch)} s of the recording's clock")
     if rules.sections.reference is not None:
-        own = rules.sections.reference.file
-        path = beside[own.replace(STEM, main.stem)] if own else next(further, main)
-        table, said = _reference(path, rules, shared=path == main)
-        poses = poses_of(table | {"t": table["t"] - epoch})
+        path = file_of(rules.sections.reference) or main
+        poses, said = _reference(path, rules, shared=path == main)
+        poses = replace(poses, t=poses.t - epoch)
         notes += said
     if (extra := next(further, None)) is not None:
         raise SurefootError(f"{extra}: {rules.path} has no use for this file")
@@ -215,8 +222,8 @@ def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.
     return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 
 
-def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, list[str]]:
-    """Columns t, ref_p and ref_q of the reference's own rows, and a note on those left out.
+def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Poses, list[str]]:
+    """Poses in the reference's own rows, and notes on those left out.
 
     shared: whether it is in the main file.
     """
@@ -238,13 +245,5 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, lis
     if len(lengths := {len(rows) for rows, _ in members.values()}) > 1:
         raise SurefootError(f"{path}: [reference.columns] have {sorted(lengths)} rows")
     table, numbers, said = _kept(read, members, times, clock)
-    if EULER[0] in table:
-        angles = np.column_stack([table.pop(name) for name in EULER])
-        table |= quaternions_of(angles)
-        return table, said
-    lost = np.all([table[f"ref_q_{axis}"] == 0.0 for axis in "wxyz"], axis=0)
-    if lost.any() and not lost.all():
-        table, numbers = {name: x[~lost] for name, x in table.items()}, numbers[~lost]
-        said.append(f"{path}: left out: {lost.sum()} samples without an attitude (0, 0, 0, 0)")
-    unit_quaternions(path, table, read.row, numbers)
-    return table, said
+    poses, lost = poses_of(table, path, read.row, numbers)
+    return poses, said + lost

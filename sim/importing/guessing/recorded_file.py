@@ -222,8 +222,9 @@ def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, 
 
 def times_of_topic(topic: str, columns: Columns, names: Mapping[str, Named]) -> Entry:
     """The stamps in a topic's messages or, without these, the times of reception."""
-    own = {n: v for n, v in columns.items() if n.startswith(f"{topic}:") and names[n].kind == "t"}
-    return column_of_times(own, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
+    of_topic = (n for n in columns if n.startswith(f"{topic}:"))
+    stamps = {n: columns[n] for n in of_topic if names[n].kind == "t"}
+    return column_of_times(stamps, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
 
 
 def column_of_times(columns: Columns, names: Mapping[str, Named]) -> Entry | None:
@@ -275,11 +276,11 @@ def _by_clock(columns: Columns) -> list[Columns]:
     """Group the columns by number of rows and, within these, by equal times."""
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
-        own = {n: v for n, v in columns.items() if len(v) == rows}
-        clocks = [n for n in own if read_name(n).kind == "t" and mostly_rises(own[n])]
-        apart = any(not np.array_equal(own[n], own[clocks[0]]) for n in clocks)
+        alike = {n: v for n, v in columns.items() if len(v) == rows}
+        clocks = [n for n in alike if read_name(n).kind == "t" and mostly_rises(alike[n])]
+        apart = any(not np.array_equal(alike[n], alike[clocks[0]]) for n in clocks)
         groups = {n.rpartition("/")[0] for n in clocks} if apart else set()
-        for name, values in own.items():
+        for name, values in alike.items():
             group = name.rpartition("/")[0]
             parts.setdefault((rows, group if group in groups else ""), {})[name] = values
     return list(parts.values())
