@@ -13,8 +13,7 @@ from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import NavState
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.importing.start import start_line
-from surefoot.sim.log import Log, reference_velocity
+from surefoot.sim.log import Log, foot_velocity, joint_velocity, reference_velocity
 from surefoot.sim.robot.feet import Feet, shown_feet
 
 Start = Literal["reference", "rest", "moving"]
@@ -31,6 +30,12 @@ INDEPENDENT = 0.02
 MOVING_WINDOW = 1.0
 """Time at the start of a log in motion from which gravity and velocity are fitted [s], about two
 strides.
+"""
+BEGINNING = 0.1
+"""Time over which the first motion is averaged [s], three rows at least: a fifth of a stride."""
+LEG_MOVES, BODY_TURNS = 0.3, 0.1
+"""Rate from which a joint [rad/s] or a foot [m/s] moves (standing robots have 0.01, walking ones
+0.7), and RMS rate from which a body turns [rad/s] (twenty times the noise of a gyro at rest).
 """
 STANCE = 0.25
 """Time over which the errors of leg velocities are correlated [s], a stance of a trot."""
@@ -71,7 +76,22 @@ def start_of(log: Log) -> Start:
     """
     if log.has("reference") and log.ref_ok[0]:
         return "reference"
-    return "moving" if start_line(log) else "rest"
+    return "moving" if starts_in_motion(log) else "rest"
+
+
+def starts_in_motion(log: Log) -> bool:
+    """Whether a robot already moves in the first rows of a log, by its gyro and its legs; False
+    without an IMU, since no filter runs then.
+    """
+    if not log.has("imu"):
+        return False
+    first, leg = log.rows(log.t <= max(log.t[0] + BEGINNING, log.t[:3][-1])), 0.0
+    if log.has("q"):
+        leg = np.abs(joint_velocity(first).mean(axis=0)).max()
+    elif log.has("foot"):
+        leg = np.abs(foot_velocity(first).mean(axis=0)).max()
+    turning = np.sqrt(np.mean(np.sum(first.gyro**2, axis=1)))
+    return bool(turning >= BODY_TURNS or leg >= LEG_MOVES)
 
 
 def initial_state(

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -87,7 +87,6 @@ class Import(CheckedSettings, OutputSettings):
         from surefoot.scenarios.estimate.inputs import findings_of, warned
         from surefoot.sim.importing.advice import advised_lines
         from surefoot.sim.importing.recording import read_recording
-        from surefoot.sim.importing.report import import_lines
 
         recording = read_recording(files, self.map)
         log = recording.log()
@@ -108,12 +107,12 @@ class Import(CheckedSettings, OutputSettings):
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
-        for line in import_lines(log, *recording.reference(), notes=recording.notes):
+        for line in _lines(log, *recording.reference(), notes=recording.notes):
             print(line)
 
     def _draft(self, files: tuple[str, ...]) -> None:
         from surefoot.sim.common.files import write_whole
-        from surefoot.sim.importing.guess import guess_map
+        from surefoot.sim.importing.guessing.guess import guess_map
 
         text = guess_map(files, self.robot).text
         if self.out is None:
@@ -153,7 +152,6 @@ class Info(CheckedSettings, options.JsonOption):
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.inputs import not_plausible, read_logs
-        from surefoot.sim.importing.report import import_lines
 
         logs = read_logs(self.logs)
         doubts = not_plausible(logs, self.robot, self.strict) if self.json else {}
@@ -167,7 +165,7 @@ class Info(CheckedSettings, options.JsonOption):
                         "rate": log.rate,
                         "groups": _groups(log),
                         "meta": replace(log.meta, model={}),
-                        "lines": import_lines(log),
+                        "lines": _lines(log),
                         "not_plausible": doubts.get(log.name, ()),
                     }
                     for path, log in zip(self.logs, logs, strict=True)
@@ -184,9 +182,18 @@ class Info(CheckedSettings, options.JsonOption):
             for what, words in known.items():
                 if words:
                     print(f"{what}: {words}")
-            for line in import_lines(log):
+            for line in _lines(log):
                 print(line)
         not_plausible(logs, self.robot, self.strict)
+
+
+def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """What to know about a log, and how filters start on it."""
+    from surefoot.scenarios.estimate.notes import start_note
+    from surefoot.sim.importing.report import import_lines
+
+    start = start_note(log)
+    return (*import_lines(log, *recorded, notes=notes), *([start] if start else []))
 
 
 def _summary(name: str, log: "Log") -> str:

@@ -2,13 +2,15 @@
 
 import numpy as np
 
-from surefoot.estimator.initial import start_of
+from surefoot.estimator.initial import start_of, starts_in_motion
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import feet_of
 from surefoot.scenarios.estimate.settings import FilterSettings
-from surefoot.sim.importing.start import start_line
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.feet import Feet
+from surefoot.sim.robot.machine import machine_for_log
 
 STARTS = {
     "reference": "the reference",
@@ -29,8 +31,23 @@ def notes_on(
         learnt: observers that its filters use.
         settings: of the filters.
     """
-    lines = (_other_robot(log, robot), _trained_on(log, learnt), _start(log, robot, settings))
+    start = _start(log, feet_of(log, robot), settings)
+    lines = (_other_robot(log, robot), _trained_on(log, learnt), start)
     return tuple(filter(None, lines))
+
+
+def start_note(log: Log) -> str:
+    """From what filters start on a log whose robot already moves in its first rows; "" if it rests,
+    and without an IMU.
+    """
+    try:
+        feet = machine_for_log(log).feet
+    except SurefootError:  # without a known robot, its legs show nothing
+        feet = None
+    try:
+        return _start(log, feet, FilterSettings())
+    except SurefootError as error:
+        return f"start: the robot moves already in the first rows; {error}"
 
 
 def _other_robot(log: Log, robot: Robot | None) -> str:
@@ -53,11 +70,11 @@ def _trained_on(log: Log, learnt: Learnt) -> str:
     return f"training: {which} was trained on this log; errors on a log it has not seen are larger"
 
 
-def _start(log: Log, robot: Robot | None, settings: FilterSettings) -> str:
+def _start(log: Log, feet: Feet | None, settings: FilterSettings) -> str:
     given = settings.start.velocity is not None or settings.state.v_GI is not None
-    if given or not start_line(log):
+    if given or not starts_in_motion(log):
         return ""
-    state, covariance = settings.beginning(log, feet_of(log, robot))
+    state, covariance = settings.beginning(log, feet)
     std = np.sqrt(covariance.diagonal())
     taken = STARTS[settings.start.kind or start_of(log)]
     taken = taken if state.v_GI.any() else taken.replace(" and legs", "")

@@ -62,14 +62,14 @@ def advised_lines(
         rules: the map with which the log was imported.
         name: of the recording.
     """
-    own = mended = _values(rules)
+    before = mended = _values(rules)
     follows, lines = [], []
     for changes in advice:
         after = _followed(mended, changes, name)
         follows.append(after != mended)
         mended = after
     for (section, key), value in mended.items():
-        if value != own[section, key]:
+        if value != before[section, key]:
             lines += [f"[{section}]"] * (f"[{section}]" not in lines) + [map_line(key, value)]
     return tuple(lines), tuple(follows)
 
@@ -83,18 +83,18 @@ def _values(rules: ImportMap) -> _Values:
     return {(section, key): x for section, table in tables.items() for key, x in table.items()}
 
 
-def _followed(own: _Values, changes: Changes, name: str) -> _Values:
+def _followed(given: _Values, changes: Changes, name: str) -> _Values:
     """The values of a map with changes made for the recording `name`; as they are where it lacks a
     section.
     """
-    if not changes.keys() <= {section for section, _ in own}:
-        return own
-    after = own | _body_by_imu(own, changes)
+    if not changes.keys() <= {section for section, _ in given}:
+        return given
+    after = given | _body_by_imu(given, changes)
     for section, values in changes.items():
         for key, value in values.items():
             if section == "columns":
-                places = [x for x in ((section, key), ("reference.columns", key)) if x in own]
-                after |= {place: _changed(own, place, value) for place in places}
+                places = [x for x in ((section, key), ("reference.columns", key)) if x in given]
+                after |= {place: _changed(given, place, value) for place in places}
                 continue
             before = after[section, key]
             if key == "offset" and isinstance(before, dict):
@@ -103,10 +103,10 @@ def _followed(own: _Values, changes: Changes, name: str) -> _Values:
     return after
 
 
-def _changed(own: _Values, place: tuple[str, str], keys: Mapping[str, Any]) -> ColumnEntry:
+def _changed(given: _Values, place: tuple[str, str], keys: Mapping[str, Any]) -> ColumnEntry:
     """The entry of a column at a place of a map, with changes."""
     section, column = place
-    entry = own.get((section, keys.get("of", column)), own[place])
+    entry = given.get((section, keys.get("of", column)), given[place])
     entry = ColumnEntry(entry) if isinstance(entry, str) else entry
     sign, gain = keys.get("sign", 1.0), keys.get("gain", 1.0)
     entry = replace(
@@ -121,18 +121,18 @@ def _changed(own: _Values, place: tuple[str, str], keys: Mapping[str, Any]) -> C
     return replace(entry, wrap=keys["wrap"] / abs(read_column("", column, entry, ()).scale))
 
 
-def _body_by_imu(own: _Values, changes: Changes) -> _Values:
+def _body_by_imu(given: _Values, changes: Changes) -> _Values:
     """The place of a reference's body relative to the IMU as it is to be turned, where it is the
     base or the IMU itself is turned.
     """
     turned = changes.get("reference", {})
     if turned.keys().isdisjoint(("q_IM", "p_IM")):
         return {}
-    place = {key: own["reference", key] for key in ("frame", "p_IM", "q_IM")}
+    place = {key: given["reference", key] for key in ("frame", "p_IM", "q_IM")}
     if place["frame"] == "base":
-        q_BI = own["robot", "imu_orientation"] or (1.0, 0.0, 0.0, 0.0)
+        q_BI = given["robot", "imu_orientation"] or (1.0, 0.0, 0.0, 0.0)
         R_IB = Rotation.from_quat(q_BI, scalar_first=True).inv()
-        p_IB = _rounded(-R_IB.apply(own["robot", "imu_position"]))
+        p_IB = _rounded(-R_IB.apply(given["robot", "imu_position"]))
         place = {"frame": "imu", "p_IM": p_IB, "q_IM": quaternion(R_IB)}
     if "robot" in changes:
         turn = Rotation.from_quat(turned["q_IM"], scalar_first=True)
@@ -144,17 +144,17 @@ def _rounded(p: np.ndarray) -> tuple[float, ...]:
     return tuple((p.round(6) + 0.0).tolist())
 
 
-def _turned(own: Sequence[float], q: Sequence[float]) -> tuple[float, ...]:
-    before, after = (Rotation.from_quat(x, scalar_first=True) for x in (own, q))
+def _turned(given: Sequence[float], q: Sequence[float]) -> tuple[float, ...]:
+    before, after = (Rotation.from_quat(x, scalar_first=True) for x in (given, q))
     return quaternion(after * before)
 
 
 _COMBINED: Mapping[str, Callable[[Any, Any], Any]] = {
     "q_GW": _turned,
     "q_IM": _turned,
-    "p_IM": lambda own, moved: _rounded(np.add(own, moved)),
-    "joint_sign": lambda own, new: own | {k: x * own.get(k, 1.0) for k, x in new.items()},
-    "late": lambda own, new: own | {k: x + own.get(k, 0.0) for k, x in new.items()},
-    "held": lambda own, new: tuple(dict.fromkeys((*own, *new))),
+    "p_IM": lambda given, moved: _rounded(np.add(given, moved)),
+    "joint_sign": lambda given, new: given | {k: x * given.get(k, 1.0) for k, x in new.items()},
+    "late": lambda given, new: given | {k: x + given.get(k, 0.0) for k, x in new.items()},
+    "held": lambda given, new: tuple(dict.fromkeys((*given, *new))),
 }
 """How an advised value is combined with the map's own, by key."""

@@ -23,6 +23,7 @@ from surefoot.sim.importing.reference import (
     REFERENCE_OFFSET,
     imu_poses,
     reference_offset,
+    unit_quaternions,
     with_reference,
 )
 from surefoot.sim.importing.reference_contradictions import contradicted
@@ -33,7 +34,7 @@ from surefoot.sim.log.schema import GROUPS, check_frame, joint_names, joint_pref
 from surefoot.sim.robot.catalog import SUFFIXES
 from surefoot.sim.robot.model_of_log import model_metadata
 
-_UNIT_TOLERANCE = 1e-2
+_QUATERNION = GROUPS["reference"][3:]
 
 
 @dataclass(frozen=True)
@@ -81,12 +82,14 @@ class RawRecording:
 
     def log(self) -> Log:
         """Assemble the log and check every column. Raises LogError naming path and map."""
-        if "ref_q_w" in self.main:
-            unit_quaternions(self.path, self.main)
+        main = dict(self.main)
+        if "ref_q_w" in main:
+            q = np.column_stack([main[name] for name in _QUATERNION])
+            main |= zip(_QUATERNION, unit_quaternions(self.path, q).T, strict=True)
         poses, wrong = self.reference()
         if poses is not None and wrong is not None:
             poses = poses.rows(~wrong)
-        log = _log_from_tables(self.main, poses, self.rules, self.name)
+        log = _log_from_tables(main, poses, self.rules, self.name)
         try:
             check_frame(log.frame, log.rate)
         except SurefootError as error:
@@ -161,23 +164,6 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     size = 8.0 * len(main) * rate * (main["t"][-1] - main["t"][0])
     check_limit("memory", size, f"[even] at {rate:g} Hz: bytes in memory")
     return evened(main, rate), [*said, f"rows at {rate:g} Hz"]
-
-
-def unit_quaternions(
-    path: Path, table: Columns, unit: str = "row", rows: np.ndarray | None = None
-) -> None:
-    """Normalise quaternions; raise, naming the row, where the norm is too far from one.
-
-    Rows are called `unit` in the message, with the numbers `rows` (N,), by default from 1.
-    """
-    q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
-    norm = np.linalg.norm(q, axis=1)
-    bad = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
-    if bad.size:
-        number = bad[0] + 1 if rows is None else rows[bad[0]]
-        raise LogError(f"{path}: {unit} {number}: not a unit quaternion (norm {norm[bad[0]]:.6g})")
-    for i, axis in enumerate("wxyz"):
-        table[f"ref_q_{axis}"] = q[:, i] / norm
 
 
 def _with_joint_signs(main: Columns, rules: ImportMap) -> Columns:

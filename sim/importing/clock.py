@@ -54,10 +54,10 @@ def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Colum
     inside = (t >= begin) & (t <= end)
     if not inside.any():
         times = {"t": t} | {name: stamps for name, (stamps, _) in streams.items()}
-        early, late = (pick(times, key=lambda name: times[name][0]) for pick in (min, max))
+        early, last = (pick(times, key=lambda name: times[name][0]) for pick in (min, max))
         raise SurefootError(
             f"{where}: the topics and files of the map do not overlap in time: {early} is"
-            f" {span(times[early])}, {late} {span(times[late])}; t of a further file has an offset"
+            f" {span(times[early])}, {last} {span(times[last])}; t of a further file has an offset"
         )
     table = {"t": t[inside]}
     for name, (stamps, values) in streams.items():
@@ -186,17 +186,17 @@ def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
     return found
 
 
-def brought_forward(table: Columns, late: Mapping[str, float]) -> Columns:
+def brought_forward(table: Columns, delays: Mapping[str, float]) -> Columns:
     """Shift columns of these kinds or names to earlier times, by their delay [s].
 
     Rows at the ends for which a column has no value are cut.
     """
     t = table["t"]
-    begin, end = t[0] - min(0.0, *late.values()), t[-1] - max(0.0, *late.values())
+    begin, end = t[0] - min(0.0, *delays.values()), t[-1] - max(0.0, *delays.values())
     inside = (t >= begin) & (t <= end)
     found = {name: values[inside] for name, values in table.items()}
     for name, values in table.items():
-        delay = late.get(name, late.get(column_kind(name))) if name != "t" else None
+        delay = delays.get(name, delays.get(column_kind(name))) if name != "t" else None
         if delay is not None:
             found[name] = np.interp(t[inside] + delay, t, values)
     return found

@@ -128,10 +128,10 @@ def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[lis
     alike = np.corrcoef(along.T) > _IN_PHASE
     groups: list[list[int]] = []
     for leg in range(feet_I.shape[1]):
-        own = next((g for g in groups if alike[leg, g].all()), [])
-        if not own:
-            groups.append(own)
-        own.append(leg)
+        together = next((g for g in groups if alike[leg, g].all()), [])
+        if not together:
+            groups.append(together)
+        together.append(leg)
     return groups
 
 

@@ -6,12 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError, parsed_as
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import is_file
-from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, read_parquet
-from surefoot.sim.importing.assemble import RawRecording, unit_quaternions
-from surefoot.sim.importing.bag import is_bag, read_bag, topic_of
+from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.clock import (
     Columns,
     Stamped,
@@ -23,14 +20,15 @@ from surefoot.sim.importing.clock import (
     outside_lines,
     seconds,
 )
-from surefoot.sim.importing.columns import EULER, MapColumn
-from surefoot.sim.importing.json_file import read_json
+from surefoot.sim.importing.columns import MapColumn
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.reference import poses_of, quaternions_of, reference_offset
+from surefoot.sim.importing.readers.bag import is_bag
+from surefoot.sim.importing.readers.file import read_file
+from surefoot.sim.importing.readers.table import NoReadings, RecordedTable, column_readings
+from surefoot.sim.importing.reference import poses_of, reference_offset
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import NoReadings, RecordedTable, column_readings, with_stamps
-from surefoot.sim.importing.text_file import read_text
 from surefoot.sim.log import Log
+from surefoot.sim.log.reference import Poses
 
 _Rows = tuple[np.ndarray, np.ndarray]
 """Indices of rows, and the values there, both (M,)."""
@@ -63,11 +61,18 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     main = _main_file(first, rules)
     sources = (*rules.sections.sources.values(), rules.sections.reference)
     named = {one.file.replace(STEM, main.stem) for one in sources if one and one.file}
-    beside = {name: given.get(name, main.parent / name) for name in named}
     further = iter([path for path in paths if path is not first and path.name not in named])
+
+    def file_of(source: Source) -> Path | None:
+        """The file that the map names or, where it names none, the next one given."""
+        if source.file is None:
+            return next(further, None)
+        name = source.file.replace(STEM, main.stem)
+        return given.get(name, main.parent / name)
+
     streams, clock, notes = _streams(main, rules.sections.source, rules, None)
     for name, source in rules.sections.sources.items():
-        path = beside[source.file.replace(STEM, main.stem)] if source.file else next(further, None)
+        path = file_of(source)
         if path is None:
             raise SurefootError(f"{rules.path}: [sources.{name}] has no file, and none is given")
         found, _, said = _streams(path, source, rules, name)
@@ -77,10 +82,9 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     if epoch:
         notes.append(f"t: counts from {seconds(epoch)} s of the recording's clock")
     if rules.sections.reference is not None:
-        own = rules.sections.reference.file
-        path = beside[own.replace(STEM, main.stem)] if own else next(further, main)
-        table, said = _reference(path, rules, shared=path == main)
-        poses = poses_of(table | {"t": table["t"] - epoch})
+        path = file_of(rules.sections.reference) or main
+        poses, said = _reference(path, rules, shared=path == main)
+        poses = replace(poses, t=poses.t - epoch)
         notes += said
     if (extra := next(further, None)) is not None:
         raise SurefootError(f"{extra}: {rules.path} has no use for this file")
@@ -103,21 +107,6 @@ def _robot_file(rules: ImportMap, main: Path) -> str | None:
     return rules.robot
 
 
-def read_table(path: Path, source: Source) -> RecordedTable:
-    """Read the table of a file of any kind except a bag. Raises SurefootError."""
-    admitted(path, "recording")
-    reader = _READERS.get(path.suffix.lower())
-    remedy = "; save arrays of numbers anew, by np.savez" if reader is read_npz else ""
-    what = f"{path.suffix} file" if reader else "table of text"
-    with parsed_as(f"a readable {what}", path, remedy):
-        return with_stamps(reader(path) if reader else read_text(path, source))
-
-
-def is_text(path: Path) -> bool:
-    """Whether a file is read as text, by its name."""
-    return not (is_bag(path) or path.suffix.lower() in _READERS)
-
-
 def _main_file(path: Path, rules: ImportMap) -> Path:
     inside = path / (rules.sections.source.file or "")
     if is_file(inside) or is_bag(path) or not path.is_dir():
@@ -135,66 +124,63 @@ def _streams(
     """
     columns = {n: c for n, c in rules.columns.items() if c.source == name and n != "t"}
     clock = rules.columns.get("t") if name is None else rules.clocks.get(name)
-    bag, ours = is_bag(path), ""
-    if bag:
-        if source.rate is not None:
-            raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
-        clock = clock if name is None else None
-        table, times = _table(path, source, [*columns.values(), *([clock] if clock else [])])
-        if clock:
-            ours = topic_of(clock.theirs)
-            times[ours] = _times(table, clock, source)
-            _check_attitude(path, columns, ours)
-    else:
-        table, _ = _table(path, source, [])
-        if clock is None and source.rate is None:
-            raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
-        times = {"": _times(table, clock, source)}
+    needed = [*columns.values(), *([clock] if clock and name is None else [])]
+    table = read_file(path, source, {column.theirs for column in needed})
+    bag = bool(table.stamps)
+    if bag and source.rate is not None:
+        raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
+    if not bag and clock is None and source.rate is None:
+        raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
+    # A further bag has clocks of its own.
+    clock = None if bag and name else clock
+    leading = table.topic(clock.theirs) if clock else ""
+    times = dict(table.stamps)
+    if clock or not bag:
+        times[leading] = _times(table, clock, source)
+        _check_attitude(table, columns, leading)
     alone = source.sparse or source.long is not None
     # Columns that share their stamps lose the same rows.
     groups: dict[tuple[str, str], dict[str, _Rows]] = (
-        {} if alone or (bag and name) else {(ours, ""): {}}
+        {} if alone or (bag and name) else {(leading, ""): {}}
     )
     blank: dict[str, SurefootError] = {}
     for log_name, column in columns.items():
+        topic = table.topic(column.theirs)
         try:
-            rows, values = column_readings(table, column.theirs, source, column.word)
+            read = _rows(table, column, source, times[topic], alone)
         except NoReadings as error:
             blank[log_name] = error
             continue
-        place = topic_of(column.theirs) if bag else ""
-        count = rows[-1] + 1 if len(rows) else 0
-        if count > len(times[place]) or (count < len(times[place]) and not alone):
-            raise SurefootError(
-                f"{path}: column {column.theirs!r} has {count} rows, the times {len(times[place])}"
-            )
-        group = groups.setdefault((place, log_name if alone else ""), {})
-        group[log_name] = rows, column.read(values)
+        groups.setdefault((topic, log_name if alone else ""), {})[log_name] = read
     found: dict[str, Stamped] = {}
     t, first, notes = np.zeros(0), "", []
-    for (place, log_name), members in groups.items():
-        column = columns[next(iter(members))] if alone or place != ours else clock
-        kept, _, said = _kept(table, members, times[place], column)
+    for (topic, log_name), members in groups.items():
+        column = columns[next(iter(members))] if alone or topic != leading else clock
+        kept, _, said = _kept(table, members, times[topic], column)
         stamps = kept.pop("t")
         found |= {n: (stamps, values) for n, values in kept.items()}
         notes += said
         # If columns have different times, the rows are those of the most frequent one.
-        if place == ours and len(stamps) > len(t):
+        if topic == leading and len(stamps) > len(t):
             t, first = stamps, log_name
     if alone and found:
         notes.append(f"rows: at the readings of {first}")
     return found, t, [*notes, *_blank_lines(path, blank, found)]
 
 
-def _table(
-    path: Path, source: Source, wanted: Iterable[MapColumn]
-) -> tuple[RecordedTable, dict[str, np.ndarray]]:
-    """The table of a file; of a bag, that of the wanted columns, and the times of each topic."""
-    if not is_bag(path):
-        return read_table(path, source), {}
-    seen = read_bag(path, sorted({column.theirs for column in wanted}))
-    table = RecordedTable(path, {name: values for name, (_, values) in seen.items()}, "message")
-    return table, {topic_of(name): stamps for name, (stamps, _) in seen.items()}
+def _rows(
+    table: RecordedTable, column: MapColumn, source: Source, times: np.ndarray, sparse: bool
+) -> _Rows:
+    """Rows and values of a column in SI; raises SurefootError where there are more than times, or
+    fewer, unless it is sparse.
+    """
+    rows, values = column_readings(table, column.theirs, source, column.word)
+    count = rows[-1] + 1 if len(rows) else 0
+    if count > len(times) or (count < len(times) and not sparse):
+        raise SurefootError(
+            f"{table.path}: column {column.theirs!r} has {count} rows, the times {len(times)}"
+        )
+    return rows, column.read(values)
 
 
 def _kept(
@@ -211,11 +197,13 @@ def _kept(
     return columns, numbers[kept], [said] if said else []
 
 
-def _check_attitude(path: Path, columns: Mapping[str, MapColumn], topic: str) -> None:
+def _check_attitude(table: RecordedTable, columns: Mapping[str, MapColumn], topic: str) -> None:
     """Raise SurefootError where an attitude would be interpolated to the rows of another topic."""
     for name, column in columns.items():
-        if name.startswith("ref_q_") and topic_of(column.theirs) != topic:
-            raise SurefootError(f"{path}: {name} is of another topic than t: give a [reference]")
+        if name.startswith("ref_q_") and table.topic(column.theirs) != topic:
+            raise SurefootError(
+                f"{table.path}: {name} is of another topic than t: give a [reference]"
+            )
 
 
 def _blank_lines(path: Path, blank: Mapping[str, SurefootError], found: Iterable[str]) -> list[str]:
@@ -234,8 +222,8 @@ def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.
     return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
 
 
-def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, list[str]]:
-    """Columns t, ref_p and ref_q of the reference's own rows, and a note on those left out.
+def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Poses, list[str]]:
+    """Poses in the reference's own rows, and notes on those left out.
 
     shared: whether it is in the main file.
     """
@@ -245,43 +233,17 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Columns, lis
         keys = ("separator", "header", "skip", "comment", "decimal", "sparse")
         unsaid = [key for key in keys if getattr(source, key) == getattr(Source(), key)]
         source = replace(source, **{key: getattr(rules.sections.source, key) for key in unsaid})
-    if is_bag(path) and len(topics := {topic_of(one.theirs) for one in columns.values()}) > 1:
+    read = read_file(path, source, {column.theirs for column in columns.values()})
+    if len(topics := {read.topic(column.theirs) for column in columns.values()}) > 1:
         raise SurefootError(
             f"{path}: [reference.columns] are of {' and '.join(sorted(topics))};"
             " t, ref_p and ref_q are of one topic"
         )
-    read, _ = _table(path, source, columns.values())
-    members: dict[str, _Rows] = {}
-    for name, column in columns.items():
-        if name != "t":
-            rows, values = column_readings(read, column.theirs, source, column.word)
-            members[name] = rows, column.read(values)
     clock = columns.get("t")
     times = _times(read, clock, source)
-    lengths = {len(rows) for rows, _ in members.values()}
-    if len(lengths) > 1:
+    members = {n: _rows(read, c, source, times, True) for n, c in columns.items() if n != "t"}
+    if len(lengths := {len(rows) for rows, _ in members.values()}) > 1:
         raise SurefootError(f"{path}: [reference.columns] have {sorted(lengths)} rows")
-    last = max((rows[-1] for rows, _ in members.values() if len(rows)), default=-1)
-    if last >= len(times):
-        raise SurefootError(f"{path}: the reference has {last + 1} rows, its times {len(times)}")
     table, numbers, said = _kept(read, members, times, clock)
-    if EULER[0] in table:
-        angles = np.column_stack([table.pop(name) for name in EULER])
-        table |= quaternions_of(angles)
-        return table, said
-    lost = np.all([table[f"ref_q_{axis}"] == 0.0 for axis in "wxyz"], axis=0)
-    if lost.any() and not lost.all():
-        table, numbers = {name: x[~lost] for name, x in table.items()}, numbers[~lost]
-        said.append(f"{path}: left out: {lost.sum()} samples without an attitude (0, 0, 0, 0)")
-    unit_quaternions(path, table, read.row, numbers)
-    return table, said
-
-
-_READERS = {
-    **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
-    **dict.fromkeys((".npz", ".npy"), read_npz),
-    **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
-    ".mat": read_mat,
-    ".parquet": read_parquet,
-}
-"""Reader by suffix; any other file is read as text."""
+    poses, lost = poses_of(table, path, read.row, numbers)
+    return poses, said + lost

@@ -3,35 +3,68 @@ of the IMU frame at a log's rows.
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix, slerp
 from surefoot.sim.importing.clock import Columns, span
+from surefoot.sim.importing.columns import EULER
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.sections import ReferenceTable
+from surefoot.sim.log import LogError
 from surefoot.sim.log.reference import Poses
 
 MAX_GAP = 0.05
 """Gap in the reference over which interpolated rows are marked with ref_ok = 0 [s]."""
 
 
+_UNIT_TOLERANCE = 1e-2
+"""Largest deviation of a quaternion's norm from one, which rounding explains."""
 REFERENCE_OFFSET = "reference_offset"
 """Key of a log's `meta.model`: clock offset [s] with which its reference was imported."""
 
 
-def poses_of(table: Columns) -> Poses:
-    """Poses in a reference's own table: t, ref_p and ref_q."""
+def poses_of(
+    table: Columns, path: Path, unit: str = "row", rows: np.ndarray | None = None
+) -> tuple[Poses, list[str]]:
+    """Poses in a reference's own columns t, ref_p and ref_q, or ref_roll, ref_pitch and ref_yaw:
+    R = Rz(yaw) Ry(pitch) Rx(roll); and a note on samples without an attitude, which are left out.
+
+    Raises LogError as `unit_quaternions`, with the same arguments.
+    """
     p = np.column_stack([table[f"ref_p_{axis}"] for axis in "xyz"])
-    return Poses(table["t"], p, np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"]))
+    if EULER[0] in table:
+        angles = np.column_stack([table[name] for name in EULER])
+        q = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(scalar_first=True)
+        return Poses(table["t"], p, q), []
+    q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
+    known = q.any(axis=1)
+    if known.all() or not known.any():
+        known[:], notes = True, []
+    else:
+        lost = np.count_nonzero(~known)
+        notes = [f"{path}: left out: {lost} samples without an attitude (0, 0, 0, 0)"]
+    q = unit_quaternions(path, q[known], unit, None if rows is None else rows[known])
+    return Poses(table["t"][known], p[known], q), notes
 
 
-def quaternions_of(angles: np.ndarray) -> Columns:
-    """Columns ref_q of roll, pitch and yaw (N, 3) [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    q = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(scalar_first=True)
-    return {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+def unit_quaternions(
+    path: Path, q: np.ndarray, unit: str = "row", rows: np.ndarray | None = None
+) -> np.ndarray:
+    """Quaternions (N, 4), normalised; raises LogError, naming the row, where the norm is too far
+    from one.
+
+    Rows are called `unit` in the message, with the numbers `rows` (N,), by default from 1.
+    """
+    norm = np.linalg.norm(q, axis=1)
+    bad = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
+    if bad.size:
+        number = bad[0] + 1 if rows is None else rows[bad[0]]
+        raise LogError(f"{path}: {unit} {number}: not a unit quaternion (norm {norm[bad[0]]:.6g})")
+    return q / norm[:, None]
 
 
 def tracked_poses(poses: Poses, reference: ReferenceTable) -> Poses:
@@ -117,25 +150,13 @@ def interpolate_reference(
     must lie within the reference.
     """
     after = np.clip(np.searchsorted(reference_t, t, side="left"), 1, len(reference_t) - 1)
-    before = after - 1
-    gap = reference_t[after] - reference_t[before]
-    share = ((t - reference_t[before]) / gap)[:, None]
-    ok = (gap <= MAX_GAP) | (t == reference_t[before]) | (t == reference_t[after])
-    position = (1.0 - share) * p[before] + share * p[after]
-    start, end = q[before], q[after]
-    cosine = np.sum(start * end, axis=1, keepdims=True)
-    end = np.where(cosine < 0.0, -end, end)
-    # atan2 of half the chord is accurate for small angles.
-    angle = 2.0 * np.arctan2(
-        np.linalg.norm(end - start, axis=1), np.linalg.norm(end + start, axis=1)
-    )
-    angle = angle[:, None]
-    apart = angle > 1e-9
-    sine = np.sin(np.where(apart, angle, 1.0))
-    first = np.where(apart, np.sin((1.0 - share) * angle) / sine, 1.0 - share)
-    second = np.where(apart, np.sin(share * angle) / sine, share)
-    attitude = first * start + second * end
-    return position, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), ok
+    start, end = reference_t[after - 1], reference_t[after]
+    ok = (end - start <= MAX_GAP) | (t == start) | (t == end)
+    position = np.column_stack([np.interp(t, reference_t, x) for x in p.T])
+    attitude = slerp(reference_t, q, t)
+    # As recorded, q may stand for its negative.
+    opposite = np.sum(attitude * q[after - 1], axis=1, keepdims=True) < 0.0
+    return position, np.where(opposite, -attitude, attitude), ok
 
 
 def reference_offset(rules: ImportMap, name: str) -> float:

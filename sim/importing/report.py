@@ -6,7 +6,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import check_reference, without_jumps
 from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, missed_rotation, reference_noise
-from surefoot.sim.importing.start import start_line
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.log.reference_vs_imu import compare_with_imu
@@ -56,10 +55,10 @@ def import_lines(
         machine, unknown = machine_for_log(log), ""
     except SurefootError as error:
         machine, unknown = None, f"robot: {error}" if log.meta.robot else ""
-    own = (unknown, _radius_line(log, machine), jitter_line(log.t), start_line(log, machine))
+    about = (unknown, _radius_line(log, machine), jitter_line(log.t))
     return (
         *notes,
-        *(line for line in own if line),
+        *(line for line in about if line),
         *reference_lines(log, poses),
         *_contradictions(poses, wrong),
     )

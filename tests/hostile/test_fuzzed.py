@@ -23,9 +23,9 @@ from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.export import export
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.importing.bag import read_whole_bag
-from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.readers.bag import read_bag
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
 from surefoot.sim.robot.model_gate import check_model_file
@@ -46,7 +46,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "observer.pt": Observer.load,
     "walk.parquet": Log.read,
     "trajectory.parquet": Trajectory.read,
-    "run.mcap": read_whole_bag,
+    "run.mcap": read_bag,
     "named.csv": lambda path: guess_map([path]),
 }
 RECORDINGS: dict[str, Callable[[Path], object]] = {

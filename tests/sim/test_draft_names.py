@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.sim.importing.draft import Draft
-from surefoot.sim.importing.guess import guess_map
-from surefoot.sim.importing.names import by_their_lists, read_name
+from surefoot.sim.importing.guessing.draft import Draft
+from surefoot.sim.importing.guessing.guess import guess_map
+from surefoot.sim.importing.guessing.names import by_their_lists, read_name
 from surefoot.sim.log import JOINTS, LEGS
 
 N = 400

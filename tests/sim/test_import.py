@@ -16,11 +16,12 @@ from surefoot.sim.importing.assemble import _rate
 from surefoot.sim.importing.columns import UNITS, ColumnEntry, Entries, read_columns
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.map_catalog import bundled_maps, map_file
-from surefoot.sim.importing.recording import import_log, read_table
+from surefoot.sim.importing.readers.file import read_file
+from surefoot.sim.importing.readers.table import column_readings
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import EVENNESS, Source
-from surefoot.sim.importing.table import column_readings
 from surefoot.sim.log import JOINTS, Log
 from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.sensors.contact import contact_from_force
@@ -302,7 +303,7 @@ def test_a_recording_without_stamps_takes_the_rate_of_its_map(tmp_path):
 
 
 def readings(path, *columns):
-    table = read_table(path, Source())
+    table = read_file(path, Source())
     return {name: column_readings(table, name, Source())[1] for name in columns}
 
 

@@ -13,7 +13,7 @@ from refusals import refused
 
 from surefoot.sim.common import limits
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, read_parquet
+from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_npz, read_parquet
 
 MANY = 21
 

@@ -13,9 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 from written import written
 
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.importing import bag
-from surefoot.sim.importing.bag import read_bag
-from surefoot.sim.importing.recorded_file import recorded_files
+from surefoot.sim.importing.guessing.recorded_file import recorded_files
+from surefoot.sim.importing.readers import bag
+from surefoot.sim.importing.readers.bag import read_bag
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
 
@@ -159,12 +159,15 @@ def test_a_bag_is_read_once_for_names_and_readings(tmp_path, monkeypatch):
 
     monkeypatch.setattr(bag, "_fields", counted)
     path = write_bag(tmp_path / "run", "ros2")
-    found, skipped = bag.read_whole_bag(path)
+    found = bag.read_bag(path)
     assert len(seen) == len(set(seen)) == len(TYPES)
-    assert {one.partition(":")[0] for one in found} == set(TYPES)
-    assert not skipped
-    for name, values in read_bag(path, list(found)).items():
-        np.testing.assert_array_equal(values, found[name])
+    assert {found.topic(one) for one in found.cells} == {*found.stamps} == set(TYPES)
+    assert not found.skipped
+    again = read_bag(path, [*found.cells])
+    for topic, stamps in again.stamps.items():
+        np.testing.assert_array_equal(stamps, found.stamps[topic])
+    for name, values in again.cells.items():
+        np.testing.assert_array_equal(values, found.cells[name])
 
 
 def write_frames(path: Path, moving: bool = True) -> Path:
@@ -204,10 +207,10 @@ def test_a_frame_of_tf_has_its_own_messages(tmp_path):
     name = "/tf[odom->base]:transform.translation.x"
     slow = "/tf[map->odom]:transform.translation.x"
     found = read_bag(write_frames(tmp_path / "run"), [name, slow])
-    t, x = found[name]
+    t = found.stamps[found.topic(name)]
     np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)  # those of its own header
-    np.testing.assert_allclose(x, 0.02 * np.arange(50))
-    assert len(found[slow][0]) == 10
+    np.testing.assert_allclose(found.cells[name], 0.02 * np.arange(50))
+    assert len(found.cells[slow]) == 10
 
 
 def test_the_frame_that_moves_most_is_drafted_as_the_reference(tmp_path, capsys):
@@ -257,6 +260,6 @@ def test_every_number_of_a_bag_has_a_column_and_stamps_of_its_own(tmp_path):
     path = write_bag(tmp_path / "run", "mcap")
     (found,) = recorded_files(path, None)
     assert (found.path, found.label) == (path, "run")
-    t, rates = read_bag(path, ["/imu:angular_velocity.x"])["/imu:angular_velocity.x"]
-    assert len(t) == len(rates) == len(found.columns["/imu:angular_velocity.x"])
+    rates = read_bag(path, ["/imu:angular_velocity.x"]).cells["/imu:angular_velocity.x"]
+    assert len(rates) == len(found.columns["/imu:angular_velocity.x"])
     np.testing.assert_allclose(found.columns["/imu:angular_velocity.x"], rates)

@@ -10,7 +10,7 @@ import pytest
 from refusals import refusal, refused
 from written import written
 
-from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log

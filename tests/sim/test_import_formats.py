@@ -12,18 +12,19 @@ import scipy.io
 from scipy.spatial.transform import Rotation
 from written import written
 
-import surefoot.sim.importing.recording as recording_module
+import surefoot.sim.importing.readers.file as file_module
 from studies.measured import measured_folder
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.array_file import read_hdf5, read_mat, read_npz, rows_first
-from surefoot.sim.importing.json_file import read_json
-from surefoot.sim.importing.layout import _separator
-from surefoot.sim.importing.recorded_file import recorded_files
-from surefoot.sim.importing.recording import import_log, read_recording, read_table
+from surefoot.sim.importing.guessing.recorded_file import recorded_files
+from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_npz, rows_first
+from surefoot.sim.importing.readers.file import read_file
+from surefoot.sim.importing.readers.json_file import read_json
+from surefoot.sim.importing.readers.layout import _separator
+from surefoot.sim.importing.readers.table import RecordedTable, column_readings
+from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.streams import held_streams
-from surefoot.sim.importing.table import RecordedTable, column_readings
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -192,8 +193,9 @@ def test_the_stamps_in_the_messages_of_a_bag_are_its_times_and_rise(tmp_path, mo
     """Also where the recorder received them at other times."""
     stamps = 5.0 + T
     received = np.sort(np.random.default_rng(0).uniform(0.0, 1.0, ROWS))
-    seen = {"/legs:stamp": (received, stamps), "/legs:knee": (received, np.sin(T))}
-    monkeypatch.setattr(recording_module, "read_bag", lambda path, columns: seen)
+    cells = {"/legs:stamp": stamps, "/legs:knee": np.sin(T)}
+    seen = RecordedTable(tmp_path / "run.bag", cells, "message", stamps={"/legs": received})
+    monkeypatch.setattr(file_module, "read_bag", lambda path, columns: seen)
     (tmp_path / "map.toml").write_text('[columns]\nt = "/legs:stamp"\nq_knee = "/legs:knee"\n')
     log = import_log(tmp_path / "run.bag", tmp_path / "map.toml")
     np.testing.assert_allclose(log.t, stamps)
@@ -432,7 +434,7 @@ def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form):
     else:
         np.savez(run, **arrays) if form == "npz" else scipy.io.savemat(run, arrays)
     with pytest.raises(SurefootError, match="gyro is of 2 episodes or robots of 9 rows"):
-        read_table(run, Source())
+        read_file(run, Source())
 
 
 @pytest.mark.parametrize("deep", [20, 21])

@@ -14,11 +14,11 @@ from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.export import export
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.draft import Draft
-from surefoot.sim.importing.guess import guess_map
-from surefoot.sim.importing.guess_units import stride_in_turns, unit_of_gyro
+from surefoot.sim.importing.guessing.draft import Draft
+from surefoot.sim.importing.guessing.guess import guess_map
+from surefoot.sim.importing.guessing.names import by_their_legs, read_name
+from surefoot.sim.importing.guessing.units import stride_in_turns, unit_of_gyro
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.names import by_their_legs, read_name
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
@@ -613,7 +613,7 @@ def test_the_command_counts_the_questions_of_a_draft(tmp_path, capsys, monkeypat
     (tmp_path / "run.csv").write_text("t,a\n0,1\n")
     text = "# A line with a # ? is a question\n" + "# ? which one\n" * asked
     monkeypatch.setattr(
-        "surefoot.sim.importing.guess.guess_map", lambda *_: SimpleNamespace(text=text)
+        "surefoot.sim.importing.guessing.guess.guess_map", lambda *_: SimpleNamespace(text=text)
     )
     main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
     assert words in capsys.readouterr().out

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.guess import guess_map
-from surefoot.sim.importing.layout import encoding_of, layout_of
+from surefoot.sim.importing.guessing.guess import guess_map
+from surefoot.sim.importing.readers.layout import encoding_of, layout_of
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import JOINTS
 

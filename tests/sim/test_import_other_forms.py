@@ -15,8 +15,8 @@ import pytest
 from refusals import refusal
 from written import written
 
-from surefoot.sim.importing.draft import Draft
-from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.guessing.draft import Draft
+from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import JOINTS
 

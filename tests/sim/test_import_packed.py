@@ -12,7 +12,7 @@ from refusals import refusal, refused
 
 from surefoot.sim.common import limits
 from surefoot.sim.common.limits import unpacked
-from surefoot.sim.importing.bag import read_whole_bag
+from surefoot.sim.importing.readers.bag import read_bag
 
 ZEROS = bytes(4_000_000)
 MCAP = b"\x89MCAP0\r\n"
@@ -95,38 +95,38 @@ def folder_of(path, mode, file="w.db3"):
 def test_a_chunk_of_zeros(tmp_path, compression):
     pack = {"lz4": lz4.frame.compress, "zstd": zstd.compress}[compression]
     (tmp_path / "r.mcap").write_bytes(mcap(compression, pack(ZEROS)))
-    refused(r"r\.mcap.*times its size", read_whole_bag, tmp_path / "r.mcap")
+    refused(r"r\.mcap.*times its size", read_bag, tmp_path / "r.mcap")
 
 
 def test_a_message_of_zeros(tmp_path):
     folder_of(tmp_path / "bag", "message")
     database(tmp_path / "bag" / "w.db3", zstd.compress(ZEROS))
-    refused(r"bag.*times its size", read_whole_bag, tmp_path / "bag")
+    refused(r"bag.*times its size", read_bag, tmp_path / "bag")
 
 
 @pytest.mark.parametrize("file", ["w.db3.zstd", "w.db3"])
 def test_a_file_of_zeros(tmp_path, file):
     folder_of(tmp_path / "bag", "file", file)
     (tmp_path / "bag" / file).write_bytes(zstd.compress(ZEROS))
-    refused(r"bag.*times its size", read_whole_bag, tmp_path / "bag")
+    refused(r"bag.*times its size", read_bag, tmp_path / "bag")
 
 
 def test_a_view_of_rows_without_end(tmp_path):
     database(tmp_path / "r.db3", view=True)
-    refused(r"r\.db3", read_whole_bag, tmp_path / "r.db3")
+    refused(r"r\.db3", read_bag, tmp_path / "r.db3")
 
 
 def test_a_pipe_in_the_folder_of_a_bag(tmp_path):
     folder_of(tmp_path / "bag", "none", "w")
     os.mkfifo(tmp_path / "bag" / "w")
-    refused("regular", read_whole_bag, tmp_path / "bag")
+    refused("regular", read_bag, tmp_path / "bag")
 
 
 def test_metadata_of_a_megabyte(tmp_path):
     folder_of(tmp_path / "bag", "none")
     with (tmp_path / "bag" / "metadata.yaml").open("a") as stream:
         stream.write("#" * 1_000_000)
-    refused(r"metadata\.yaml", read_whole_bag, tmp_path / "bag")
+    refused(r"metadata\.yaml", read_bag, tmp_path / "bag")
 
 
 def _text(text: str) -> bytes:
@@ -208,7 +208,7 @@ HOSTILE = [
 def test_what_a_bag_multiplies_is_refused_before(tmp_path, monkeypatch, content, word):
     monkeypatch.setenv(limits.VARIABLE, "columns=50")
     (tmp_path / "r.mcap").write_bytes(content)
-    caught = refusal(read_whole_bag, tmp_path / "r.mcap")
+    caught = refusal(read_bag, tmp_path / "r.mcap")
     assert word in caught
     assert "r.mcap" in caught
 
@@ -225,7 +225,7 @@ def test_a_database_of_too_much(tmp_path, column, topics, word):
     connection.execute(f"CREATE TABLE messages(id, topic_id, timestamp, {column})")
     connection.commit()
     connection.close()
-    refused(rf"r\.db3.*{word}", read_whole_bag, tmp_path / "r.db3")
+    refused(rf"r\.db3.*{word}", read_bag, tmp_path / "r.db3")
 
 
 def test_definitions_that_share_types_and_have_comments_are_read(tmp_path):
@@ -233,11 +233,10 @@ def test_definitions_that_share_types_and_have_comments_are_read(tmp_path):
     text = "# what it is\n" * 2000 + "uint8 ON=1\nfloat64 x # [m]\n"
     parts = [_channel(k) for k in range(1, 40)]
     (tmp_path / "r.mcap").write_bytes(records(_definition(text), *parts, _message(1, bytes(8))))
-    found, _ = read_whole_bag(tmp_path / "r.mcap")
-    assert list(found) == ["/a1:x"]
+    assert list(read_bag(tmp_path / "r.mcap").cells) == ["/a1:x"]
 
 
 def test_a_database_whose_path_no_address_can_have(tmp_path):
     (tmp_path / "run #1").mkdir()
     database(tmp_path / "run #1" / "r.db3")
-    refused("rename", read_whole_bag, tmp_path / "run #1" / "r.db3")
+    refused("rename", read_bag, tmp_path / "run #1" / "r.db3")

@@ -19,7 +19,7 @@ from written import written
 
 from surefoot.models.observer.observer import Observer
 from surefoot.sim.common import limits
-from surefoot.sim.importing.guess import guess_map
+from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log

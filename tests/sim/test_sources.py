@@ -127,6 +127,7 @@ def test_the_files_of_a_script_are_no_sources(tmp_path):
         ("surefoot.scenarios.reporting.html", "surefoot.scenarios.reporting/report.css"),
         ("surefoot.scenarios.trace.words", "surefoot.scenarios.trace/motions.toml"),
         ("surefoot.scenarios.viewer.recording", "surefoot.scenarios.viewer/about.toml"),
+        ("surefoot.sim.importing.guessing.names", "surefoot.sim.importing.guessing/words.toml"),
         ("studies.blind.plan", "studies.blind/study.toml"),
     ],
 )

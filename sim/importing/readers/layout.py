@@ -180,10 +180,10 @@ def _kinds(rows: list[list[str]], place: int) -> list[str]:
     """Words at a place of rows that tell their kinds: nearly every row has one of a few, and the
     rows differ in length. Empty if there are none.
     """
-    told = [row for row in rows if len(row) > place and not is_number(row[place])]
-    kinds = [word for word, n in Counter(row[place] for row in told).items() if n > 1]
-    differ = len({len(row) for row in told if row[place] in kinds}) > 1
-    few = 1 < len(kinds) <= _MOST_KINDS and len(told) > 0.9 * len(rows)
+    labelled = [row for row in rows if len(row) > place and not is_number(row[place])]
+    kinds = [word for word, n in Counter(row[place] for row in labelled).items() if n > 1]
+    differ = len({len(row) for row in labelled if row[place] in kinds}) > 1
+    few = 1 < len(kinds) <= _MOST_KINDS and len(labelled) > 0.9 * len(rows)
     return kinds if few and differ else []
 
 

@@ -9,7 +9,7 @@ transforms of `/tf` are topics by their frames: `/tf[world->base]:transform.tran
 import re
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
@@ -21,8 +21,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError, parsed_as
 from surefoot.sim.common.limits import admitted, bounded_text, check_limit
-from surefoot.sim.importing.bag_limits import Adds, decoder, within_limits
-from surefoot.sim.importing.clock import Stamped
+from surefoot.sim.importing.readers.bag_limits import Adds, decoder, within_limits
+from surefoot.sim.importing.readers.table import RecordedTable, topic_of
 
 RECEIVED = "received"
 UNREADABLE = "NaN, text, empty or too long"
@@ -44,41 +44,50 @@ _FRAME = re.compile(r"\[.*->.*\]$")
 """End of the topic of a transform: `[frame->child frame]`."""
 
 
-def read_bag(path: str | Path, columns: Sequence[str]) -> dict[str, Stamped]:
-    """Stamps [s since the start of the bag] and values of each named column, both (N,) float64.
+def read_bag(path: Path, columns: Collection[str] | None = None) -> RecordedTable:
+    """Read columns of a bag: by default every number, by the first message of each topic.
 
-    The stamps of a column are those of its messages' headers or, without a header, the times of
-    reception; a column of times holds seconds since the start of the bag. Raises SurefootError for
-    a file that is no bag, and a missing topic or field.
+    Stamps are those of the messages' headers or, without a header, the times of reception; they,
+    and columns of times, are seconds since the start of the bag. Raises SurefootError for a file
+    that is no bag, and a missing topic or field.
     """
+    if columns is None:
+        stamps, cells = _read(path, None, _columns)
+        used, skipped = _useful(stamps, cells)
+        return RecordedTable(path, used, "message", skipped=skipped, stamps=stamps)
     wanted: dict[str, list[str]] = defaultdict(list)
-    for column in columns:
+    for column in sorted(columns):
         wanted[topic_of(column)].append(column)
     published = {topic.partition("[")[0] for topic in wanted}
-    found = _read(Path(path), published, lambda topic, _: wanted.get(topic, ()))
+    stamps, cells = _read(path, published, lambda topic, _: wanted.get(topic, ()))
     for topic in wanted:
-        if not found.get(topic):
-            frames = ", ".join(one for one in found if one not in published)
+        if not len(stamps.get(topic, ())):
+            frames = ", ".join(one for one in stamps if one not in published)
             there = f" (there are {frames})" if frames else ""
             raise SurefootError(f"{path}: topic {topic!r} has no messages{there}")
-    return _flat(found)
+    return RecordedTable(path, cells, "message", stamps=stamps)
 
 
-def read_whole_bag(path: Path) -> tuple[dict[str, Stamped], dict[str, str]]:
-    """Every numeric column of a bag as `read_bag` returns it, by the first message of each topic;
-    and the topics and frames without a use, with the reason.
-    """
-    found = _read(path, None, lambda topic, one: [f"{topic}:{field}" for field in _fields(one)])
+def _columns(topic: str, message: Any) -> list[str]:
+    """The columns of a topic that are numbers."""
+    return [f"{topic}:{field}" for field in _fields(message)]
+
+
+def _useful(
+    stamps: Mapping[str, np.ndarray], cells: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Columns by name, and topics and frames without a use, with the reason."""
     skipped: dict[str, str] = {}
-    for topic, columns in found.items():
-        moved = [np.ptp(x) for column, (_, x) in columns.items() if ".translation." in column]
+    for topic in stamps:
+        columns = [column for column in cells if topic_of(column) == topic]
+        moved = [np.ptp(cells[column]) for column in columns if ".translation." in column]
         if _FRAME.search(topic) and not any(moved):
             skipped[topic] = "does not move in its frame"
         elif all(column.endswith(":header.stamp") for column in columns):
             skipped[topic] = "empty, or only lists: write what you need to a topic of its own"
-    used = {topic: columns for topic, columns in found.items() if topic not in skipped}
-    framed = {topic.partition("[")[0] for topic in found if _FRAME.search(topic)}
-    return _flat(used), {topic: why for topic, why in skipped.items() if topic not in framed}
+    framed = {topic.partition("[")[0] for topic in stamps if _FRAME.search(topic)}
+    used = {column: x for column, x in cells.items() if topic_of(column) not in skipped}
+    return used, {topic: why for topic, why in skipped.items() if topic not in framed}
 
 
 @contextmanager
@@ -160,18 +169,10 @@ def _messages(topic: str, message: Any) -> Iterator[tuple[str, Any]]:
             yield f"{topic}[{one.header.frame_id}->{one.child_frame_id}]", one
 
 
-def topic_of(column: str) -> str:
-    """The topic in `topic:path`. Raises SurefootError where the column is not of that form."""
-    topic, _, field = column.partition(":")
-    if not topic or not field:
-        raise SurefootError(f"column {column!r}: a bag's columns are written topic:field.path")
-    return topic
-
-
 def _read(
     path: Path, topics: Set[str] | None, columns_of: Callable[[str, Any], Sequence[str]]
-) -> dict[str, dict[str, Stamped]]:
-    """Stamps and values of the columns of each topic, none of a topic without messages.
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Stamps (N,) [s] of the messages of each topic, and values (N,) of each column.
 
     Args:
         path: of the bag.
@@ -200,15 +201,9 @@ def _read(
                 for column, get in getters[topic].items():
                     values[column].append(get(message, received, begin))
                 add(_READING * (1 + len(getters[topic])))
-    empty = {connection.topic: {} for connection in chosen}
-    return empty | {
-        topic: {c: (np.array(values[topic]), np.array(values[c])) for c in columns}
-        for topic, columns in getters.items()
-    }
-
-
-def _flat(found: Mapping[str, Mapping[str, Stamped]]) -> dict[str, Stamped]:
-    return {column: stamped for one in found.values() for column, stamped in one.items()}
+    silent = {connection.topic: np.zeros(0) for connection in chosen}
+    stamps = silent | {topic: np.array(values[topic]) for topic in getters}
+    return stamps, {c: np.array(values[c]) for topic in getters for c in getters[topic]}
 
 
 def _getter(column: str, path: Path) -> Callable[[Any, int, int], float]:

@@ -16,7 +16,7 @@ import scipy.io
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit, check_unpacked
-from surefoot.sim.importing.table import RecordedTable
+from surefoot.sim.importing.readers.table import RecordedTable
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15
 """Size of the header of a MATLAB version 5 file in bytes, and type of a compressed element

@@ -1,8 +1,8 @@
 """Interpretation of a column's name.
 
 Each word of a name votes: for a quantity, for the kind of its source (a sensor by default), for
-what it belongs to (a joint, a foot, the body), for a leg, a joint, an axis, a unit. `_WORDS` says
-what each word votes for; `read_name` weighs the votes.
+what it belongs to (a joint, a foot, the body), for a leg, a joint, an axis, a unit. `words.toml`
+says what each word votes for; `read_name` weighs the votes.
 """
 
 import re
@@ -11,84 +11,31 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+from surefoot.sim.common.files import bundled
+from surefoot.sim.common.toml import read_toml
 from surefoot.sim.log.schema import LEGS
 
+_SAID = read_toml(bundled("surefoot.sim.importing.guessing", "words.toml"))
+
+
+def _by_word(said: Mapping[str, str]) -> dict[str, str]:
+    """Word -> what it stands for."""
+    return {word: meaning for meaning, words in said.items() for word in words.split()}
+
+
+_HINGES, _SPELT = _by_word(_SAID.pop("hinge")), _by_word(_SAID.pop("spelt"))
 _WORDS: dict[str, tuple[str, str]] = {
-    word: vote
-    for vote, words in {
-        ("time", ""): "time stamp timestamp timestamps clock ts tick utime epoch",
-        ("quantity", "t"): "t",
-        ("quantity", "gyro"): "gyro gyros gyr gyroscope omega angvel w",
-        ("quantity", "accel"): "acc accel acceleration accelerometer a",
-        ("quantity", "q"): "q qpos jpos angle angles enc encoder theta",
-        ("quantity", "dq"): "dq qd qvel jvel encvel qdot dtheta",
-        ("quantity", "position"): "pos position positions p translation",
-        ("quantity", "velocity"): "vel velocity velocities speed speeds",
-        ("quantity", "rate"): "rate rates",
-        ("quantity", "tau"): "tau torque torques effort efforts trq jtau moment",
-        ("quantity", "force"): "force forces load grf fsr pressure",
-        ("quantity", "contact"): "contact contacts stance touch touchdown",
-        ("quantity", "ref_q"): "quat quaternion orientation attitude rot rotation rpy euler",
-        ("quantity", "euler"): "roll pitch yaw",
-        ("quantity", "other"): "ddq qdd jerk gravity temperature temp voltage power magnetometer",
-        ("source", "bias"): "bias biases drift",
-        ("source", "error"): "fric friction err error std var variance cov covariance noise",
-        ("source", "parameter"): "default nominal kp kd gain gains stiffness damping armature"
-        " limit limits min max initial",
-        ("source", "command"): "des desired cmd command commands commanded target targets setpoint"
-        " goal sp ff feedforward con ctrl control action actions lowcmd",
-        ("source", "estimate"): "est estimate estimated estimator ekf ukf kf iekf inekf fused odom"
-        " odometry vio twist computed predicted",
-        ("source", "filtered"): "filt filtered smooth smoothed lp lpf lowpass",
-        ("source", "reference"): "ref reference vicon mocap gt truth groundtruth optitrack opti"
-        " motive qualisys",
-        ("of", "foot"): "foot feet toe",
-        ("of", "joint"): "joint joints jnt dof dofs motor motors actuator actuators",
-        ("of", "body"): "imu body base root pose",
-        ("turning", ""): "ang angular rotational",
-        ("linear", ""): "lin linear",
-        ("world", ""): "world global",
-        ("leg", "FL"): "fl lf",
-        ("leg", "FR"): "fr rf",
-        ("leg", "RL"): "rl hl lh bl lr",
-        ("leg", "RR"): "rr hr rh br",
-        ("leg", "left"): "left l",
-        ("leg", "right"): "right r",
-        ("limb", ""): "leg",
-        ("unit", ""): "ms us ns deg rad mm cm nm rpm turn degs rads dps mg g m s sec secs"
-        " seconds nanosec degrees radians",
-        ("filler", ""): "state states link measured meas actual of robot data sensor header msg"
-        " value raw per is in flag field wrench",
-    }.items()
-    for word in words.split()
+    word: (vote, which)
+    for vote, said in _SAID.items()
+    for word, which in _by_word(said if isinstance(said, dict) else {"": said}).items()
 }
 """Word -> what it votes for, and which."""
-_SOURCES = ("bias", "error", "parameter", "command", "reference", "estimate", "filtered")
-"""Kinds of source, the deciding one of several first: an estimated bias is a bias."""
-_LEGS_OF_TWO_WORDS: dict[frozenset[str], str] = {
-    frozenset((end, side)): ("f" if end in ("front", "fore") else "r") + side[0]
-    for end in ("front", "fore", "rear", "hind", "back")
-    for side in ("left", "l", "right", "r")
-}
-_HINGES: dict[str, str] = {
-    word: hinge
-    for hinge, words in {
-        "abduction": "haa abad abd abduct abductor abduction adduction hx hipx hip_aa hip_roll"
-        " hip_abduct hip_abduction hip_adduction",
-        "hip": "hip",
-        "thigh": "thigh hfe hy hipy hip_fe hip_pitch upper femur hip_flexion hip_extension",
-        "calf": "calf knee kfe kn shank shin lower tibia knee_fe knee_pitch",
-    }.items()
-    for word in words.split()
-}
-"""Word -> hinge of a quadruped in our convention. If a leg also has an abduction joint, "hip" means
-our thigh (`by_their_legs`).
-"""
+_SOURCES = tuple(_SAID["source"])
+"""Kinds of source, the deciding one of several first."""
+_ENDS = {"front": "f", "fore": "f", "rear": "r", "hind": "r", "back": "r"}
+_SIDES = {"left": "l", "l": "l", "right": "r", "r": "r"}
+"""Words of a leg of two, and the letters that they are short for."""
 HINGES = ("hip", "thigh", "calf")
-_SPELT = {
-    **{"dps": "deg/s", "degs": "deg/s", "rads": "rad/s", "degrees": "deg", "radians": "rad"},
-    **{"sec": "s", "secs": "s", "seconds": "s", "nanosec": "ns"},
-}
 _GLUED = re.compile(r"(ang|w|omega|gyro|gyr|g|a|acc|accel|q|quat|p|pos|t)([wxyz])")
 """Words of vectors that their axis may follow at once, as in "gx"."""
 
@@ -154,8 +101,9 @@ def words_of(name: str) -> list[str]:
 def _legs_in_one(words: list[str]) -> list[str]:
     """Replace "front" and "left", in either order, by "fl"."""
     for k, pair in enumerate(pairwise(words)):
-        if leg := _LEGS_OF_TWO_WORDS.get(frozenset(pair)):
-            return [*words[:k], leg, *words[k + 2 :]]
+        for end, side in (pair, pair[::-1]):
+            if end in _ENDS and side in _SIDES:
+                return [*words[:k], _ENDS[end] + _SIDES[side], *words[k + 2 :]]
     return words
 
 

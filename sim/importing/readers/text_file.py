@@ -9,9 +9,9 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_unpacked
-from surefoot.sim.importing.layout import encoding_of, first_lines, no_table
+from surefoot.sim.importing.readers.layout import encoding_of, first_lines, no_table
+from surefoot.sim.importing.readers.table import RecordedTable
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable
 
 
 def read_text(path: Path, source: Source) -> RecordedTable:

@@ -12,14 +12,19 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.bag import is_bag, topic_of
 from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import EULER, UNITS
-from surefoot.sim.importing.draft import Draft, Entry
-from surefoot.sim.importing.guess_columns import guess_columns, vectors
-from surefoot.sim.importing.guess_units import unit_of_angles
-from surefoot.sim.importing.names import Named, lists_of, read_name, words_of
-from surefoot.sim.importing.recorded_file import RecordedFile, recorded_files, times_of_topic
+from surefoot.sim.importing.guessing.draft import Draft, Entry
+from surefoot.sim.importing.guessing.entries import guess_columns, vectors
+from surefoot.sim.importing.guessing.names import Named, lists_of, read_name, words_of
+from surefoot.sim.importing.guessing.recorded_file import (
+    RecordedFile,
+    recorded_files,
+    times_of_topic,
+)
+from surefoot.sim.importing.guessing.units import unit_of_angles
+from surefoot.sim.importing.readers.bag import is_bag
+from surefoot.sim.importing.readers.table import topic_of
 from surefoot.sim.log.schema import joint_prefix
 from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.sensors.streams import SLOWEST
@@ -144,21 +149,22 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
 
 def _pose(one: RecordedFile) -> tuple[Entry, ...]:
     """Entries of a pose: three positions, and four or three values of an attitude."""
-    own = {n: named for n, named in one.names.items() if not named.leg and named.source in _POSES}
-    positions = vectors({n: x for n, x in own.items() if x.kind == "ref_p"}, tuple(_POSES))
+    tracked = {n: x for n, x in one.names.items() if not x.leg and x.source in _POSES}
+    positions = vectors({n: x for n, x in tracked.items() if x.kind == "ref_p"}, tuple(_POSES))
     t = one.t or one.counter
     if t is None or not positions:
         return ()
     p = positions[0]
     most = max(float(np.ptp(one.columns[n])) for n in p)
-    said = {own[n].unit for n in p} & set(UNITS["ref_p"])
+    said = {tracked[n].unit for n in p} & set(UNITS["ref_p"])
     unit = said.pop() if len(said) == 1 else "m" if most < 50.0 else "mm"
-    why = "an estimate, no measurement: compare with it?" if own[p[0]].source == "estimate" else ""
-    found = [Entry(f"ref_p_{a}", n, unit, doubt=why) for a, n in zip("xyz", p, strict=True)]
-    turned = {n: x for n, x in own.items() if x.kind in ("ref_q", "euler")}
-    turned = {n: x for n, x in turned.items() if x.source == own[p[0]].source}
+    source = tracked[p[0]].source
+    doubt = "an estimate, no measurement: compare with it?" if source == "estimate" else ""
+    found = [Entry(f"ref_p_{a}", n, unit, doubt=doubt) for a, n in zip("xyz", p, strict=True)]
+    turned = {n: x for n, x in tracked.items() if x.kind in ("ref_q", "euler")}
+    turned = {n: x for n, x in turned.items() if x.source == source}
     # That of the most words in common with the position.
-    words = set(own[p[0]].stem.split())
+    words = set(tracked[p[0]].stem.split())
     by_stem = lists_of(turned, "stem")
     for stem in sorted(by_stem, key=lambda stem: -len(words & {*stem[0].split()})):
         if entries := _attitude(one, by_stem[stem]):
@@ -166,11 +172,11 @@ def _pose(one: RecordedFile) -> tuple[Entry, ...]:
     return ()
 
 
-def _attitude(one: RecordedFile, own: Mapping[str, Named]) -> list[Entry]:
+def _attitude(one: RecordedFile, turned: Mapping[str, Named]) -> list[Entry]:
     """Entries of an attitude from columns of one stem; none where they are no attitude."""
-    by_axis = {x.axis: n for n, x in own.items() if x.kind == "ref_q" and x.axis}
-    euler = {x.part.split("_")[-1]: n for n, x in own.items() if x.kind == "euler"}
-    places = sorted((x.place, n) for n, x in own.items() if x.place is not None)
+    by_axis = {x.axis: n for n, x in turned.items() if x.kind == "ref_q" and x.axis}
+    euler = {x.part.split("_")[-1]: n for n, x in turned.items() if x.kind == "euler"}
+    places = sorted((x.place, n) for n, x in turned.items() if x.place is not None)
     columns, unit, doubt = [n for _, n in places], None, ""
     if set(by_axis) == set("wxyz"):
         axes, columns = [f"ref_q_{a}" for a in "wxyz"], [by_axis[a] for a in "wxyz"]
@@ -197,10 +203,10 @@ def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
     joints = {e.name[2:] for e in entries if joint_prefix(e.name) == "q_"}
     kept, said = list(entries), []
     for prefix in ("dq_des_", "q_des_", "tau_ff_", "dq_", "tau_"):
-        own = {e.name for e in kept if joint_prefix(e.name) == prefix}
-        if own and {n.removeprefix(prefix) for n in own} != joints:
-            kept = [e for e in kept if e.name not in own]
-            said.append(f"{', '.join(sorted(own)[:3])}: not of every joint, left out")
+        of_kind = {e.name for e in kept if joint_prefix(e.name) == prefix}
+        if of_kind and {n.removeprefix(prefix) for n in of_kind} != joints:
+            kept = [e for e in kept if e.name not in of_kind]
+            said.append(f"{', '.join(sorted(of_kind)[:3])}: not of every joint, left out")
     return kept, said
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit, check_unpacked
-from surefoot.sim.importing.table import RecordedTable
+from surefoot.sim.importing.readers.table import RecordedTable
 
 _DEEPEST = 19
 _SWOLLEN = 25.0

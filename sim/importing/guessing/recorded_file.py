@@ -10,17 +10,27 @@ from typing import Any
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.array_file import MOST_NAMES, PARAMETERS
-from surefoot.sim.importing.bag import RECEIVED, UNREADABLE, is_bag, read_whole_bag
 from surefoot.sim.importing.clock import Columns, kept_rows, mostly_rises, rises
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.importing.draft import Entry
-from surefoot.sim.importing.layout import is_number, layout_of
-from surefoot.sim.importing.names import Named, by_their_legs, by_their_lists, read_name, words_of
-from surefoot.sim.importing.recording import is_text, read_table
+from surefoot.sim.importing.guessing.draft import Entry
+from surefoot.sim.importing.guessing.names import (
+    Named,
+    by_their_legs,
+    by_their_lists,
+    read_name,
+    words_of,
+)
+from surefoot.sim.importing.readers.array_file import MOST_NAMES, PARAMETERS
+from surefoot.sim.importing.readers.bag import RECEIVED, UNREADABLE
+from surefoot.sim.importing.readers.file import detected_layout, read_file
+from surefoot.sim.importing.readers.layout import is_number
+from surefoot.sim.importing.readers.table import (
+    RecordedTable,
+    column_readings,
+    columns_of,
+    elements,
+)
 from surefoot.sim.importing.sections import Source
-from surefoot.sim.importing.table import RecordedTable, column_readings, columns_of, elements
 from surefoot.sim.robot.machine import Machine
 
 _RATES = (0.5, 5000.0)
@@ -88,11 +98,10 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
 
     Empty where it has none. machine: its joint names are recognised in those of columns; or None.
     """
-    if is_bag(path):
-        return _of_bag(path, machine)
-    admitted(path, "recording")
-    layout = layout_of(path) if is_text(path) else {}
-    table = read_table(path, Source(**layout))
+    layout = detected_layout(path)
+    table = read_file(path, Source(**layout))
+    if table.stamps:
+        return _of_bag(table, machine)
     columns = columns_of(table)
     if between := _with_empty_cells(table, columns, machine):
         columns, layout = between, {**layout, "sparse": True}
@@ -163,23 +172,35 @@ def _leading(readings: Mapping[str, _Readings], names: Mapping[str, Named]) -> s
     return next(gyro, None) or max(readings, key=lambda name: len(readings[name][0]))
 
 
-def _of_bag(path: Path, machine: Machine | None) -> list[RecordedFile]:
-    every, skipped = read_whole_bag(path)
-    finite = {name: np.isfinite(values) for name, (_, values) in every.items()}
-    readings = {n: (t[finite[n]], x[finite[n]]) for n, (t, x) in every.items() if finite[n].any()}
+def _of_bag(table: RecordedTable, machine: Machine | None) -> list[RecordedFile]:
+    readings: dict[str, _Readings] = {}
+    for name, values in table.cells.items():
+        finite = np.isfinite(values)
+        if finite.any():
+            readings[name] = table.stamps[table.topic(name)][finite], values[finite]
     if not readings:
         return []
-    skipped |= dict.fromkeys((n for n in every if n not in readings), UNREADABLE)
-    layout = {} if all(finite[n].all() for n in readings) else {"sparse": True}
+    unread = {name: UNREADABLE for name in table.cells if name not in readings}
+    gaps = any(len(x) < len(table.cells[name]) for name, (_, x) in readings.items())
     recorded = {name: values for name, (_, values) in readings.items()}
     names = _names(recorded, machine)
     first = _leading(readings, names)
     seconds, _ = readings[first]
-    t = times_of_topic(first.partition(":")[0], recorded, names)
-    columns = {n: np.interp(seconds, *one) for n, one in readings.items()}
-    label, lists = _plain(path.stem), _lists(path, {})
-    one = RecordedFile(path, label, columns, recorded, names, lists, layout, t, seconds, machine)
-    return [replace(one, skipped=skipped)]
+    return [
+        RecordedFile(
+            path=table.path,
+            label=_plain(table.path.stem),
+            columns={n: np.interp(seconds, *one) for n, one in readings.items()},
+            recorded=recorded,
+            names=names,
+            lists=_lists(table.path, {}),
+            layout={"sparse": True} if gaps else {},
+            t=times_of_topic(table.topic(first), recorded, names),
+            seconds=seconds,
+            machine=machine,
+            skipped=dict(table.skipped) | unread,
+        )
+    ]
 
 
 def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, ...]]:
@@ -201,8 +222,9 @@ def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, 
 
 def times_of_topic(topic: str, columns: Columns, names: Mapping[str, Named]) -> Entry:
     """The stamps in a topic's messages or, without these, the times of reception."""
-    own = {n: v for n, v in columns.items() if n.startswith(f"{topic}:") and names[n].kind == "t"}
-    return column_of_times(own, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
+    of_topic = (n for n in columns if n.startswith(f"{topic}:"))
+    stamps = {n: columns[n] for n in of_topic if names[n].kind == "t"}
+    return column_of_times(stamps, names) or Entry("t", f"{topic}:{RECEIVED}", "s")
 
 
 def column_of_times(columns: Columns, names: Mapping[str, Named]) -> Entry | None:
@@ -254,11 +276,11 @@ def _by_clock(columns: Columns) -> list[Columns]:
     """Group the columns by number of rows and, within these, by equal times."""
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
-        own = {n: v for n, v in columns.items() if len(v) == rows}
-        clocks = [n for n in own if read_name(n).kind == "t" and mostly_rises(own[n])]
-        apart = any(not np.array_equal(own[n], own[clocks[0]]) for n in clocks)
+        alike = {n: v for n, v in columns.items() if len(v) == rows}
+        clocks = [n for n in alike if read_name(n).kind == "t" and mostly_rises(alike[n])]
+        apart = any(not np.array_equal(alike[n], alike[clocks[0]]) for n in clocks)
         groups = {n.rpartition("/")[0] for n in clocks} if apart else set()
-        for name, values in own.items():
+        for name, values in alike.items():
             group = name.rpartition("/")[0]
             parts.setdefault((rows, group if group in groups else ""), {})[name] = values
     return list(parts.values())

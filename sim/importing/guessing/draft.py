@@ -1,6 +1,6 @@
 """A draft of an import map: its entries, and its text with a question for each doubt.
 
-`sim.importing.guess` creates drafts from the files of a recording.
+`sim.importing.guessing.guess` creates drafts from the files of a recording.
 """
 
 from collections.abc import Mapping, Sequence

@@ -37,6 +37,7 @@ class RecordedTable:
         row: name of a row in messages.
         first: number of the first row.
         skipped: what else the file contains, and why it is no column.
+        stamps: of the messages of each topic of a bag, (N,) [s]; empty for any other file.
     """
 
     path: Path
@@ -44,6 +45,19 @@ class RecordedTable:
     row: str = "row"
     first: int = 1
     skipped: Mapping[str, str] = field(default_factory=dict)
+    stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def topic(self, column: str) -> str:
+        """The topic of a bag's column; "" in any other file."""
+        return topic_of(column) if self.stamps else ""
+
+
+def topic_of(column: str) -> str:
+    """The topic in `topic:path`. Raises SurefootError where the column is not of that form."""
+    topic, _, path = column.partition(":")
+    if not topic or not path:
+        raise SurefootError(f"column {column!r}: a bag's columns are written topic:field.path")
+    return topic
 
 
 def with_stamps(table: RecordedTable) -> RecordedTable:

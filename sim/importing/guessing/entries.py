@@ -7,16 +7,16 @@ import numpy as np
 
 from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.importing.draft import Entry
-from surefoot.sim.importing.guess_units import (
+from surefoot.sim.importing.guessing.draft import Entry
+from surefoot.sim.importing.guessing.names import HINGES, Named, by_their_legs, lists_of, words_of
+from surefoot.sim.importing.guessing.recorded_file import RecordedFile, name_in_file
+from surefoot.sim.importing.guessing.units import (
     stride_in_turns,
     unit_of_accel,
     unit_of_angles,
     unit_of_gyro,
     unit_of_rates,
 )
-from surefoot.sim.importing.names import HINGES, Named, by_their_legs, lists_of, words_of
-from surefoot.sim.importing.recorded_file import RecordedFile, name_in_file
 from surefoot.sim.log.schema import JOINTS, LEGS, joint_prefix
 
 _OTHER_SIDE_FIRST = ("FR", "FL", "RR", "RL")
@@ -66,20 +66,21 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     accel = None
     # The accelerometer first, as the gyro's unit follows from it.
     for kind in ("accel", "gyro"):
-        own = {n: one for n, one in _of(file, kind).items() if not one.leg}
-        found = vectors(own, _SOURCES[:2])
+        given = {n: one for n, one in _of(file, kind).items() if not one.leg}
+        found = vectors(given, _SOURCES[:2])
         if not found:
-            unclear = ", ".join(n for n, one in own.items() if not one.source)
+            unclear = ", ".join(n for n, one in given.items() if not one.source)
             notes += [f"which of {unclear} are the {kind}'s x, y and z?"] * bool(unclear)
             continue
-        source = own[found[0][0]].source
-        others = [other[0] for other in found[1:] if own[other[0]].source == source]
+        source = given[found[0][0]].source
+        others = [other[0] for other in found[1:] if given[other[0]].source == source]
         values = np.column_stack([file.columns[n] for n in found[0]])
         if kind == "accel":
             accel = values
             unit, gain, doubt = unit_of_accel(values)
         else:
-            unit, doubt = unit_of_gyro(file.seconds, values, accel, {own[n].unit for n in found[0]})
+            units = {given[n].unit for n in found[0]}
+            unit, doubt = unit_of_gyro(file.seconds, values, accel, units)
             gain = 1.0
         asked = f"this, or {others[0]}?" if others else _source_doubt(source) or doubt
         axes = zip("xyz", found[0], strict=True)
@@ -87,22 +88,22 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
     return entries, notes
 
 
-def vectors(own: Mapping[str, Named], sources: Sequence[str]) -> list[tuple[str, ...]]:
+def vectors(given: Mapping[str, Named], sources: Sequence[str]) -> list[tuple[str, ...]]:
     """The columns of each vector in the order x, y, z: three of a stem, those of the first of the
     sources first.
     """
-    own = {name: one for name, one in own.items() if one.source in sources}
-    groups = (*lists_of(own, "source", "stem").values(), own)
+    given = {name: one for name, one in given.items() if one.source in sources}
+    groups = (*lists_of(given, "source", "stem").values(), given)
     found = [axes for group in groups if (axes := _three_axes(group))]
-    return sorted(dict.fromkeys(found), key=lambda axes: sources.index(own[axes[0]].source))
+    return sorted(dict.fromkeys(found), key=lambda axes: sources.index(given[axes[0]].source))
 
 
-def _three_axes(own: Mapping[str, Named]) -> tuple[str, ...] | None:
-    along = [(one.axis, name) for name, one in own.items() if one.axis]
+def _three_axes(given: Mapping[str, Named]) -> tuple[str, ...] | None:
+    along = [(one.axis, name) for name, one in given.items() if one.axis]
     if len(along) == 3 and set(dict(along)) == set("xyz"):
         return tuple(dict(along)[axis] for axis in "xyz")
-    by_place = {one.place: name for name, one in own.items() if one.place is not None}
-    if len(own) == 3 and len(by_place) == 3:
+    by_place = {one.place: name for name, one in given.items() if one.place is not None}
+    if len(given) == 3 and len(by_place) == 3:
         return tuple(by_place[place] for place in sorted(by_place))
     return None
 
@@ -135,14 +136,14 @@ def _joint_columns(file: RecordedFile, commands: bool, yaw: np.ndarray | None) -
     lists = lists_of(found, "kind", "commanded")
     angles = lists.get(("q", False), {})
     joints: _Joints = {}
-    for (kind, commanded), own in lists.items():
+    for (kind, commanded), given in lists.items():
         if not commanded:
-            best = min((one.source for one in own.values()), key=_SOURCES.index)
-            own = {name: one for name, one in own.items() if one.source == best}
+            best = min((one.source for one in given.values()), key=_SOURCES.index)
+            given = {name: one for name, one in given.items() if one.source == best}
         if commanded or commands:
             kind = {"q": "q_des", "dq": "dq_des", "tau": "tau_ff"}[kind]
         of = joints.setdefault(kind, {})
-        for one in _named_joints(file, own) or _counted_joints(file, own, angles, yaw):
+        for one in _named_joints(file, given) or _counted_joints(file, given, angles, yaw):
             first = of.get(one.name)
             of[one.name] = replace(first, doubt=f"this, or {one.theirs}?") if first else one
     return joints
@@ -159,11 +160,11 @@ def _bare_angles(file: RecordedFile) -> dict[str, Named]:
     }
 
 
-def _named_joints(file: RecordedFile, own: Mapping[str, Named]) -> list[Entry]:
+def _named_joints(file: RecordedFile, given: Mapping[str, Named]) -> list[Entry]:
     """The joint of each column whose name has one, of columns of one kind."""
     found: list[Entry] = []
-    by_part = lists_of(own, "part")
-    for name, one in own.items():
+    by_part = lists_of(given, "part")
+    for name, one in given.items():
         # A word common to all elements of a list names a group, not a joint.
         alone = len({other.place for other in by_part[(one.part,)].values()}) == 1
         if one.joint or one.leg or (one.part and alone):
@@ -179,22 +180,22 @@ def _named_joints(file: RecordedFile, own: Mapping[str, Named]) -> list[Entry]:
 
 
 def _counted_joints(
-    file: RecordedFile, own: Mapping[str, Named], angles: Iterable[str], yaw: np.ndarray | None
+    file: RecordedFile, given: Mapping[str, Named], angles: Iterable[str], yaw: np.ndarray | None
 ) -> list[Entry]:
     """The joint of each column by its number: in the order of a list of joints or, of those that
     are usual, in the one that fits the angles.
 
     Args:
         file: of the recording.
-        own: the columns, of one kind.
+        given: the columns, of one kind.
         angles: names of the columns of angles.
         yaw: (N,) yaw rate [rad/s], or None.
     """
-    if len(own) == 1:
-        return [Entry("joint", name) for name in own]
+    if len(given) == 1:
+        return [Entry("joint", name) for name in given]
     # Independent of counting from 0 or 1, and of the order of leg and joint numbers.
     number = {n: (one.limb or 0, one.place) for n, one in file.names.items()}
-    places = sorted({number[n] for n, one in own.items() if one.place is not None})
+    places = sorted({number[n] for n, one in given.items() if one.place is not None})
     values = {number[n]: file.columns[n] for n in angles}
     # The last of a list may be places without a motor, as of the twenty of a Go2.
     motors = len(file.machine.limbs.joints if file.machine is not None else JOINTS)
@@ -206,8 +207,8 @@ def _counted_joints(
         joints, asked = _fitting_order(file, [values.get(at) for at in places], yaw)
         doubt = f"{asked}{doubt}"
     joint_at = dict(zip(places, joints, strict=True))
-    found = [Entry(joint_at[number[n]], n, doubt=doubt) for n in own if number[n] in joint_at]
-    others = [n for n, one in own.items() if one.place is None]
+    found = [Entry(joint_at[number[n]], n, doubt=doubt) for n in given if number[n] in joint_at]
+    others = [n for n, one in given.items() if one.place is None]
     return [*found, *(Entry("joint", n, doubt=f"which joint is {n}?") for n in others)]
 
 
@@ -298,9 +299,9 @@ def _joint_entries(
         for kind, of_kind in joints.items()
     }
     swapped = _SWAPPED if _longer_inside(file, values.get("q", {}), yaw) else ""
-    for kind, own in joints.items():
+    for kind, of_joint in joints.items():
         prefix, readings = kind, values[kind]
-        names = [file.names[one.theirs] for one in own.values()]
+        names = [file.names[one.theirs] for one in of_joint.values()]
         if kind.startswith("q"):
             unit, doubt = unit_of_angles(readings.values(), {one.unit for one in names})
         elif kind.startswith("dq"):
@@ -320,7 +321,7 @@ def _joint_entries(
             doubt = doubt or _source_doubt(names[0].source)
         entries += [
             Entry(f"{prefix}_{joint}", one.theirs, unit, doubt=one.doubt or doubt or swapped)
-            for joint, one in own.items()
+            for joint, one in of_joint.items()
         ]
     return entries, rate
 
@@ -348,10 +349,12 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
     found |= {name: replace(found[name], leg=leg) for name, leg in counted.items()}
     entries: dict[str, Entry] = {}
     for kind in ("contact", "force"):
-        own = {n: x for n, x in found.items() if x.kind == kind and x.leg and x.axis in ("", "z")}
+        of_kind = {
+            n: x for n, x in found.items() if x.kind == kind and x.leg and x.axis in ("", "z")
+        }
         # The stem of fewest words: "contact" goes before "contact threshold".
         groups = sorted(
-            lists_of(own, "source", "stem").items(),
+            lists_of(of_kind, "source", "stem").items(),
             key=lambda one: (_SOURCES.index(one[0][0]), len(one[0][1].split())),
         )
         for name, one in groups[0][1].items() if groups else ():

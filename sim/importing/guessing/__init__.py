@@ -1,0 +1,1 @@
+"""Draft of an import map, by the names and values of the columns of a recording."""

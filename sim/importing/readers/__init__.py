@@ -1,0 +1,1 @@
+"""Files of a recording, of any kind, as tables of raw cells."""
