@@ -17,26 +17,29 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cache import Product, product, product_key
+from surefoot.scenarios.compare import compare_log
 from surefoot.scenarios.datasets.index import recipe, row_of
 from surefoot.scenarios.estimate.contract import Learnt
-from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named
+from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named, traits
 from surefoot.scenarios.estimate.run import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Cell, Experiment, Learning, cells_of
-from surefoot.scenarios.viewer.recording import recording, walk_to_record
+from surefoot.scenarios.viewer.recording import recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import json_digest
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.walk import plan
 from surefoot.sim.walking.batch import Job, known_robot, walk_job
 
 WALKING_MODULE = "surefoot.sim.walking.batch"
 TRAINING = "surefoot.models.observer.training"
 CALIBRATION = "surefoot.models.calibration.calibrate"
 ESTIMATION = "surefoot.scenarios.experiments.facts"
+RECORDING = "surefoot.scenarios.compare"
 """Modules that make the products."""
 
 
@@ -257,11 +260,16 @@ def make_recording(
     }
 
     def make(path: Path) -> dict[str, Any]:
-        log = replace(Log.read(walk.path), name=name)
-        path.write_bytes(recording(walk_to_record(log, job, learnt.load(gamma), filters), name))
+        log, robot = replace(Log.read(walk.path), name=name), known_robot(job.robot)
+        drawn = [one for one in filters if traits(one).drawn]
+        found = compare_log(log, robot, learnt.load(gamma), drawn, progress=False)
+        ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
+        shown = found.recorded(ground)
+        assert shown is not None  # a simulated walk has joints and a reference
+        path.write_bytes(recording(shown, name))
         return {}
 
-    return product(folder, "recording", inputs, "surefoot.scenarios.viewer.recording", ".rrd", make)
+    return product(folder, "recording", inputs, RECORDING, ".rrd", make)
 
 
 def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:
