@@ -18,7 +18,7 @@ from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.compare import compare_log
-from surefoot.scenarios.datasets.index import recipe, row_of
+from surefoot.scenarios.datasets.index import recipe, row_of, walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named, traits
 from surefoot.scenarios.estimate.run import declared_model, run_filter
@@ -63,9 +63,10 @@ def make_walk(folder: Path, job: Job) -> Product:
 
     def make(path: Path) -> dict[str, Any]:
         walked = walk_job(job)
-        row = row_of(walked)
-        if isinstance(walked.log, Log):
-            walked.log.write(path, force=True)
+        log = walked.log
+        row = row_of(job, walked.plan, walk_facts([log]) if isinstance(log, Log) else log)
+        if isinstance(log, Log):
+            log.write(path, force=True)
         else:
             path.write_text(f"fell at {row.fell_at:.1f} s\n")
         names = ("falls", "fell_at", "duration", "length", "slip_share", "creep", "payload")
