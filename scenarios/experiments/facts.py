@@ -38,8 +38,8 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
     v_I, measured = body_velocity(log, np.searchsorted(log.t, updates.t - 1e-6))
     errors = (updates.v_I - v_I)[measured]
     facts |= {"fed_mean": errors.mean(axis=0).tolist(), "fed_spread": errors.std(axis=0).tolist()}
-    own = [bounds.epsilon_at(robot.R_BI) for bounds in learnt.bounds]
-    if updates.epsilon is not None and any(np.allclose(updates.epsilon, e) for e in own):
+    boxes = [bounds.epsilon_at(robot.R_BI) for bounds in learnt.bounds]
+    if updates.epsilon is not None and any(np.allclose(updates.epsilon, e) for e in boxes):
         share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
         # Successive errors are not independent; those K steps apart are.
         n = max(len(errors) // max(bounds.K for bounds in learnt.bounds), 1)

@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
@@ -21,6 +20,7 @@ from surefoot.scenarios.compare import compare_log
 from surefoot.scenarios.datasets.index import recipe, row_of, walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named, traits
+from surefoot.scenarios.estimate.inputs import learnt_from
 from surefoot.scenarios.estimate.run import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
@@ -52,10 +52,8 @@ class LearntFiles:
 
     def load(self, gamma: float) -> Learnt:
         """Observers, and the bounds of one gamma."""
-        return Learnt(
-            tuple(Observer.load(one.path) for one in self.observers.values()),
-            tuple(Bounds.load(one.path) for one in self.bounds.get(gamma, {}).values()),
-        )
+        bounds = self.bounds.get(gamma, {}).values()
+        return learnt_from([one.path for one in self.observers.values()], [b.path for b in bounds])
 
 
 def make_walk(folder: Path, job: Job) -> Product:
