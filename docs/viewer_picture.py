@@ -13,11 +13,10 @@ from tempfile import TemporaryDirectory
 from rerun.experimental import ViewerClient
 
 import surefoot
-from surefoot.models.observer.predict import predict
+from surefoot.scenarios.compare import compare_log
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, traits
 from surefoot.scenarios.estimate.inputs import learnt_from
-from surefoot.scenarios.estimate.run import declared_model, run_all
-from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
+from surefoot.scenarios.viewer.recording import write_recording
 
 PICTURE = Path(__file__).resolve().parent / "viewer.png"
 MOMENT = 38.0
@@ -34,11 +33,9 @@ def overview(demo: Path, path: Path) -> None:
         (demo / "observer_mse.pt", demo / "observer_gml.pt"),
         (demo / "bounds_mse.json", demo / "bounds_gml.json"),
     )
-    results, _ = run_all(log, robot, learnt, [name for name in ESTIMATORS if traits(name).drawn])
-    observer, bounds = learnt.bounded()
-    seen = predict(observer, *declared_model(log, robot))
-    estimates = {result.filter: result.trajectory for result in results}
-    walk = RecordedWalk(log, robot, estimates, seen, bounds)
+    drawn = [name for name in ESTIMATORS if traits(name).drawn]
+    walk = compare_log(log, robot, learnt, drawn).recorded()
+    assert walk is not None
     write_recording(path, walk, tab="Overview")
 
 

@@ -29,12 +29,9 @@ from surefoot.estimator.updates.bias_states import (
     BIAS_AT,
     EXTRAS,
     NOT_PERSISTENT,
-    UPDATE_VELOCITY_PERSISTENT,
     PersistentError,
     PersistentModel,
     propagate_bias,
-    update_velocity_persistent,
-    update_velocity_persistent_checked,
 )
 from surefoot.estimator.updates.coverage import (
     UPDATE_COVERAGE,
@@ -44,8 +41,8 @@ from surefoot.estimator.updates.coverage import (
 from surefoot.estimator.updates.outliers import REJECTED, UNLIMITED, fresh_counts
 from surefoot.estimator.updates.velocity import (
     UPDATE_VELOCITY,
-    update_velocity,
     update_velocity_checked,
+    update_velocity_unless_outlier,
 )
 from surefoot.estimator.updates.velocity_output import add_velocity, no_contacts, note_velocity
 from surefoot.sim.common.copies import copy_corner
@@ -89,16 +86,35 @@ class FilterMemory(NamedTuple):
     counts: np.ndarray
 
 
-class _VelocityFilter:
-    """State, prediction and compiled loop of the filters with velocity updates."""
+class InvariantFilter:
+    """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II), called once per sample.
 
-    def __init__(
+    state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
+    b_g); noise: FilterNoise.
+
+    Raises SurefootError on wrong shapes, values that are not finite and covariances that are not
+    positive definite; its subclass SampleError for steps and readings that no sensor gives;
+    DivergedError once the state has diverged. In each case the filter is unchanged.
+    """
+
+    def __init__(self, state: NavState, covariance: np.ndarray, noise: FilterNoise | None = None):
+        self._begin(state.pack(), spd("covariance", covariance, 15), noise, NOT_PERSISTENT)
+
+    def _begin(
         self,
         mean: np.ndarray,
         covariance: np.ndarray,
         noise: FilterNoise | None,
         model: PersistentModel,
-    ):
+    ) -> None:
+        """Set up the memory of a state with or without a persistent part.
+
+        Args:
+            mean: (7+E, 3), packed.
+            covariance: (15+3E, 15+3E).
+            noise: of the IMU.
+            model: of the persistent part.
+        """
         compiled(predict_checked, PREDICT)
         n, extras = len(mean), len(mean) - EXTRA
         # What a prediction takes lies in few arrays: each costs 40 ns in a call.
@@ -111,7 +127,6 @@ class _VelocityFilter:
             self._mean, covariance, noise_rows, self._columns, coupling, self._counts
         )
         self._model = model
-        self._velocity_update: tuple
         self.t = np.nan
         """Stamp [s] of the last sample, NaN before the first; `run` continues from there."""
 
@@ -139,10 +154,10 @@ class _VelocityFilter:
         Returns the squared Mahalanobis distance of the innovation; nan where v_I was rejected as an
         outlier.
         """
-        update, *model = self._velocity_update
+        update, model = compiled(update_velocity_checked, UPDATE_VELOCITY), self._model
         try:
-            given = _array(v_I, _FLOAT), _array(cov, _FLOAT)
-            distance = update(self._mean, self._covariance, *given, *model)
+            given = _array(v_I, _FLOAT), _array(cov, _FLOAT), model.max_error, model.window
+            distance = update(self._mean, self._covariance, *given, self._counts)
         except (TypeError, ValueError):  # not numbers of these shapes
             distance = -1.0
         if distance < 0.0:
@@ -150,6 +165,47 @@ class _VelocityFilter:
             spd("cov", cov, 3)
             check_sound(self._mean, self._covariance)
         return distance
+
+    def update_coverage(
+        self,
+        v_I: np.ndarray,
+        epsilon: np.ndarray,
+        gamma: float,
+        iterations: int = 1,
+        max_error: np.ndarray | None = None,
+    ) -> float:
+        """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
+
+        A PersistentFilter counts the measurement instead and, at the end of a window, updates with
+        P(|mean mixing error| <= epsilon) >= gamma.
+
+        Returns pi, the prior mass inside the bounds (eq. pi_def_error_state); the state changes if
+        pi < gamma. nan where v_I was rejected as an outlier, and within a window.
+
+        Args:
+            v_I: measured velocity (3,) [m/s] in I.
+            epsilon: its bounds (3,) > 0 [m/s] or, of a window, those of the mean mixing error.
+            gamma: their joint level.
+            iterations: of the projection; more than one bring the posterior's mass closer to gamma.
+            max_error: errors beyond (3,) > 0 [m/s] are rejected as outliers
+                (`surefoot.estimator.updates.outliers`); by default none is, and of a
+                PersistentFilter those beyond its model's.
+        """
+        max_error = self._model.max_error if max_error is None else max_error
+        update = compiled(update_coverage_checked, UPDATE_COVERAGE)
+        try:
+            given = _array(v_I, _FLOAT), _array(epsilon, _FLOAT), float(gamma), int(iterations)
+            limit = _array(max_error, _FLOAT), self._model.window
+            pi = update(self._mean, self._covariance, *given, *limit, self._counts)
+        except (TypeError, ValueError):  # not three numbers
+            pi = -1.0
+        if pi < 0.0:
+            check_velocity(v_I)
+            check_bounds(numbers("epsilon", epsilon, (3,)), gamma, iterations)
+            check_sound(self._mean, self._covariance)
+            if not np.all(numbers("max_error", max_error, (3,)) > 0):
+                raise SurefootError("max_error: every one must be > 0 m/s")
+        return pi
 
     def run(
         self,
@@ -201,72 +257,8 @@ class _VelocityFilter:
         """Covariance (15, 15) of the error state (a copy)."""
         return self._covariance[:15, :15].copy()
 
-    def _update_coverage(self, v_I, epsilon, gamma, iterations, max_error) -> float:
-        """`update_coverage` of either filter.
 
-        Args:
-            v_I: (3,) m/s, velocity in the frame of the IMU.
-            epsilon: (3,) m/s, half widths of the bounds.
-            gamma: joint level of the bounds.
-            iterations: of the projection.
-            max_error: (3,) m/s, errors beyond are rejected as outliers.
-        """
-        update = compiled(update_coverage_checked, UPDATE_COVERAGE)
-        try:
-            given = _array(v_I, _FLOAT), _array(epsilon, _FLOAT), float(gamma), int(iterations)
-            limit = _array(max_error, _FLOAT), self._model.window
-            pi = update(self._mean, self._covariance, *given, *limit, self._counts)
-        except (TypeError, ValueError):  # not three numbers
-            pi = -1.0
-        if pi < 0.0:
-            check_velocity(v_I)
-            check_bounds(numbers("epsilon", epsilon, (3,)), gamma, iterations)
-            check_sound(self._mean, self._covariance)
-            if not np.all(numbers("max_error", max_error, (3,)) > 0):
-                raise SurefootError("max_error: every one must be > 0 m/s")
-        return pi
-
-
-class InvariantFilter(_VelocityFilter):
-    """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II), called once per sample.
-
-    state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
-    b_g); noise: FilterNoise.
-
-    Raises SurefootError on wrong shapes, values that are not finite and covariances that are not
-    positive definite; its subclass SampleError for steps and readings that no sensor gives;
-    DivergedError once the state has diverged. In each case the filter is unchanged.
-    """
-
-    def __init__(self, state: NavState, covariance: np.ndarray, noise: FilterNoise | None = None):
-        super().__init__(state.pack(), spd("covariance", covariance, 15), noise, NOT_PERSISTENT)
-        self._velocity_update = (compiled(update_velocity_checked, UPDATE_VELOCITY),)
-
-    def update_coverage(
-        self,
-        v_I: np.ndarray,
-        epsilon: np.ndarray,
-        gamma: float,
-        iterations: int = 1,
-        max_error: np.ndarray = UNLIMITED,
-    ) -> float:
-        """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
-
-        Returns pi, the prior mass inside the bounds (eq. pi_def_error_state); the state changes if
-        pi < gamma. nan where v_I was rejected as an outlier.
-
-        Args:
-            v_I: measured velocity (3,) [m/s] in I.
-            epsilon: its bounds (3,) > 0 [m/s].
-            gamma: their joint level.
-            iterations: of the projection; more than one bring the posterior's mass closer to gamma.
-            max_error: errors beyond (3,) > 0 [m/s] are rejected as outliers
-                (`surefoot.estimator.updates.outliers`); by default none is.
-        """
-        return self._update_coverage(v_I, epsilon, gamma, iterations, max_error)
-
-
-class PersistentFilter(_VelocityFilter):
+class PersistentFilter(InvariantFilter):
     """The invariant filter with the persistent part of an observer's error as additional states.
 
     Successive measurements are then not treated as independent, and coverage statements are about
@@ -282,31 +274,12 @@ class PersistentFilter(_VelocityFilter):
         noise: FilterNoise | None = None,
     ):
         P = persistent.enter(spd("covariance", covariance, 15))
-        super().__init__(state.pack(EXTRAS), P, noise, persistent.model())
-        update = compiled(update_velocity_persistent_checked, UPDATE_VELOCITY_PERSISTENT)
-        self._velocity_update = update, self._model, self._counts
+        self._begin(state.pack(EXTRAS), P, noise, persistent.model())
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
         """IMU step, and that of the persistent error; see `InvariantFilter.predict`."""
         super().predict(gyro, accel, dt)
         propagate_bias(self._mean, self._covariance, self._model, float(dt))
-
-    def update_coverage(
-        self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1
-    ) -> float:
-        """Count a measurement and, at the end of a window, update with P(|mean error| <= epsilon)
-        >= gamma.
-
-        Returns pi, the prior mass inside the bounds, at the end of a window; nan, with the state
-        unchanged, within one.
-
-        Args:
-            v_I: measured velocity (3,) [m/s] in I.
-            epsilon: bounds (3,) > 0 [m/s] of the mean mixing error of a window.
-            gamma: their joint level.
-            iterations: of the projection.
-        """
-        return self._update_coverage(v_I, epsilon, gamma, iterations, self._model.max_error)
 
     @property
     def persistent(self) -> tuple[np.ndarray, np.ndarray]:
@@ -364,10 +337,9 @@ def _run(
             else:
                 cov = velocities.cov[m]
                 note_velocity(mean, P, contacts, v_I, cov, note)
-                if persistent:
-                    values[m] = update_velocity_persistent(mean, P, v_I, cov, model, counts)
-                else:
-                    values[m] = update_velocity(mean, P, contacts, v_I, cov)
+                values[m] = update_velocity_unless_outlier(
+                    mean, P, v_I, cov, model.max_error, model.window, counts
+                )
             # An outlier after too many in a row is used, but still counted.
             add_velocity(sums[w, 0], note, counts[REJECTED] <= rejected)
             m += 1

@@ -16,7 +16,6 @@ from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.estimators import (
-    ESTIMATORS,
     estimator_named,
     shown_at_first,
     traits,
@@ -38,7 +37,6 @@ from surefoot.scenarios.reporting.figures import (
     velocity_figure,
 )
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
-from surefoot.scenarios.reporting.progress import counted_bar
 from surefoot.scenarios.reporting.tables import (
     LOST_FROM,
     METRICS,
@@ -98,12 +96,16 @@ class Comparison:
         """A sentence for each filter that is not to be trusted."""
         return [r.health.sentence(r.filter) for r in self.results if r.health.lost]
 
-    @property
-    def drawn(self) -> Robot | None:
-        """The robot that a recording draws along the reference; None without one, or without
-        joints.
+    def recorded(self, ground: Ground | None = None) -> RecordedWalk | None:
+        """What a recording shows: the robot along its reference, with the estimates that are drawn;
+        None where there is no robot, no joints or no reference.
+
+        ground: on which it walked; None draws that of the log, if any.
         """
-        return self.robot if self.log.has("reference") and self.log.has("q") else None
+        if self.robot is None or not (self.log.has("reference") and self.log.has("q")):
+            return None
+        drawn = {r.filter: r.trajectory for r in self.results if traits(r.filter).drawn}
+        return RecordedWalk(self.log, self.robot, drawn, self.prediction, self.bounds, ground)
 
 
 def compare_log(
@@ -112,8 +114,9 @@ def compare_log(
     learnt: Learnt,
     names: Sequence[str] | None = None,
     settings: FilterSettings | None = None,
+    progress: bool = True,
 ) -> Comparison:
-    """Run every filter that can run on `log`, with a progress bar.
+    """Run every filter that can run on `log`.
 
     Args:
         log: to estimate.
@@ -121,9 +124,9 @@ def compare_log(
         learnt: observers and bounds.
         names: of the filters; by default all.
         settings: noise, priors and start; by default those tuned for the robot.
+        progress: whether to show a bar.
     """
-    with counted_bar(f"filters on {log.name}", len(names or ESTIMATORS)) as progress:
-        results, left_out = run_all(log, robot, learnt, names, progress, settings)
+    results, left_out = run_all(log, robot, learnt, names, settings, progress)
     known, model = declared_model(log, robot)  # as the filters see it
     notes = _identical(results)
     if results:
@@ -232,16 +235,7 @@ def write_comparison(
         pictures = _pictures(comparison, ground or ground_of_log(comparison.log), kind)
         heading = f"The log '{comparison.log.name}'"
         sections.append(Section(heading, _walk_prose(comparison), pictures=tuple(pictures)))
-        if comparison.drawn is not None:
-            drawn = [r for r in comparison.results if traits(r.filter).drawn]
-            walk = RecordedWalk(
-                comparison.log,
-                comparison.drawn,
-                {r.filter: r.trajectory for r in drawn},
-                comparison.prediction,
-                comparison.bounds,
-                ground,
-            )
+        if walk := comparison.recorded(ground):
             write_recording(out / f"{comparison.log.name}.rrd", walk)
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     sections += [*extra, Section("Made by", made_by)]
@@ -294,7 +288,7 @@ def _walk_prose(comparison: Comparison) -> str:
     if comparison.bounds is not None:
         x, y, z = comparison.bounds.epsilon
         text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"
-    if comparison.drawn is not None:
+    if comparison.recorded():
         text += f". Recording: surefoot view {log.name}.rrd"
     elif log.has("reference"):
         text += ". No recording, which needs joint angles and a known robot"

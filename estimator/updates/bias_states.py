@@ -38,23 +38,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from surefoot.estimator.core.checks import (
-    MOST_SPEED,
-    all_within,
-    is_sound,
-    numbers,
-    spd,
-    symmetric_definite,
-)
+from surefoot.estimator.core.checks import numbers, spd
 from surefoot.estimator.core.state import EXTRA
-from surefoot.estimator.updates.outliers import is_outlier
-from surefoot.estimator.updates.velocity import gaussian_update
-from surefoot.estimator.updates.velocity_output import no_contacts, velocity_output
-from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_1, OWN_2, kernel
+from surefoot.sim.common.kernels import kernel
 
 EXTRAS = 3
 """Extra vectors in the packed state: b_p, then the window's error s, then the course's bias c."""
@@ -144,57 +132,6 @@ def propagate_bias(mean, covariance, model, dt: float):
     for i in range(3):
         for j in range(3):
             covariance[BIAS_AT + i, BIAS_AT + j] += (1.0 - keep * keep) * model.covariance[i, j]
-
-
-@kernel
-def update_velocity_persistent(mean, covariance, v_I, R, model, counts) -> float:
-    """Gaussian update with v_I (3,) whose mixing error has the covariance R (3, 3), in place.
-
-    Returns the squared Mahalanobis distance of the innovation, nan where it was rejected.
-
-    Args:
-        mean: packed state (7+EXTRAS, 3), changed in place.
-        covariance: of its error (24, 24), changed in place.
-        v_I: measured velocity (3,) [m/s].
-        R: covariance (3, 3) of its mixing error [m^2/s^2].
-        model: PersistentModel.
-        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
-    """
-    contacts = no_contacts()
-    n = covariance.shape[0]
-    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
-    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    if is_outlier(S, residual, model.max_error, model.window, counts):
-        return np.nan
-    return gaussian_update(mean, covariance, contacts, PHt, S, residual, R)
-
-
-_MODEL = types.NamedTuple((OWN_2, types.float64, types.int64, OWN_1), PersistentModel)
-UPDATE_VELOCITY_PERSISTENT = types.float64(OWN_2, OWN_2, GIVEN_1, GIVEN_2, _MODEL, types.int64[::1])
-"""Signature of `update_velocity_persistent_checked`."""
-
-
-@kernel
-def update_velocity_persistent_checked(mean, covariance, v_I, R, model, counts) -> float:
-    """`update_velocity_persistent` for a robot's own loop: -1, with nothing changed, where
-    measurement or state fail the checks.
-
-    Args:
-        mean: packed state (7+EXTRAS, 3), changed in place.
-        covariance: of its error (24, 24), changed in place.
-        v_I: measured velocity (3,) [m/s].
-        R: covariance (3, 3) of its mixing error [m^2/s^2].
-        model: PersistentModel.
-        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
-    """
-    if v_I.shape[0] != 3 or R.shape != (3, 3) or not all_within(v_I, MOST_SPEED):
-        return -1.0
-    given = np.empty((4, 3))
-    noise, v = given[:3], given[3]
-    if not symmetric_definite(R, noise) or not is_sound(mean, covariance):
-        return -1.0
-    copy_row(v_I, v)
-    return update_velocity_persistent(mean, covariance, v, noise, model, counts)
 
 
 @kernel

@@ -4,6 +4,7 @@ import numpy as np
 from numba import types
 
 from surefoot.estimator.core.checks import MOST_SPEED, all_within, is_sound, symmetric_definite
+from surefoot.estimator.updates.outliers import is_outlier
 from surefoot.estimator.updates.velocity_output import (
     inverse_3,
     lift_with,
@@ -11,7 +12,7 @@ from surefoot.estimator.updates.velocity_output import (
     velocity_output,
 )
 from surefoot.sim.common.copies import copy_row
-from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_2, kernel
+from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_1, OWN_2, kernel
 
 LEAST_RELATIVE_NOISE = 1e-8
 """Least noise relative to the prior's variances; with less, the remaining variances would result
@@ -83,13 +84,42 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
     return distance
 
 
-UPDATE_VELOCITY = types.float64(OWN_2, OWN_2, GIVEN_1, GIVEN_2)
+@kernel
+def update_velocity_unless_outlier(
+    mean, covariance, v_I, measurement_cov, max_error, most: int, counts
+) -> float:
+    """`update_velocity` of a state without contacts, which may have a persistent part; nan, with
+    the state unchanged, for an outlier.
+
+    Args:
+        mean: (7+E, 3), the packed mean.
+        covariance: (15+3E, 15+3E).
+        v_I: (3,) [m/s], measured velocity of the IMU in I.
+        measurement_cov: (3, 3) [m^2/s^2], its covariance R or, with a persistent part, that of its
+            mixing error.
+        max_error: beyond which an error is an outlier (3,) [m/s].
+        most: number rejected in a row, after which a measurement is accepted.
+        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
+    """
+    contacts, n = no_contacts(), covariance.shape[0]
+    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
+    if is_outlier(S, residual, max_error, most, counts):
+        return np.nan
+    return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
+
+
+UPDATE_VELOCITY = types.float64(
+    OWN_2, OWN_2, GIVEN_1, GIVEN_2, OWN_1, types.int64, types.int64[::1]
+)
 """Signature of `update_velocity_checked`."""
 
 
 @kernel
-def update_velocity_checked(mean, covariance, v_I, cov) -> float:
-    """`update_velocity` for a robot's own loop, of a state without contacts, in one call.
+def update_velocity_checked(
+    mean, covariance, v_I, measurement_cov, max_error, most: int, counts
+) -> float:
+    """`update_velocity_unless_outlier` for a robot's own loop, in one call.
 
     Checks measurement and state; returns -1, with nothing changed, if they fail.
 
@@ -97,13 +127,16 @@ def update_velocity_checked(mean, covariance, v_I, cov) -> float:
         mean: (7+E, 3), the packed mean.
         covariance: (15+3E, 15+3E).
         v_I: (3,) [m/s] in I, within MOST_SPEED.
-        cov: (3, 3) [m^2/s^2], positive definite.
+        measurement_cov: (3, 3) [m^2/s^2], positive definite.
+        max_error: beyond which an error is an outlier (3,) [m/s].
+        most: number rejected in a row, after which a measurement is accepted.
+        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
     """
-    if v_I.shape[0] != 3 or cov.shape != (3, 3) or not all_within(v_I, MOST_SPEED):
+    if v_I.shape[0] != 3 or measurement_cov.shape != (3, 3) or not all_within(v_I, MOST_SPEED):
         return -1.0
     given = np.empty((4, 3))
     R, v = given[:3], given[3]
-    if not symmetric_definite(cov, R) or not is_sound(mean, covariance):
+    if not symmetric_definite(measurement_cov, R) or not is_sound(mean, covariance):
         return -1.0
     copy_row(v_I, v)
-    return update_velocity(mean, covariance, no_contacts(), v, R)
+    return update_velocity_unless_outlier(mean, covariance, v, R, max_error, most, counts)

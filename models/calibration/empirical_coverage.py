@@ -12,21 +12,17 @@ from surefoot.sim.log import Log
 
 @dataclass(frozen=True)
 class EmpiricalCoverage:
-    """Share of errors within their bounds, with confidence intervals.
-
-    per_axis (3,) and joint are over all errors; per_axis_interval (3, 2) and joint_interval (2,)
-    are Clopper-Pearson intervals at `confidence`, for `n` independent errors.
+    """Share of errors within their bounds: per_axis (3,), and joint with its 95 % Clopper-Pearson
+    interval (2,) for `n` independent errors.
     """
 
     per_axis: np.ndarray
     joint: float
-    per_axis_interval: np.ndarray
     joint_interval: np.ndarray
     n: int
-    confidence: float
 
 
-def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> EmpiricalCoverage:
+def coverage(errors: np.ndarray, bounds: Bounds) -> EmpiricalCoverage:
     """Share of errors (M, 3), at 100 Hz, within their bounds.
 
     Successive errors are not independent: the interval assumes M / K independent ones, with the K
@@ -36,15 +32,8 @@ def coverage(errors: np.ndarray, bounds: Bounds, confidence: float = 0.95) -> Em
     if n < 1:
         raise BoundsError(f"{len(errors)} errors are not one independent trial at K = {bounds.K}")
     inside = np.abs(errors) <= bounds.epsilon
-    per_axis, joint = inside.mean(axis=0), float(inside.all(axis=1).mean())
-    return EmpiricalCoverage(
-        per_axis=per_axis,
-        joint=joint,
-        per_axis_interval=np.array([binomial_interval(p, n, confidence) for p in per_axis]),
-        joint_interval=binomial_interval(joint, n, confidence),
-        n=n,
-        confidence=confidence,
-    )
+    joint = float(inside.all(axis=1).mean())
+    return EmpiricalCoverage(inside.mean(axis=0), joint, binomial_interval(joint, n), n)
 
 
 @dataclass(frozen=True)

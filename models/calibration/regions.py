@@ -144,16 +144,11 @@ class MaxNorm(Calibrator):
     fit_share = 0.25
 
     def fit(self, errors: np.ndarray) -> None:
-        self.scale = np.sqrt(np.diag(second_moment(errors)))
+        self.scale = np.sqrt(np.diag(errors.T @ errors / len(errors)))
 
     def conformalize(self, errors: np.ndarray) -> None:
         score = (np.abs(errors) / self.scale).max(axis=1)
         self.epsilon = conformal_quantile(score[:, None], self.level)[0] * self.scale
-
-
-def second_moment(errors: np.ndarray) -> np.ndarray:
-    """Mean of e e^T (3, 3) over errors (n, 3)."""
-    return errors.T @ errors / len(errors)
 
 
 def mahalanobis(errors: np.ndarray, shape: np.ndarray) -> np.ndarray:

@@ -9,8 +9,6 @@ edition, 2022, section 8.2), on large sizes only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
@@ -25,21 +23,6 @@ STAKES = np.array([0.0, 1.0, 2.0])
 RESTART = 0.01
 
 
-@dataclass(frozen=True)
-class Alarm:
-    """Course of the alarm.
-
-    Attributes:
-        wealth: (m,) after each complete block.
-        at: time into the walk at which it was raised [s]; None if never.
-        chance: of a false alarm in a whole walk.
-    """
-
-    wealth: np.ndarray
-    at: float | None
-    chance: float
-
-
 def block_sizes(squared: np.ndarray) -> np.ndarray:
     """Root mean square (m,) of normalised innovations over whole blocks of `squared` (M,)."""
     m = len(squared) // UPDATES_OF_BLOCK
@@ -48,16 +31,17 @@ def block_sizes(squared: np.ndarray) -> np.ndarray:
     ]
 
 
-def shift_alarm(calibration: np.ndarray, seen: np.ndarray, chance: float = FALSE_ALARM) -> Alarm:
+def shift_alarm(
+    calibration: np.ndarray, seen: np.ndarray, chance: float = FALSE_ALARM
+) -> float | None:
     """Monitor block sizes `seen` (m,) as they come, against those of the calibration (n,).
 
-    Blocks last a second each. The chance is exact for exchangeable blocks. It is a test of
-    similarity, so a walk may raise it on which the bounds still hold.
+    Returns the time into the walk at which the alarm is raised [s]; None if never. `chance`: that
+    of a false alarm in a whole walk; it is exact for exchangeable blocks, which last a second each.
+    It is a test of similarity, so a walk may raise it on which the bounds still hold.
     """
-    wealth = fortune(calibration, seen)
-    raised = np.flatnonzero(wealth >= 1 / chance)
-    at = float(raised[0] + SETTLING_BLOCKS + 1) if len(raised) else None
-    return Alarm(wealth, at, chance)
+    raised = np.flatnonzero(fortune(calibration, seen) >= 1 / chance)
+    return float(raised[0] + SETTLING_BLOCKS + 1) if len(raised) else None
 
 
 @kernel
@@ -76,17 +60,17 @@ def fortune(calibration: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return wealth
 
 
-def inflation(calibration: np.ndarray, squared: np.ndarray, alarm: Alarm) -> np.ndarray:
+def inflation(calibration: np.ndarray, squared: np.ndarray, alarm_at: float | None) -> np.ndarray:
     """Factor (M,) on epsilon at each update: 1 until the alarm, then the growth of the innovations.
 
     The last second's size over the calibration's median, at least 1. It widens the bounds where
     errors scatter; a constant error is absorbed by the filter's velocity.
     """
-    if alarm.at is None:
+    if alarm_at is None:
         return np.ones(len(squared))
     total = np.concatenate(([0.0], np.cumsum(squared)))
     last = np.arange(1, len(squared) + 1)
     first = np.maximum(last - UPDATES_OF_BLOCK, 0)
     size = np.sqrt((total[last] - total[first]) / (last - first))
     grown = np.maximum(size / np.median(calibration), 1.0)
-    return np.where(last > alarm.at * UPDATES_OF_BLOCK, grown, 1.0)
+    return np.where(last > alarm_at * UPDATES_OF_BLOCK, grown, 1.0)

@@ -7,11 +7,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
 
-from surefoot.scenarios.datasets.index import IndexRow, fall_path, recipe, row_of
+from surefoot.scenarios.datasets.index import IndexRow, fall_path, recipe
+from surefoot.scenarios.datasets.walk_file import walk_and_save
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.walk import Fallen, fallen_log
-from surefoot.sim.walking.batch import Job, known_robot, walk_job
+from surefoot.sim.walking.batch import Job, known_robot
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -82,15 +82,11 @@ def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
             f"robot {known_robot(job.robot).name}: a worker has another model of it, or another "
             "version of surefoot, mujoco, numpy or numba: its walks would differ"
         )
-    walked = walk_job(job)
-    fell = walked.log if isinstance(walked.log, Fallen) else None
-    log = fallen_log(walked.plan, fell) if fell else walked.log
-    if log is None:
-        return asdict(row_of(walked)), b""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "walk.parquet"
-        log.write(path)
-        return asdict(row_of(walked, None if fell else path)), path.read_bytes()
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        row = walk_and_save(folder, False, job)
+        path = folder / row.file if row.file else fall_path(folder, job)
+        return asdict(row), path.read_bytes() if path.is_file() else b""
 
 
 @contextmanager

@@ -34,7 +34,7 @@ from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.walk import Fallen, Plan
-from surefoot.sim.walking.batch import Job, Walked, known_robot
+from surefoot.sim.walking.batch import Job, known_robot
 
 INDEX_FOLDER = "_dataset"
 MINUTE = 60.0  # s
@@ -101,14 +101,7 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("surefoot", "mujoco", "numpy", "numba")}
 
 
-def row_of(walked: Walked, path: Path | None = None) -> IndexRow:
-    """The row of a walk, whose log is at `path` if it is written."""
-    log = walked.log
-    found = log if isinstance(log, Fallen) else walk_facts([log])
-    return row_with(walked.job, walked.plan, found, path)
-
-
-def row_with(
+def row_of(
     job: Job, made: Plan, found: dict[str, float] | Fallen, path: Path | None = None
 ) -> IndexRow:
     """The row of a walk from its facts (`walk_facts`), or from its fall, with its log's hash."""

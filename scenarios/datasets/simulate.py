@@ -2,9 +2,7 @@
 resumed.
 """
 
-import os
 from collections import Counter
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -18,10 +16,10 @@ from surefoot.scenarios.datasets.index import (
     log_name,
     recipe,
     row_of,
-    row_with,
     walk_facts,
     write_index,
 )
+from surefoot.scenarios.datasets.walk_file import walk_and_save
 from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.errors import SurefootError, check_seed
@@ -32,18 +30,16 @@ from surefoot.sim.common.files import (
     force_option,
     is_there,
     refuse_overwrite,
-    whole_file,
     write_whole,
 )
 from surefoot.sim.common.limits import bounded_text, check_limit
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects, to_toml
-from surefoot.sim.log import Log, LogReader, LogWriter
+from surefoot.sim.log import Log, LogReader
 from surefoot.sim.scenario import Ranges, Scenario
-from surefoot.sim.walk import Fallen, fallen_log, meta_of
-from surefoot.sim.walking.batch import Job, Walked, known_robot, on_threads, plan_of, walk_planned
-from surefoot.sim.walking.long_walk import LONG_WALK, needs_whole, walk_in_pieces
+from surefoot.sim.walking.batch import Job, known_robot, on_threads, plan_of
+from surefoot.sim.walking.long_walk import LONG_WALK
 
 BYTES_PER_SECOND = 150e3
 """Size of a log's file per second of walking [bytes/s]: 500 rows of some 80 columns, compressed to
@@ -116,52 +112,6 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     return made
 
 
-def walk_and_save(
-    folder: Path, force: bool, job: Job, progress: Callable[[float], None]
-) -> IndexRow:
-    """Simulate one walk and write its log, a long one in pieces; returns the row.
-
-    Args:
-        folder: of the dataset.
-        force: whether its file may be replaced.
-        job: the walk.
-        progress: called with the share done.
-    """
-    made = plan_of(job)
-    if made.seconds <= LONG_WALK or needs_whole(made):
-        return save_walk(walk_planned(job, made, progress), folder, force)
-    path = folder / f"{log_name(job)}.parquet"
-    fall = None
-    try:
-        with whole_file(path, force) as temporary:
-            with LogWriter(temporary, meta_of(made)) as writer:
-                try:
-                    for frame in walk_in_pieces(made, progress):
-                        writer.write(frame)
-                except Fallen as error:
-                    fall = error
-            if fall:
-                if writer.rows:
-                    with whole_file(fall_path(folder, job), force=True) as kept:
-                        os.replace(temporary, kept)
-                raise fall
-    except Fallen as error:
-        return row_with(job, made, error)
-    facts = walk_facts(Log.chunks(LogReader(path), MINUTE))
-    return row_with(job, made, facts, path)
-
-
-def save_walk(walked: Walked, folder: Path, force: bool) -> IndexRow:
-    """Write the log of a walk, named as in its row, up to a fall if any; returns the row."""
-    if isinstance(walked.log, Fallen):
-        if log := fallen_log(walked.plan, walked.log):
-            log.write(fall_path(folder, walked.job), force=True)
-        return row_of(walked)
-    path = folder / f"{log_name(walked.job)}.parquet"
-    walked.log.write(path, force)
-    return row_of(walked, path)
-
-
 def _without_imu(robot: str) -> str:
     how = "give the base body a site named imu to place one"
     if robot.endswith(".urdf"):
@@ -230,7 +180,7 @@ def _done(journal: Journal, job: Job) -> bool:
         refuse_overwrite(path, False)
     long = reader.rows / meta.rate > LONG_WALK
     facts = walk_facts(Log.chunks(reader, MINUTE) if long else [Log.read(path)])
-    journal.add(row_with(job, made, facts, path))
+    journal.add(row_of(job, made, facts, path))
     return True
 
 

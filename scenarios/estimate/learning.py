@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.models.registry import LOSSES
-from surefoot.scenarios.estimate.run import Learnt
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.inputs import learnt_from
 from surefoot.scenarios.stages import processes, submitted
 from surefoot.sim.log import Log
 
@@ -47,7 +46,7 @@ def learn(
 
 def learnt_in(out: Path) -> Learnt:
     """Load what `learn` stored in a folder."""
-    return Learnt(
-        tuple(Observer.load(out / f"observer_{loss}.pt") for loss in LOSSES),
-        tuple(Bounds.load(out / f"bounds_{loss}.json") for loss in LOSSES),
+    return learnt_from(
+        [out / f"observer_{loss}.pt" for loss in LOSSES],
+        [out / f"bounds_{loss}.json" for loss in LOSSES],
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
@@ -30,6 +30,7 @@ from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError, errors_in
+from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.effects import compensate_all, declared_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, PointFeet
@@ -145,8 +146,8 @@ def run_all(
     robot: Robot | None,
     learnt: Learnt,
     names: Sequence[str] | None = None,
-    progress: Callable[[str], None] | None = None,
     settings: FilterSettings | None = None,
+    progress: bool = False,
 ) -> tuple[list[Result], dict[str, str]]:
     """Run every filter that the inputs allow; also returns why each other was left out.
 
@@ -155,19 +156,20 @@ def run_all(
         robot: of the log.
         learnt: observers and bounds.
         names: of the filters; by default all.
-        progress: called with the name of each before it runs.
         settings: as for `run_filter`.
+        progress: whether to show a bar.
     """
     results: list[Result] = []
     left_out: dict[str, str] = {}
-    for name in names or ESTIMATORS:
-        if progress:
-            progress(name)
-        try:
-            results.append(run_filter(name, log, robot, learnt, settings))
-        except SurefootError as error:
-            reason = str(error).removeprefix(f"filter {name}: ")
-            left_out[name] = reason.removeprefix(f"{log.name}: ")
+    chosen = list(names or ESTIMATORS)
+    with drawn_bar(chosen, desc=f"filters on {log.name}"[:24], disable=not progress) as bar:
+        for name in bar:
+            bar.set_postfix_str(name, refresh=False)  # or a pipe has a line an item
+            try:
+                results.append(run_filter(name, log, robot, learnt, settings))
+            except SurefootError as error:
+                reason = str(error).removeprefix(f"filter {name}: ")
+                left_out[name] = reason.removeprefix(f"{log.name}: ")
     return results, left_out
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import align_first, matched, nees
 from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.contract import Learnt
@@ -39,8 +38,8 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
     v_I, measured = body_velocity(log, np.searchsorted(log.t, updates.t - 1e-6))
     errors = (updates.v_I - v_I)[measured]
     facts |= {"fed_mean": errors.mean(axis=0).tolist(), "fed_spread": errors.std(axis=0).tolist()}
-    own = [bounds.epsilon_at(robot.R_BI) for bounds in learnt.bounds]
-    if updates.epsilon is not None and any(np.allclose(updates.epsilon, e) for e in own):
+    boxes = [bounds.epsilon_at(robot.R_BI) for bounds in learnt.bounds]
+    if updates.epsilon is not None and any(np.allclose(updates.epsilon, e) for e in boxes):
         share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
         # Successive errors are not independent; those K steps apart are.
         n = max(len(errors) // max(bounds.K for bounds in learnt.bounds), 1)
@@ -50,17 +49,12 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
 
 
 def errors_over_time(log: Log, estimate: Trajectory) -> pd.DataFrame:
-    """Aligned path, truth, the filter's sigma and NEES over time, at ERRORS_RATE."""
-    truth = reference(log)
-    errors = error_series(truth, estimate, ERRORS_RATE)
-    ref, est = matched(truth, estimate)
-    consistency = nees(ref, align_first(ref, est))
-    rows = np.searchsorted(ref.t, errors.t - 1e-6)
+    """Aligned path, truth and the filter's sigma over time, at ERRORS_RATE."""
+    errors = error_series(reference(log), estimate, ERRORS_RATE)
     columns = {"t": errors.t, "distance": errors.distance}
     for k, axis in enumerate("xyz"):
         columns |= {f"p_{axis}": errors.p_GI[:, k]}
         columns |= {f"ref_{axis}": errors.p_GI[:, k] - errors.position[:, k]}
     if errors.distance_sigma is not None:
         columns["sigma"] = errors.distance_sigma
-        columns |= {"nees_pos": consistency.position[rows], "nees_vel": consistency.velocity[rows]}
     return pd.DataFrame({name: values.astype(np.float32) for name, values in columns.items()})

@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
@@ -17,26 +16,30 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cache import Product, product, product_key
-from surefoot.scenarios.datasets.index import recipe, row_of
+from surefoot.scenarios.compare import compare_log
+from surefoot.scenarios.datasets.index import recipe, row_of, walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
-from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named
+from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named, traits
+from surefoot.scenarios.estimate.inputs import learnt_from
 from surefoot.scenarios.estimate.run import declared_model, run_filter
 from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Cell, Experiment, Learning, cells_of
-from surefoot.scenarios.viewer.recording import recording, walk_to_record
+from surefoot.scenarios.viewer.recording import recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import json_digest
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.walk import plan
 from surefoot.sim.walking.batch import Job, known_robot, walk_job
 
 WALKING_MODULE = "surefoot.sim.walking.batch"
 TRAINING = "surefoot.models.observer.training"
 CALIBRATION = "surefoot.models.calibration.calibrate"
 ESTIMATION = "surefoot.scenarios.experiments.facts"
+RECORDING = "surefoot.scenarios.compare"
 """Modules that make the products."""
 
 
@@ -49,10 +52,8 @@ class LearntFiles:
 
     def load(self, gamma: float) -> Learnt:
         """Observers, and the bounds of one gamma."""
-        return Learnt(
-            tuple(Observer.load(one.path) for one in self.observers.values()),
-            tuple(Bounds.load(one.path) for one in self.bounds.get(gamma, {}).values()),
-        )
+        bounds = self.bounds.get(gamma, {}).values()
+        return learnt_from([one.path for one in self.observers.values()], [b.path for b in bounds])
 
 
 def make_walk(folder: Path, job: Job) -> Product:
@@ -60,9 +61,10 @@ def make_walk(folder: Path, job: Job) -> Product:
 
     def make(path: Path) -> dict[str, Any]:
         walked = walk_job(job)
-        row = row_of(walked)
-        if isinstance(walked.log, Log):
-            walked.log.write(path, force=True)
+        log = walked.log
+        row = row_of(job, walked.plan, walk_facts([log]) if isinstance(log, Log) else log)
+        if isinstance(log, Log):
+            log.write(path, force=True)
         else:
             path.write_text(f"fell at {row.fell_at:.1f} s\n")
         names = ("falls", "fell_at", "duration", "length", "slip_share", "creep", "payload")
@@ -257,11 +259,16 @@ def make_recording(
     }
 
     def make(path: Path) -> dict[str, Any]:
-        log = replace(Log.read(walk.path), name=name)
-        path.write_bytes(recording(walk_to_record(log, job, learnt.load(gamma), filters), name))
+        log, robot = replace(Log.read(walk.path), name=name), known_robot(job.robot)
+        drawn = [one for one in filters if traits(one).drawn]
+        found = compare_log(log, robot, learnt.load(gamma), drawn, progress=False)
+        ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
+        shown = found.recorded(ground)
+        assert shown is not None  # a simulated walk has joints and a reference
+        path.write_bytes(recording(shown, name))
         return {}
 
-    return product(folder, "recording", inputs, "surefoot.scenarios.viewer.recording", ".rrd", make)
+    return product(folder, "recording", inputs, RECORDING, ".rrd", make)
 
 
 def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:

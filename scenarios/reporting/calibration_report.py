@@ -21,7 +21,6 @@ from surefoot.models.calibration.empirical_coverage import (
 from surefoot.models.calibration.regions import CONFIDENCE, Region, calibrator
 from surefoot.models.calibration.shift import (
     FALSE_ALARM,
-    Alarm,
     block_sizes,
     inflation,
     shift_alarm,
@@ -199,9 +198,9 @@ def evaluate_walk(
     found = innovations(known, trajectory)
     trained = log_digest(known) in {part.sha256 for part in observer.logs}
     role = "calibration" if calibrated else "training" if trained else "test"
-    own = replace(bounds, epsilon=bounds.epsilon_at(robot.R_BI), R_BI=np.array(robot.R_BI))
+    turned = replace(bounds, epsilon=bounds.epsilon_at(robot.R_BI), R_BI=np.array(robot.R_BI))
     x = observer.scaled(observer_samples(known, observer.inputs).x).astype(float)
-    return CalibratedWalk(known, role, own, rows, errors, x, found.t, found.squared)
+    return CalibratedWalk(known, role, turned, rows, errors, x, found.t, found.squared)
 
 
 def methods_table(
@@ -250,7 +249,7 @@ def sequence_table(
         row |= _held(walk) | {"alarm": "–"}
         if walk.role != "calibration":
             alarm = shift_alarm(usual, block_sizes(walk.squared))
-            row["alarm"] = "none" if alarm.at is None else f"after {alarm.at:.0f} s"
+            row["alarm"] = "none" if alarm is None else f"after {alarm:.0f} s"
             if len(walk.errors):
                 row |= _kept(walk, calibration, alarm, usual)
         rows.append(row)
@@ -273,7 +272,10 @@ def _held(walk: CalibratedWalk) -> dict[str, object]:
 
 
 def _kept(
-    walk: CalibratedWalk, calibration: Sequence[CalibratedWalk], alarm: Alarm, usual: np.ndarray
+    walk: CalibratedWalk,
+    calibration: Sequence[CalibratedWalk],
+    alarm: float | None,
+    usual: np.ndarray,
 ) -> dict[str, object]:
     epsilon, sizes = walk.bounds.epsilon, np.abs(walk.errors)
     factor = inflation(usual, walk.squared, alarm)

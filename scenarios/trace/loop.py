@@ -12,9 +12,10 @@ walk (`scenarios.trace.training_walks`).
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -107,7 +108,12 @@ def loop(
     model = (*declared_effects(log), *(declared or ()))
     options = TraceOptions(seed, model or declared, holdout=holdout)
     found, spread = _traced(log, robot, out / "trace", options)
-    choice = _gait(log, robot, (*model, *found), out / "gait.json", seed)
+
+    def gait_of_walks() -> dict[str, Any]:
+        with percent_bar("gait") as progress:
+            return asdict(choose_gait(log, robot, (*model, *found), seed, progress))
+
+    choice = GaitChoice(**_kept(out / "gait.json", gait_of_walks))
     planned: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
     if found and choice.walked:
         planned["effects"] = (*model, *found), PLAIN_GAIT
@@ -122,7 +128,16 @@ def loop(
         worlds.append(LoopWorld(name, effects, learnt, comparison, simulated, measured))
     last = worlds[-1].comparison
     assert last.robot is not None
-    trained_on_measured = _from_measured(last.log, last.robot, out / "measured.json", seed, plan)
+    compensated, corrected = last.log, last.robot
+
+    def errors_if_trained_on_it() -> list[float] | str:
+        how = replace(plan.training, inputs=inputs_of(compensated), seed=seed)
+        try:
+            return learnt_from_measured(compensated, corrected, how)
+        except ObserverError as error:
+            return str(error)
+
+    trained_on_measured = _kept(out / "measured.json", errors_if_trained_on_it)
     table = write_loop(log, robot, worlds, settings, choice, trained_on_measured)
     return table, tuple(worlds)
 
@@ -148,29 +163,12 @@ def _traced(
         print(summary(found))
     result = json.loads((out / "trace.json").read_text(encoding="utf-8"))
     zeros = [one for run in result["runs"] for one in run if one["compensated"]]
-    own = tuple(effect(one["name"], one["target"], one["value"]) for one in zeros)
+    of_run = tuple(effect(one["name"], one["target"], one["value"]) for one in zeros)
     spread = {
         (one["name"], one["target"]): float(np.ptp(one["interval"])) / (2.0 * HALF_WIDTH)
         for one in result["effects"]
     }
-    return (*load_effects(out / "effects.toml"), *own), spread
-
-
-def _gait(log: Log, robot: Robot, effects: Sequence[Effect], kept: Path, seed: int) -> GaitChoice:
-    """The gait of the simulated walks; chosen unless already done.
-
-    Args:
-        log: the measured log.
-        robot: as declared.
-        effects: of the simulated robot.
-        kept: file of the choice.
-        seed: of the walks that are compared.
-    """
-    if not as_made(kept):
-        with percent_bar("gait") as progress:
-            choice = choose_gait(log, robot, effects, seed, progress)
-        _write(kept, asdict(choice))
-    return GaitChoice(**json.loads(kept.read_text(encoding="utf-8")))
+    return (*load_effects(out / "effects.toml"), *of_run), spread
 
 
 def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log, Robot]:
@@ -210,26 +208,11 @@ def _learnt(
     return learnt_in(out), json.loads((out / "errors.json").read_text(encoding="utf-8"))
 
 
-def _from_measured(
-    log: Log, robot: Robot, kept: Path, seed: int, plan: TrainingPlan
-) -> list[float] | str:
-    """RMS errors (3,) [m/s] of observers trained on the measured walk, or why there are none.
-
-    Args:
-        log: the measured log with the effects compensated.
-        robot: with the effects compensated.
-        kept: file of the result.
-        seed: of the training.
-        plan: amount of training.
-    """
-    if not as_made(kept):
-        try:
-            how = replace(plan.training, inputs=inputs_of(log), seed=seed)
-            result = learnt_from_measured(log, robot, how)
-        except ObserverError as error:
-            result = str(error)
-        _write(kept, result)
-    return json.loads(kept.read_text(encoding="utf-8"))
+def _kept(path: Path, make: Callable[[], object]) -> Any:
+    """The content of a JSON file; made and written unless already done."""
+    if not as_made(path):
+        _write(path, make())
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def _write(path: Path, value: object) -> None:

@@ -151,11 +151,13 @@ def realism(
     found = _compared(log, robot, compared, seed, progress)
     drifts = drift_table(found)
     rows = [{"walk": c.words, **asdict(r)} for c in found for r in c.card.rows]
-    title = realism_title(found[0])
+    walker_name = found[0].simulated[0].robot.name
+    title = f"Realism: {log.name} beside simulated walks of {walker_name}"
+    cards = [Section(f"Realism card: {one.words}", "", card_table(one.card)) for one in found]
     parts = realism_sections(found, drifts)
     with whole_folder(out, force) as folder:
         tables = {"realism": rows, "drift": drifts}
-        write_results(folder, title, [*parts, *card_sections(found)], tables)
+        write_results(folder, title, [*parts, *cards], tables)
         text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
         write_whole(folder / "realism.json", text + "\n")
     if settings.page:
@@ -284,12 +286,6 @@ def _walks(
     )
 
 
-def realism_title(found: WalkComparison) -> str:
-    """Title of report and page: the measured log and the robot that is simulated."""
-    walker = found.simulated[0].robot.name
-    return f"Realism: {found.measured.log.name} beside simulated walks of {walker}"
-
-
 def realism_sections(
     found: Sequence[WalkComparison], drifts: Sequence[Mapping[str, Any]]
 ) -> list[Section]:
@@ -343,11 +339,6 @@ def _method(found: Sequence[WalkComparison]) -> str:
         )
     missing = "; ".join(f"{name} ({why})" for name, why in one.card.missing.items())
     return words + (f"\n\nMissing: {missing}." if missing else "")
-
-
-def card_sections(found: Sequence[WalkComparison]) -> list[Section]:
-    """A card for each simulated robot; realism.csv has the reasons of the tolerances."""
-    return [Section(f"Realism card: {one.words}", "", card_table(one.card)) for one in found]
 
 
 def card_table(card: Card) -> list[dict[str, str | float]]:
@@ -441,7 +432,8 @@ def leg_drifts(found: WalkComparison) -> tuple[Drift, ...]:
     drifts = []
     for feet in ("as declared", "as in the robot's file"):
         robots = [v.robot if feet == "as declared" else with_own_feet(v.robot) for v in views]
-        rpe = [_drift(v.log, robot) for v, robot in zip(views, robots, strict=True)]
+        runs = [run_filter(FILTER, v.log, r).metrics for v, r in zip(views, robots, strict=True)]
+        rpe = [run.rpe_trans if run else np.nan for run in runs]
         radii = 1e3 * robots[0].foot_radius.mean(), 1e3 * robots[1].foot_radius.mean()
         words = f"{feet}: {radii[0]:.0f} mm" + (
             "" if radii[0] == radii[1] else f", {radii[1]:.0f} mm in simulation"
@@ -473,8 +465,3 @@ def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]
         for one in found
         for drift in leg_drifts(one)
     ]
-
-
-def _drift(log: Log, robot: Robot) -> float:
-    metrics = run_filter(FILTER, log, robot).metrics
-    return metrics.rpe_trans if metrics else np.nan

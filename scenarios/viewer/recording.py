@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +11,7 @@ import rerun as rr
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
-from surefoot.scenarios.estimate.estimators import shown_at_first, traits
-from surefoot.scenarios.estimate.run import Learnt, declared_model, run_all
+from surefoot.scenarios.estimate.estimators import shown_at_first
 from surefoot.scenarios.viewer.blueprint import EXPLANATION, layout
 from surefoot.scenarios.viewer.scene import write_scene
 from surefoot.scenarios.viewer.series import write_errors, write_feet, write_update, write_velocity
@@ -24,8 +23,6 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.robot import Robot
-from surefoot.sim.walk import plan
-from surefoot.sim.walking.batch import Job, known_robot
 
 if TYPE_CHECKING:
     from surefoot.models.calibration.bounds import Bounds
@@ -132,28 +129,3 @@ def _about(walk: RecordedWalk, errors: Mapping[str, ErrorSeries]) -> str:
             words["keys"],
         ]
     )
-
-
-def walk_to_record(log: Log, job: Job, learnt: Learnt, filters: Sequence[str]) -> RecordedWalk:
-    """A log, the walk of `job`, as recorded.
-
-    On the ground drawn with its seed, with every filter that is drawn (see `Traits`).
-
-    Args:
-        log: of the walk.
-        job: its scenario, robot and seed.
-        learnt: observers and bounds.
-        filters: their names; those are drawn whose `Traits` say so.
-    """
-    robot = known_robot(job.robot)
-    results, _ = run_all(log, robot, learnt, [name for name in filters if traits(name).drawn])
-    prediction, bounds = None, None
-    if learnt.bounds:
-        # The import takes seconds, and is needed only if an observer is shown.
-        from surefoot.models.observer.predict import predict
-
-        observer, bounds = learnt.bounded()
-        prediction = predict(observer, *declared_model(log, robot))
-    estimates = {result.filter: result.trajectory for result in results}
-    ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
-    return RecordedWalk(log, robot, estimates, prediction, bounds, ground)

@@ -221,8 +221,9 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
     state, P, R = NavState(v_GI=np.ones(3)).pack(), A @ A.T + np.eye(15), np.eye(3)
     mean, cov = state.copy(), P.copy()
     wanted = update_velocity(mean, cov, 0, np.zeros(3), R)
+    free = UNLIMITED, 1, fresh_counts()
     found, spread = state.copy(), P.copy()
-    assert update_velocity_checked(found, spread, np.zeros(3), R) == wanted > 0.0
+    assert update_velocity_checked(found, spread, np.zeros(3), R, *free) == wanted > 0.0
     assert_array_equal(found, mean)
     assert_array_equal(spread, cov)
     for v_I, noise in (
@@ -230,6 +231,6 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
         (np.zeros(3), -R), (np.zeros(3), np.eye(2)),
     ):  # fmt: skip
         found, spread = state.copy(), P.copy()
-        assert update_velocity_checked(found, spread, v_I, noise) == -1.0
+        assert update_velocity_checked(found, spread, v_I, noise, *free) == -1.0
         assert_array_equal(found, state)
         assert_array_equal(spread, P)

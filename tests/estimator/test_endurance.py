@@ -9,7 +9,6 @@ from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     PersistentError,
     propagate_bias,
-    update_velocity_persistent,
 )
 from surefoot.estimator.updates.contact import (
     ContactModel,
@@ -19,7 +18,7 @@ from surefoot.estimator.updates.contact import (
 )
 from surefoot.estimator.updates.coverage import update_coverage
 from surefoot.estimator.updates.outliers import UNLIMITED
-from surefoot.estimator.updates.velocity import update_velocity
+from surefoot.estimator.updates.velocity import update_velocity, update_velocity_unless_outlier
 from surefoot.sim.common.kernels import kernel
 
 KINDS = (
@@ -76,7 +75,8 @@ def march(kind, steps, seed, memory, persistent, contacts, noise, feet_I, check)
                 most, window = persistent.max_error, persistent.window
                 update_coverage(mean, P, v, epsilon, 0.8, 1, most, window, counts)
             else:
-                update_velocity_persistent(mean, P, v, R, persistent, counts)
+                most, window = persistent.max_error, persistent.window
+                update_velocity_unless_outlier(mean, P, v, R, most, window, counts)
         elif kind == 4 or kind == 5:
             for i in range(4):
                 contact[i] = (k // 150 + i // 2 + i) % 2 == 0

@@ -17,10 +17,10 @@ from surefoot.estimator.updates.bias_states import (
     PersistentError,
     PersistentModel,
     propagate_bias,
-    update_velocity_persistent,
 )
 from surefoot.estimator.updates.coverage import update_coverage
 from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
+from surefoot.estimator.updates.velocity import update_velocity_unless_outlier
 
 INF = np.full(3, np.inf)
 GRAVITY = np.array([0.0, 0.0, 9.8])
@@ -220,8 +220,9 @@ def test_a_velocity_left_out_changes_nothing():
     mean, P = prior(np.random.default_rng(5))
     before = mean.copy(), P.copy()
     counts = np.zeros(2, dtype=np.int64)
-    model = PersistentModel(np.eye(3), np.inf, 5, np.full(3, 0.1))
-    found = update_velocity_persistent(mean, P, np.full(3, 1e3), np.eye(3), model, counts)
+    limit = np.full(3, 0.1), 5
+    far = np.full(3, 1e3)
+    found = update_velocity_unless_outlier(mean, P, far, np.eye(3), *limit, counts)
     assert np.isnan(found)
     assert_array_equal(mean, before[0])
     assert_array_equal(P, before[1])

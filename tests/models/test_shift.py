@@ -8,7 +8,6 @@ from scipy.stats import binom, norm
 from surefoot.models.calibration.shift import (
     SETTLING_BLOCKS,
     UPDATES_OF_BLOCK,
-    Alarm,
     block_sizes,
     fortune,
     inflation,
@@ -28,7 +27,7 @@ def test_false_alarms_are_no_more_than_stated():
     rng = np.random.default_rng(0)
     for chance in (0.05, 0.2):
         raised = sum(
-            shift_alarm(x[:40], x[40:], chance).at is not None
+            shift_alarm(x[:40], x[40:], chance) is not None
             for x in rng.lognormal(size=(TRIALS, 120))
         )
         assert raised <= binom.ppf(0.999, TRIALS, chance)
@@ -42,7 +41,7 @@ def test_false_alarms_on_innovations_that_remember():
         noise = rng.standard_normal((100 * UPDATES_OF_BLOCK,))
         squared = np.square(np.asarray(lfilter([1.0], [1.0, -0.95], noise)))
         sizes = block_sizes(squared)
-        raised += shift_alarm(sizes[:40], sizes[40:], 0.05).at is not None
+        raised += shift_alarm(sizes[:40], sizes[40:], 0.05) is not None
     assert raised <= binom.ppf(0.999, 300, 0.05)
 
 
@@ -53,7 +52,7 @@ def test_a_growth_by_half_is_found_within_twenty_seconds():
         calibration = block_sizes(rng.standard_normal(61 * UPDATES_OF_BLOCK) ** 2)
         walk = rng.standard_normal(81 * UPDATES_OF_BLOCK) ** 2
         walk[41 * UPDATES_OF_BLOCK :] *= 1.5**2
-        at = shift_alarm(calibration, block_sizes(walk)).at
+        at = shift_alarm(calibration, block_sizes(walk))
         assert at is not None
         delays.append(at - 41)
     assert min(delays) > 0
@@ -67,11 +66,10 @@ def test_smaller_innovations_raise_no_alarm():
 
 def test_bounds_grow_after_the_alarm_as_innovations_have():
     squared = np.concatenate((np.ones(10 * UPDATES_OF_BLOCK), np.full(20 * UPDATES_OF_BLOCK, 9.0)))
-    raised = Alarm(np.zeros(0), 15.0, 0.01)
-    factor = inflation(np.ones(30), squared, raised)
+    factor = inflation(np.ones(30), squared, 15.0)
     assert np.all(factor[: 15 * UPDATES_OF_BLOCK] == 1.0)
     assert factor[15 * UPDATES_OF_BLOCK :] == pytest.approx(np.full(15 * UPDATES_OF_BLOCK, 3.0))
-    assert np.all(inflation(np.ones(30), squared, Alarm(np.zeros(0), None, 0.01)) == 1.0)
+    assert np.all(inflation(np.ones(30), squared, None) == 1.0)
     assert len(block_sizes(squared)) == 30 - SETTLING_BLOCKS
 
 
