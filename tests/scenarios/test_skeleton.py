@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tomllib
 
 import pytest
 
@@ -39,21 +40,17 @@ def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
     assert "failed" in run(folder, *pytest_).stdout
 
 
-def test_it_runs_as_a_plugin_and_as_a_package(log, folder):
+def test_it_runs_as_a_plugin_and_its_package_offers_the_same(log, folder):
     log.write(folder / "log.parquet")
     line = ("-m", "surefoot", "estimate", "log.parquet", "--filter", "two_feet")
     ran = run(folder, *line, "--plugin", "two_feet.py")
     assert "APE_trans" in ran.stdout, ran.stderr
-    # As `pip install` leaves it: a folder of metadata beside the module.
-    info = folder / "two_feet-0.1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: two-feet\nVersion: 0.1.0\n")
-    lines = (folder / "pyproject.toml").read_text().splitlines()
-    point = lines[1 + lines.index('[project.entry-points."surefoot.estimators"]')]
-    points = f"[surefoot.estimators]\n{point.replace(chr(34), '')}\n"
-    (info / "entry_points.txt").write_text(points)
-    ran = run(folder, *line)
-    assert "APE_trans" in ran.stdout, ran.stderr
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    ((name, place),) = project["entry-points"]["surefoot.estimators"].items()
+    module, _, kind = place.partition(":")
+    assert (folder / f"{module}.py").is_file()
+    assert f'name = "{name}"' in (folder / f"{module}.py").read_text()
+    assert f"class {kind}" in (folder / f"{module}.py").read_text()
 
 
 @pytest.mark.parametrize("name", ["leg", "Big", "class", "../up", "a-b"])

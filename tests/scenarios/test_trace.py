@@ -43,11 +43,6 @@ def log_with(*one, slippery=True, seed=0):
     return walk(Scenario("loop", COURSE, ground), ROBOT, seed, effects=effects, declared=False)
 
 
-@lru_cache
-def traced(*one):
-    return trace_logs([log_with(*one)], ROBOT)
-
-
 @pytest.mark.parametrize(
     "one",
     [
@@ -57,7 +52,7 @@ def traced(*one):
     ids=["encoder_offset", "foot_rolling"],
 )
 def test_an_undeclared_effect_is_named_with_its_size(one):
-    found = traced(*one)
+    found = trace_logs([log_with(*one)], ROBOT)
     assert found.verdict == "attributed"
     assert [(e.name, e.target) for e in found.effects] == [one[:2]]
     assert found.attribution is not None
@@ -67,17 +62,12 @@ def test_an_undeclared_effect_is_named_with_its_size(one):
     assert channel.after < 0.95 * channel.before
     assert channel.noise_floor is not None
     assert channel.after < 1.25 * channel.noise_floor
-
-
-def test_the_leg_filter_gains_by_what_was_found():
-    before, after = (
-        traced("foot_rolling", "all", 0.006).filters["leg"][k] for k in ("before", "after")
-    )
+    before, after = (found.filters["leg"][k] for k in ("before", "after"))
     assert after["rpe_trans"] < 0.8 * before["rpe_trans"]
     assert all(np.isfinite(list(after.values())))
 
 
-@pytest.mark.parametrize("slippery", [True, False])
+@pytest.mark.parametrize("slippery", [pytest.param(True, marks=pytest.mark.long), False])
 def test_a_walk_as_declared_lacks_nothing(slippery):
     found = trace_logs([log_with(slippery=slippery)], ROBOT)
     assert found.verdict == "no_residual"
@@ -120,6 +110,7 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
         trace([told], ROBOT, tmp_path / "a")
 
 
+@pytest.mark.long
 def test_a_declared_effect_is_part_of_the_model():
     known = effect("encoder_offset", "RL_thigh", -0.02)
     found = trace_logs(

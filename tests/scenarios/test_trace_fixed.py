@@ -58,13 +58,6 @@ def test_a_drive_as_declared_lacks_nothing(seconds):
     assert found.effects == ()
 
 
-def test_a_few_seconds_of_one_drive_are_enough():
-    found = trace_logs([swung(4.0, name="armature", size=0.02)], PENDULUM)
-    assert found.verdict == "attributed"
-    assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
-    assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
-
-
 @pytest.mark.parametrize("hidden", [{}, {"friction": 0.3}])
 def test_pushes_are_said_with_their_times_and_make_no_effect(hidden):
     pushes = (2.0, 5.0, 9.0)

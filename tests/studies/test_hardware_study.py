@@ -14,7 +14,6 @@ from studies.hardware.go1 import ladder, rolling_table
 from studies.hardware.machines import MACHINES, RUNS, Measured
 from studies.hardware.report import FINDINGS, WORDS
 from studies.hardware.study import MEASURED, HardwareStudy, run_hardware
-from studies.measured import measured_folder
 from surefoot.scenarios.reporting.pages import read_origin, tables_folder
 from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.sim.common.errors import SurefootError
@@ -133,10 +132,6 @@ def test_the_chapter_of_a_real_drive_has_a_row_for_each_run(tmp_path):
     table = pd.read_csv(tmp_path / "ak80_pendulum" / "held_out.csv")
     assert tuple(dict.fromkeys(table["run held out"])) == RUNS
     assert (tmp_path / "cases" / "ak80_pendulum.png").stat().st_size > 10_000
-
-
-def test_measured_logs_are_looked_for_beside_the_project():
-    assert measured_folder() == MEASURED
 
 
 def test_simulated_feet_tell_their_radius_by_any_part_of_the_stance():
