@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import pytest
-from synthetic import without
 
 from surefoot.scenarios.cli.main import COMMANDS, main
 from surefoot.scenarios.compare import compare_log
@@ -78,13 +77,6 @@ def test_a_log_of_another_robot_is_said_to_be(log):
     assert ["spot_class" in line and "v60_class" in line for line in said[1]] == [True]
     unnamed = replace(log, meta=replace(log.meta, robot=""))
     assert notes_on(unnamed, robots[1], Learnt(), FilterSettings()) == ()
-
-
-def test_a_comparison_needs_no_reference(log, tmp_path):
-    path = tmp_path / "bare.parquet"
-    without(log, "ref_").write(path)
-    main(f"compare {path} --filters leg -o {tmp_path / 'out'}".split())
-    assert (tmp_path / "out" / "report.html").exists()
 
 
 @pytest.mark.parametrize("command", [(), ("compare",), ("estimate",), ("import",)])

@@ -8,13 +8,10 @@ from refusals import refused
 
 from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
-from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.walking.batch import walk_job
-
-SUITES = bundled("surefoot.scenarios.experiments", "suites")
 
 
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -19,6 +20,7 @@ segment = [{duration = 0.3, forward = 0.3}]
 """
 
 
+@pytest.mark.long
 def test_an_interpreted_walk_is_the_compiled_one(tmp_path):
     file = tmp_path / "short.toml"
     file.write_text(SCENARIO)

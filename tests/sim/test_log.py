@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import re
 from contextlib import suppress
 from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
@@ -443,16 +442,6 @@ def test_a_reader_refuses_what_read_refuses(tmp_path):
         refused(r"No such file|is a folder", LogReader, tmp_path / name, error=LogError)
     with pytest.raises(LogError, match="metadata: rate is missing"):
         LogReader(written(make_log(), tmp_path / "bad.parquet", {"schema": SCHEMA}))
-
-
-def test_a_recording_read_as_a_log_is_told_what_it_is(tmp_path):
-    for name, message in (
-        ("walk.csv", "walk.csv: not a log, which is a Parquet file; `surefoot import`"),
-        ("walk.rrd", "walk.rrd: not a log, which is a Parquet file; `surefoot import`"),
-        ("walk.parquet", "walk.parquet: not a whole Parquet file, damaged in its first bytes"),
-    ):
-        (tmp_path / name).write_text("t,gyro_x\n0,1\n")
-        refused(re.escape(message), Log.read, tmp_path / name, error=LogError)
 
 
 @pytest.mark.parametrize("made", [make_log, lambda: MemoisedLog.of(make_log())])
