@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from processes import ended, printed, python
 from refusals import refused
 
 import surefoot
@@ -34,15 +35,8 @@ PLUGINS = {"surefoot.estimators": {"still": Still}}
 """
 
 
-def ended(arguments: str) -> str | int | None:
-    with pytest.raises(SystemExit) as stop:
-        main(arguments.split())
-    return stop.value.code
-
-
-def command(folder: Path | None, *arguments: str, **variables: str) -> subprocess.CompletedProcess:
-    line, env = [sys.executable, "-m", "surefoot", *arguments], os.environ | variables
-    return subprocess.run(line, capture_output=True, text=True, cwd=folder, env=env, check=False)
+def command(folder: Path | None, *arguments: str, **variables: str):
+    return python("-m", "surefoot", *arguments, cwd=folder, **variables)
 
 
 def test_without_a_command_the_commands_are_listed(capsys):
@@ -104,9 +98,8 @@ def answers(tmp_path_factory) -> dict[str, list]:
     """Line -> what it ends with, and the heavy modules that are imported by then."""
     folder = tmp_path_factory.mktemp("absent")
     (folder / "here.csv").write_text("t,a\n0,1\n")
-    arguments = [sys.executable, "-c", ONE_BY_ONE, *ABSENT]
-    run = subprocess.run(arguments, capture_output=True, text=True, cwd=folder, check=True)
-    return {line: rest for line, *rest in map(json.loads, run.stdout.splitlines())}
+    said = printed("-c", ONE_BY_ONE, *ABSENT, cwd=folder)
+    return {line: rest for line, *rest in map(json.loads, said.splitlines())}
 
 
 @pytest.mark.parametrize(("line", "message"), ABSENT.items())
@@ -238,8 +231,7 @@ def test_a_plugin_of_the_environment_that_is_none_is_one_line(tmp_path):
 def test_help_names_what_it_takes(capsys):
     usages = {"plan": "EFFECT...", "simulate": "SCENARIO...", "trace": "LOG..."}
     for command, usage in usages.items():
-        with pytest.raises(SystemExit):
-            main([command, "--help"])
+        assert not ended(f"{command} --help")
         assert usage in capsys.readouterr().out
 
 
@@ -270,6 +262,4 @@ def test_warnings_of_libraries_do_not_reach_a_terminal(options, seen):
         "main.main = lambda arguments: warnings.warn('of a library')\n"
         "start.entry_point()"
     )
-    arguments = [sys.executable, *options, "-c", script]
-    said = subprocess.run(arguments, capture_output=True, text=True, check=True).stderr
-    assert ("of a library" in said) == seen
+    assert ("of a library" in python(*options, "-c", script).stderr) == seen

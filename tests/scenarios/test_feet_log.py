@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from processes import ended
 from refusals import refused
 from synthetic import without
 from written import written
@@ -14,7 +15,6 @@ from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.run import every_row
 from surefoot.scenarios.cli.estimate import NOT_TRUSTED
-from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Beginning, Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import (
@@ -37,14 +37,6 @@ from surefoot.sim.walk import walk
 
 SCALER = measured_folder() / "scaler_trot"
 NAMES = {"FL": "a", "FR": "b", "RL": "c_1", "RR": "d"}
-
-
-def stopped(*arguments: str) -> object:
-    """The exit code or message of a command; None where all is well."""
-    try:
-        return main(list(arguments))
-    except SystemExit as stop:
-        return stop.code
 
 
 @pytest.fixture(scope="module")
@@ -138,17 +130,17 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
     path = tmp_path / "feet.parquet"
     feet.write(path)
     for name in ("leg", "leg_slip", "imu"):
-        assert stopped("estimate", str(path), "--filter", name) in (None, NOT_TRUSTED)
+        assert ended(f"estimate {path} --filter {name}") in (None, NOT_TRUSTED)
     capsys.readouterr()
-    assert stopped("compare", str(path), "-o", str(tmp_path / "compared")) is None
+    assert ended(f"compare {path} -o {tmp_path}/compared") is None
     assert "radar_leg (the log names no robot: say which)" in capsys.readouterr().out
     assert "No recording" in (tmp_path / "compared" / "report.html").read_text()
     results, left_out = run_all(feet, None, Learnt())
     assert {result.filter for result in results} == {"leg", "leg_slip", "imu"}
     assert "radar_leg" in left_out
-    assert stopped("trace", str(path), "-o", str(tmp_path / "traced")) is None
+    assert ended(f"trace {path} -o {tmp_path}/traced") is None
     assert "too short" in capsys.readouterr().out
-    said = str(stopped("loop", str(path), "-o", str(tmp_path / "looped")))
+    said = str(ended(f"loop {path} -o {tmp_path}/looped"))
     assert "its foot positions suffice for estimate, compare, align and trace" in said
 
 
@@ -163,7 +155,7 @@ def test_what_is_missing_is_one_line(tmp_path, feet):
     names |= {f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}
     known = replace(feet.meta, robot="spot_class")
     replace(feet, frame=feet.frame.rename(columns=names), meta=known).write(path)
-    said = str(stopped("train", str(path), "-o", str(tmp_path / "observer")))
+    said = str(ended(f"train {path} -o {tmp_path}/observer"))
     assert "lacks q (q_" in said
     assert "\n" not in said
 
@@ -210,7 +202,7 @@ def test_the_leg_filter_runs_on_a_measured_walk_of_five_bar_legs(tmp_path):
     assert log.foot_I.shape == (len(log.t), 4, 3)
     assert log.meta.robot is None
     log.write(tmp_path / "scaler.parquet")
-    options = ["--filter", "leg", "-o", str(tmp_path / "estimate.parquet")]
-    assert stopped("estimate", str(tmp_path / "scaler.parquet"), *options) in (None, NOT_TRUSTED)
+    line = f"estimate {tmp_path}/scaler.parquet --filter leg -o {tmp_path}/estimate.parquet"
+    assert ended(line) in (None, NOT_TRUSTED)
     path = Trajectory.read(tmp_path / "estimate.parquet").p_GI
     assert 1.0 < np.linalg.norm(path[-1, :2] - path[0, :2]) < 3.0

@@ -1,11 +1,9 @@
 """What a fresh clone compiles, and that kernels compiled ahead are those that filters use."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from processes import printed
 
 COMPILED = """
 import collections
@@ -44,12 +42,8 @@ SEVERAL = ("add_cross_columns", "is_outlier", "_rotate", "add_velocity")
 
 def compiled(work: str, cache: Path) -> dict[str, int]:
     """Names of the functions that are compiled, and how often."""
-    environment = {**os.environ, "SUREFOOT_CACHE": str(cache)}
-    script = COMPILED.format(work=work)
-    done = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
-    )
-    pairs = (line.split(maxsplit=1) for line in done.stdout.splitlines())
+    said = printed("-c", COMPILED.format(work=work), SUREFOOT_CACHE=str(cache))
+    pairs = (line.split(maxsplit=1) for line in said.splitlines())
     return {name: int(times) for times, name in pairs}
 
 

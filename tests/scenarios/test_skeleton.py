@@ -1,11 +1,10 @@
 """`surefoot new estimator`: what it writes passes its own test and runs beside the others."""
 
 import os
-import subprocess
-import sys
 import tomllib
 
 import pytest
+from processes import python
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Estimator
@@ -19,20 +18,13 @@ def folder(tmp_path, monkeypatch, capsys):
     return tmp_path / "two_feet"
 
 
-def run(folder, *arguments: str) -> subprocess.CompletedProcess:
+def run(folder, *arguments: str):
     path = os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return python(*arguments, cwd=folder, PYTHONPATH=path)
 
 
 def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
-    pytest_ = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")[1:]
+    pytest_ = ("-m", "pytest", "-q", "-p", "no:cacheprovider")
     passed = run(folder, *pytest_)
     assert passed.returncode == 0, passed.stdout
     module = folder / "two_feet.py"

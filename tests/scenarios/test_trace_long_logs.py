@@ -17,9 +17,6 @@ from surefoot.scenarios.trace.long_logs import (
     read_in_blocks,
 )
 from surefoot.sim.log import LogError
-from surefoot.sim.robot.machine import load_machine
-
-PENDULUM = load_machine("ak80_pendulum")
 
 
 @pytest.fixture(scope="module")

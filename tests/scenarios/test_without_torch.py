@@ -1,10 +1,7 @@
 """Whoever only filters needs no torch: the extra `learn` is for observers."""
 
-import os
-import subprocess
-import sys
-
 import pytest
+from processes import python
 
 WITHOUT_TORCH = """
 import sys
@@ -38,16 +35,8 @@ forward = 0.5
 LOG = "walks/short_0.parquet"
 
 
-def run(lines, folder) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH, *lines],
-        cwd=folder,
-        env=dict(os.environ, PYTHONWARNINGS="ignore"),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+def run(lines, folder):
+    return python("-c", WITHOUT_TORCH, *lines, cwd=folder, PYTHONWARNINGS="ignore")
 
 
 @pytest.fixture(scope="module")
