@@ -109,16 +109,6 @@ def test_residuals_stand_over_the_floor_and_what_is_not_judged_is_hollow():
     assert colors[0] == colors[2] != colors[1]  # in red only what is above its floor
 
 
-@pytest.mark.parametrize(("sequences", "columns"), [(1, 1), (2, 2), (5, 3)])
-def test_errors_over_time_leave_no_empty_column(sequences, columns):
-    part = pd.DataFrame({"t": [0.0, 1.0], "distance": [0.0, 0.1], "sigma": [0.1, 0.1]})
-    figure = errors_figure({f"walk {k}": {"leg": part} for k in range(sequences)}, "Errors")
-    shown = [ax for ax in figure.axes if ax.get_visible()]
-    assert len(shown) == sequences
-    assert len({round(ax.get_position().x0, 3) for ax in figure.axes}) == columns
-    assert all(ax.get_xlabel() == "time [s]" for ax in shown)
-
-
 @pytest.mark.parametrize("sigma", [0.01, 0.1, 0.5, 2.0])
 def test_three_sigma_is_shown_whole_or_said_to_be_cut_off(sigma):
     part = pd.DataFrame({"t": [0.0, 1.0], "distance": [0.0, 0.1], "sigma": [0.0, sigma]})

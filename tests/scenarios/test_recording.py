@@ -166,12 +166,6 @@ def test_four_are_shown_at_first_those_that_are_proposed_before_variants():
     assert shown_at_first(["imu", "leg"]) == ("imu", "leg")
 
 
-def test_a_band_lies_between_its_sides_at_each_time(contents, walk):
-    t = contents.time("/velocity/x/bounds").reshape(-1, 2)
-    np.testing.assert_allclose(t[:, 0], walk.prediction.t, atol=1e-9)
-    assert np.all(np.diff(t.ravel()) > 0.0)
-
-
 def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):
     ramp = Strip((-1.0, 2.0), (3.0, 2.0), 8.0, heights=(0.0, 0.4))
     ground = Ground(0.8, strips=(ramp,))
