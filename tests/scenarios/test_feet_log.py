@@ -27,13 +27,10 @@ from surefoot.scenarios.estimate.run import (
 )
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import tuned
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 SCALER = measured_folder() / "scaler_trot"
 NAMES = {"FL": "a", "FR": "b", "RL": "c_1", "RR": "d"}
@@ -46,9 +43,9 @@ def robot():
 
 
 @pytest.fixture(scope="module")
-def log():
-    course = Scenario("short", (Segment(4.0, 0.5, turn=0.3),), Ground(0.8))
-    return walk(course, Robot.load("spot_class"), seed=0)
+def log(log):
+    """A few seconds of the walk that all tests share."""
+    return log.rows(slice(0, 3000))
 
 
 @pytest.fixture(scope="module")

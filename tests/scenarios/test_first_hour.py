@@ -11,17 +11,14 @@ from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.reporting.tables import WIDTH, in_terminal
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")
-def log() -> Log:
-    course = Scenario("hour", (Segment(2.0, 0.6, 0.0, 0.0),), Ground(0.8))
-    return walk(course, Robot.load("spot_class"), 0)
+def log(log) -> Log:
+    """A few seconds of the walk that all tests share."""
+    return log.rows(slice(0, 2000))
 
 
 def test_a_table_fits_the_terminal_unless_all_of_it_is_wanted():

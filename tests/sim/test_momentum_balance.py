@@ -1,33 +1,12 @@
 """Joint torques and foot forces from the momentum of a walk, against those of its motors."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 from synthetic import without
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.physics.momentum_balance import momentum_balance
-from surefoot.sim.scenario import Scenario
 from surefoot.sim.sensors.stances import inside_stances
-from surefoot.sim.walk import walk
-
-WALK = """
-name = "walk"
-robot = "spot_class"
-[ground]
-mu = 0.8
-[[segment]]
-duration = 4.0
-forward = 0.5
-turn = 0.3
-"""
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory, robot):
-    file = tmp_path_factory.mktemp("walk") / "walk.toml"
-    file.write_text(WALK)
-    return walk(Scenario.load(file), robot, seed=2)
 
 
 def test_torques_are_those_of_the_motors(log, robot):
