@@ -22,7 +22,7 @@ def run_with(package: str, *arguments: str, cwd: Path | None = None):
     In a process of its own, and not installed: no other test sees it.
     """
     folders = [str(PACKAGES / package), str(COMMON), *filter(None, [os.environ.get("PYTHONPATH")])]
-    return python(*arguments, cwd=cwd, PYTHONPATH=os.pathsep.join(folders))
+    return python(*arguments, cwd=cwd, env={"PYTHONPATH": os.pathsep.join(folders)})
 
 
 def lines_of_script(package: str, script: str, observer: str, folder: Path) -> list[str]:

@@ -111,7 +111,7 @@ def test_they_stand_in_the_table_beside_ours(log, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     guide._write_entry_points()  # as `pip install .` would
     command = ("-m", "surefoot", "compare", "walk.parquet", "-o", "compared")
-    printed(*command, **guide._environment())
+    printed(*command, env=guide._environment())
     table = pd.read_csv("compared/table.csv").set_index("filter")
     assert list(table.index) == ["leg", "leg_slip", "imu", "gtsam_leg", "gtsam_leg_iterated"]
     errors = table["APE_trans [m]"].to_dict()

@@ -36,7 +36,7 @@ PLUGINS = {"surefoot.estimators": {"still": Still}}
 
 
 def command(folder: Path | None, *arguments: str, **variables: str):
-    return python("-m", "surefoot", *arguments, cwd=folder, **variables)
+    return python("-m", "surefoot", *arguments, cwd=folder, env=variables)
 
 
 def test_without_a_command_the_commands_are_listed(capsys):

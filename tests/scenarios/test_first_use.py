@@ -42,7 +42,7 @@ SEVERAL = ("add_cross_columns", "is_outlier", "_rotate", "add_velocity")
 
 def compiled(work: str, cache: Path) -> dict[str, int]:
     """Names of the functions that are compiled, and how often."""
-    said = printed("-c", COMPILED.format(work=work), SUREFOOT_CACHE=str(cache))
+    said = printed("-c", COMPILED.format(work=work), env={"SUREFOOT_CACHE": str(cache)})
     pairs = (line.split(maxsplit=1) for line in said.splitlines())
     return {name: int(times) for times, name in pairs}
 

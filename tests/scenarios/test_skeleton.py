@@ -20,7 +20,7 @@ def folder(tmp_path, monkeypatch, capsys):
 
 def run(folder, *arguments: str):
     path = os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
-    return python(*arguments, cwd=folder, PYTHONPATH=path)
+    return python(*arguments, cwd=folder, env={"PYTHONPATH": path})
 
 
 def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):

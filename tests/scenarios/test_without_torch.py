@@ -36,7 +36,7 @@ LOG = "walks/short_0.parquet"
 
 
 def run(lines, folder):
-    return python("-c", WITHOUT_TORCH, *lines, cwd=folder, PYTHONWARNINGS="ignore")
+    return python("-c", WITHOUT_TORCH, *lines, cwd=folder, env={"PYTHONWARNINGS": "ignore"})
 
 
 @pytest.fixture(scope="module")

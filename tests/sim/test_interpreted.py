@@ -9,6 +9,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import walk
 
+INTERPRETED = {"NUMBA_DISABLE_JIT": "1"}
 SCENARIO = """
 name = "short"
 robot = "spot_class"
@@ -21,7 +22,7 @@ segment = [{duration = 0.3, forward = 0.3}]
 def test_an_interpreted_walk_is_the_compiled_one(tmp_path):
     file = tmp_path / "short.toml"
     file.write_text(SCENARIO)
-    printed("-m", "surefoot", "simulate", file, "-o", tmp_path, NUMBA_DISABLE_JIT="1")
+    printed("-m", "surefoot", "simulate", file, "-o", tmp_path, env=INTERPRETED)
     interpreted = Log.read(tmp_path / "short_0.parquet")
     compiled = walk(Scenario.load(file), Robot.load("spot_class"), 0)
     # Compiled code contracts products and sums: the last digits differ, and steps amplify that.
@@ -39,4 +40,4 @@ start = NavState(np.eye(3), np.zeros(3), np.zeros(3))
 made = InvariantFilter(start, 0.01 * np.eye(15), FilterNoise())
 made.predict(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.01)
 """
-    printed("-c", code, NUMBA_DISABLE_JIT="1")
+    printed("-c", code, env=INTERPRETED)
