@@ -97,9 +97,9 @@ def test_sdist_holds_every_file_of_a_room_once(sdist):
 def test_wheel_holds_every_file_of_a_room_once_and_no_other(wheel):
     with zipfile.ZipFile(wheel) as archive:
         count = Counter(archive.namelist())
-    own = {name: n for name, n in count.items() if ".dist-info/" not in name}
+    ours = {name: n for name, n in count.items() if ".dist-info/" not in name}
     package = [f"surefoot/{path.name}" for path in (CHECKOUT / "surefoot").glob("*.py")]
-    assert own == dict.fromkeys([*package, *_tracked()], 1)
+    assert ours == dict.fromkeys([*package, *_tracked()], 1)
 
 
 def test_installed_wheel_brings_its_data(python, folder):

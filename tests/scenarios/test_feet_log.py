@@ -145,8 +145,8 @@ def test_what_is_missing_is_one_line(tmp_path, feet):
     bare = without(feet, "foot")
     refused(r"lacks foot \(foot_a_x, .*\) and q \(q_<joint>\)", run_filter, "leg", bare, None)
     declared = ({"name": "gyro_bias", "target": "x", "value": 0.01, "unit": "rad/s"},)
-    told = replace(feet, meta=replace(feet.meta, effects=declared))
-    assert run_filter("leg", told, None).metrics is not None
+    declaring = replace(feet, meta=replace(feet.meta, effects=declared))
+    assert run_filter("leg", declaring, None).metrics is not None
     path = tmp_path / "feet.parquet"
     names = {f"contact_{name}": f"contact_{leg}" for leg, name in NAMES.items()}
     names |= {f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}

@@ -152,8 +152,8 @@ def test_errors_by_axis_are_those_of_the_series(drawn, errors):
 
 
 def test_a_figure_counts_from_a_whole_second_of_an_epoch(errors):
-    late = {name: replace(one, t=one.t + 1.7e9) for name, one in errors.items()}
-    figure = figures.position_error(late)
+    of_epoch = {name: replace(one, t=one.t + 1.7e9) for name, one in errors.items()}
+    figure = figures.position_error(of_epoch)
     png(figure)
     (ax,) = figure.axes
     assert "1700000000" in ax.get_xlabel()

@@ -50,9 +50,9 @@ def compiled(work: str, cache: Path) -> dict[str, int]:
 @pytest.mark.slow
 def test_a_fresh_clone_compiles_each_kernel_once_and_no_formatting_of_messages(tmp_path):
     first = compiled(FILTERS, tmp_path)
-    own = {name: times for name, times in first.items() if name.startswith("surefoot.estimator")}
-    assert "surefoot.estimator.filter._run" in own
-    twice = [name for name, times in own.items() if times > 1 and not name.endswith(SEVERAL)]
+    ours = {name: times for name, times in first.items() if name.startswith("surefoot.estimator")}
+    assert "surefoot.estimator.filter._run" in ours
+    twice = [name for name, times in ours.items() if times > 1 and not name.endswith(SEVERAL)]
     assert not twice
     assert not [name for name in first if ".unicode." in name]
     assert not compiled(ESTIMATES, tmp_path)

@@ -13,8 +13,8 @@ from surefoot.sim.robot import Robot
 
 assert list(ESTIMATORS)[-1] == "standing_feet"
 assert "standing_feet" in Experiment("one", ()).filters
-own = ESTIMATORS["standing_feet"]()
-assert tuned(Robot.load("v60_class")).of(own) == {"accel": 0.02, "spread": 0.1}
+mine = ESTIMATORS["standing_feet"]()
+assert tuned(Robot.load("v60_class")).of(mine) == {"accel": 0.02, "spread": 0.1}
 assert estimator_color("standing_feet").startswith("#")
 assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
 """

@@ -73,8 +73,8 @@ def test_a_walk_as_declared_lacks_nothing(slippery):
     assert found.verdict == "no_residual"
     assert found.effects == ()
     assert found.attribution is not None
-    late = next(c for c in found.attribution.rounds[0] if c.key == ("joint_delay", "all"))
-    assert abs(late.size) < 2e-4
+    delay = next(c for c in found.attribution.rounds[0] if c.key == ("joint_delay", "all"))
+    assert abs(delay.size) < 2e-4
 
 
 def stripped(log):
@@ -88,9 +88,9 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
     log = log_with("encoder_offset", "RL_thigh", -0.02)
     # A bundled course is one that a radar can be simulated on: not for a log that tells its name.
     meta = replace(log.meta, effects=({"name": "gyro_scale"},), scenario="demo_walk")
-    told = replace(log, meta=meta)
+    named = replace(log, meta=meta)
     stripped(log).write(tmp_path / "x.parquet")
-    trace([told], ROBOT, tmp_path / "a")
+    trace([named], ROBOT, tmp_path / "a")
     trace([Log.read(tmp_path / "x.parquet")], ROBOT, tmp_path / "b")
     texts = [(tmp_path / d / "trace.json").read_text() for d in ("a", "b")]
     assert texts[0] == texts[1]
@@ -107,7 +107,7 @@ def test_the_same_trace_of_a_log_that_tells_nothing_of_itself(tmp_path):
     assert load_effects(tmp_path / "a" / "effects.toml")[0].target == "RL_thigh"
     # Nothing is overwritten unless asked, and nothing is computed before that is known.
     with pytest.raises(SurefootError, match="exists already"):
-        trace([told], ROBOT, tmp_path / "a")
+        trace([named], ROBOT, tmp_path / "a")
 
 
 @pytest.mark.long

@@ -35,9 +35,9 @@ def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):
 def test_feet_share_the_load_by_their_sensors_in_any_unit_before_they_count_as_standing(log, robot):
     """Of contacts that begin and end at half the load, as those of a pad that is read so."""
     half = 0.5 * np.median(log.force[log.contact])
-    late = {f"contact_{leg}": 1.0 * (log.force[:, i] > half) for i, leg in enumerate(log.legs)}
+    delayed = {f"contact_{leg}": 1.0 * (log.force[:, i] > half) for i, leg in enumerate(log.legs)}
     by_counts = {f"force_{leg}": 7.0 + 3.0 * log.force[:, i] for i, leg in enumerate(log.legs)}
-    seen = log.with_columns(late)
+    seen = log.with_columns(delayed)
     up_B = log.ref_R_GI[:, 2] @ robot.R_BI.T
     walks = log.t - log.t[0] > 1.0
 

@@ -139,8 +139,8 @@ def test_simulated_feet_tell_their_radius_by_any_part_of_the_stance():
     course = (Segment(6.0, 0.7), Segment(6.0, 0.4, turn=0.5))
     log = walk(Scenario("rolling", course, Ground(0.8)), robot, 2)
     points = replace(robot, foot_radius=np.zeros(4))
-    told = rolling_table(log, points)["radius by forward velocity [mm]"]
-    radii = [float(one.split(" ")[0]) for one in told]
+    rolling = rolling_table(log, points)["radius by forward velocity [mm]"]
+    radii = [float(one.split(" ")[0]) for one in rolling]
     assert radii == pytest.approx([1e3 * robot.foot_radius[0]] * len(radii), rel=0.2)
     assert [words for words, _ in ladder([], points)][1].startswith("not found: foot rolling")
     assert [words for words, _ in ladder([], robot)] == ["as declared"]
