@@ -18,7 +18,7 @@ from surefoot.sim.robot import Robot
 @pytest.fixture(scope="module")
 def log(log) -> Log:
     """A few seconds of the walk that all tests share."""
-    return log.rows(slice(0, 2000))
+    return log.rows(slice(0, 1500))
 
 
 def test_a_table_fits_the_terminal_unless_all_of_it_is_wanted():
