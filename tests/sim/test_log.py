@@ -366,13 +366,13 @@ def test_any_bad_cell_is_found(tmp_path, column, row, value):
 
 @pytest.mark.parametrize("seconds", [0.0, 0.02, 0.2, 7.0, np.inf])
 def test_chunks_are_the_rows_in_turn_each_once(tmp_path, seconds):
-    log = make_log(1003)
+    log = make_log(203)
     path = tmp_path / "walk.parquet"
     log.write(path)
     reader = LogReader(path)
-    assert (reader.rows, reader.meta, reader.columns) == (1003, log.meta, tuple(log.frame.columns))
+    assert (reader.rows, reader.meta, reader.columns) == (203, log.meta, tuple(log.frame.columns))
     chunks = list(Log.chunks(reader, seconds))
-    size = max(1, round(min(seconds * RATE, 1003)))
+    size = max(1, round(min(seconds * RATE, 203)))
     assert [len(c.t) for c in chunks[:-1]] == [size] * (len(chunks) - 1)
     assert all(c.meta == log.meta and c.name == "walk" for c in chunks)
     whole = pd.concat([c.frame for c in chunks], ignore_index=True)

@@ -1,12 +1,21 @@
 """Joint torques and foot forces from the momentum of a walk, against those of its motors."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from synthetic import without
 
 from surefoot.sim.common.gravity import GRAVITY_G
+from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.momentum_balance import momentum_balance
+from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import inside_stances
+from surefoot.sim.walk import walk
+
+
+@pytest.fixture(scope="module")
+def log(robot):
+    return walk(Scenario("walk", (Segment(4.0, 0.5, turn=0.3),), Ground(0.8)), robot, seed=2)
 
 
 def test_torques_are_those_of_the_motors(log, robot):
