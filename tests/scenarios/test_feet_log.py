@@ -37,7 +37,7 @@ NAMES = {"FL": "a", "FR": "b", "RL": "c_1", "RR": "d"}
 
 
 @pytest.fixture(scope="module")
-def robot():
+def point_feet():
     """Its feet are points: nothing in foot positions says how a foot turns while it rolls."""
     return replace(Robot.load("spot_class"), foot_radius=np.zeros(4))
 
@@ -49,9 +49,9 @@ def log(log):
 
 
 @pytest.fixture(scope="module")
-def feet(log, robot) -> Log:
+def feet(log, point_feet) -> Log:
     """The walk as a robot of legs a, b, c_1 and d would log it that hides its joints."""
-    places = robot.feet_I(log.q)
+    places = point_feet.feet_I(log.q)
     others = [c for c in log.frame if c == "t" or c.startswith(("gyro", "accel", "contact", "ref"))]
     frame = log.frame[others].rename(
         columns={f"contact_{leg}": f"contact_{NAMES[leg]}" for leg in NAMES}
@@ -66,12 +66,12 @@ def feet(log, robot) -> Log:
 
 
 @pytest.mark.parametrize("name", ["leg", "leg_slip"])
-def test_foot_positions_say_what_joint_angles_do(name, log, feet, robot):
+def test_foot_positions_say_what_joint_angles_do(name, log, feet, point_feet):
     """Where the error of a foot does not come from its joints, whose arms only the angles tell."""
     one = estimator_named(name)
     values = FilterSettings(filters={name: tuned(None).of(one) | {"encoder": 1e-9}})
     plain = replace(log, meta=replace(log.meta, effects=()))
-    by_joints = estimated(one, plain, robot, Learnt(), values)
+    by_joints = estimated(one, plain, point_feet, Learnt(), values)
     by_feet = estimated(one, feet, None, Learnt(), values)
     for field in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
         np.testing.assert_allclose(getattr(by_feet, field), getattr(by_joints, field), atol=1e-9)
@@ -80,8 +80,8 @@ def test_foot_positions_say_what_joint_angles_do(name, log, feet, robot):
     assert np.abs(np.subtract(by_feet.covariance, by_joints.covariance)).max() < 1e-9
 
 
-def test_with_the_usual_errors_both_estimate_as_well(log, feet, robot):
-    by_joints = run_filter("leg", log, robot).metrics
+def test_with_the_usual_errors_both_estimate_as_well(log, feet, point_feet):
+    by_joints = run_filter("leg", log, point_feet).metrics
     by_feet = run_filter("leg", feet, None).metrics
     assert by_joints is not None
     assert by_feet is not None
@@ -103,13 +103,13 @@ def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
         assert np.abs(np.subtract(other.covariance, whole.covariance)).max() < 1e-9
 
 
-def test_joint_angles_of_a_known_robot_come_first(log, feet, robot):
+def test_joint_angles_of_a_known_robot_come_first(log, feet, point_feet):
     """Foot positions that somebody adds to a log do not change what is estimated."""
     wrong = feet.frame.filter(like="foot_").rename(
         columns={f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}
     )
     more = replace(log, frame=pd.concat([log.frame, 2.0 * wrong], axis=1))
-    same, as_it_was = (run_filter("leg", one, robot).trajectory for one in (more, log))
+    same, as_it_was = (run_filter("leg", one, point_feet).trajectory for one in (more, log))
     np.testing.assert_array_equal(same.p_GI, as_it_was.p_GI)
 
 
