@@ -1,12 +1,10 @@
 """Importing the package: under which names its modules go, and how little they bring along."""
 
-import os
-import subprocess
-import sys
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from processes import printed
 
 ROOMS = ("sim", "estimator", "models", "scenarios")
 HEAVY = ("torch", "rerun", "matplotlib", "mujoco", "pandas", "numba", "numpy")
@@ -27,19 +25,6 @@ MODULES = [
 ]
 
 
-def _run(code: str, folder: Path, **environment: str) -> str:
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=folder,
-        env=dict(os.environ, **environment),
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert run.returncode == 0, run.stderr
-    return run.stdout
-
-
 @pytest.fixture
 def elsewhere(tmp_path) -> Path:
     """A folder with a user's own modules, named as our rooms are."""
@@ -57,19 +42,11 @@ def test_no_module_goes_by_a_bare_name(elsewhere):
         f"print([room for room in {ROOMS!r} if room in sys.modules])"
     )
     assert len(MODULES) > 200
-    assert _run(code, elsewhere).strip() == "[]"
+    assert printed("-c", code, cwd=elsewhere).strip() == "[]"
 
 
 def test_modules_of_a_user_do_not_shadow_the_rooms(elsewhere):
-    run = subprocess.run(
-        [sys.executable, "-m", "surefoot", "--help"],
-        cwd=elsewhere,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert run.returncode == 0, run.stderr
-    assert "simulate" in run.stdout
+    assert "simulate" in printed("-m", "surefoot", "--help", cwd=elsewhere)
 
 
 @pytest.mark.parametrize(
@@ -84,4 +61,4 @@ def test_modules_of_a_user_do_not_shadow_the_rooms(elsewhere):
 )
 def test_nothing_heavy_is_imported_before_it_is_needed(tmp_path, what, heavy):
     code = f"{what}\nimport sys\nprint([name for name in {heavy!r} if name in sys.modules])"
-    assert _run(code, tmp_path).splitlines()[-1] == "[]"
+    assert printed("-c", code, cwd=tmp_path).splitlines()[-1] == "[]"

@@ -1,7 +1,6 @@
 """The worked example of a package of one's own: gtsam's legged estimators beside ours."""
 
 import shutil
-import subprocess
 import sys
 import tomllib
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from processes import printed
 
 import surefoot
 from surefoot.estimator.core.state import NavState
@@ -110,9 +110,8 @@ def test_they_stand_in_the_table_beside_ours(log, tmp_path, monkeypatch):
         shutil.copy(EXAMPLE / file, tmp_path)
     monkeypatch.chdir(tmp_path)
     guide._write_entry_points()  # as `pip install .` would
-    command = [sys.executable, "-m", "surefoot", "compare", "walk.parquet", "-o", "compared"]
-    done = subprocess.run(command, env=guide._environment(), capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    command = ("-m", "surefoot", "compare", "walk.parquet", "-o", "compared")
+    printed(*command, env=guide._environment())
     table = pd.read_csv("compared/table.csv").set_index("filter")
     assert list(table.index) == ["leg", "leg_slip", "imu", "gtsam_leg", "gtsam_leg_iterated"]
     errors = table["APE_trans [m]"].to_dict()
@@ -122,8 +121,6 @@ def test_they_stand_in_the_table_beside_ours(log, tmp_path, monkeypatch):
 
 
 def test_the_file_alone_is_a_plugin():
-    command = ["estimate", "--help", "--plugin", str(EXAMPLE / "gtsam_legged.py")]
-    done = subprocess.run(
-        [sys.executable, "-m", "surefoot", *command], capture_output=True, text=True
-    )
-    assert "gtsam_leg_iterated" in done.stdout
+    file = EXAMPLE / "gtsam_legged.py"
+    said = printed("-m", "surefoot", "estimate", "--help", "--plugin", file)
+    assert "gtsam_leg_iterated" in said

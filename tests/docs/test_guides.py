@@ -2,11 +2,11 @@
 one finds that one's files."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from processes import python
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 sys.path.insert(0, str(DOCS))
@@ -27,13 +27,7 @@ def folders(tmp_path_factory):
             folder = tmp_path_factory.mktemp(page.stem)
             if before := guides.continued(page):
                 shutil.copytree(folder_of(before), folder, dirs_exist_ok=True)
-            ran = subprocess.run(
-                [sys.executable, str(DOCS / "guide.py"), str(page)],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+            ran = python(DOCS / "guide.py", page, cwd=folder, timeout=None)
             assert ran.returncode == 0, f"{ran.stdout[-2000:]}\n{ran.stderr[-4000:]}"
             done[page] = folder
         return done[page]
@@ -64,12 +58,6 @@ def test_a_guide_that_fails_is_seen_to_fail(tmp_path):
     page = tmp_path / "failing.md"
     for text in ("```python\nraise ValueError\n```\n", "```bash\nfalse\ntrue\n```\n"):
         page.write_text(f"Some words.\n\n{text}")
-        ran = subprocess.run(
-            [sys.executable, str(DOCS / "guide.py"), str(page)],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        ran = python(DOCS / "guide.py", page, cwd=tmp_path)
         assert ran.returncode != 0
         assert "failing.md:4: this block fails" in ran.stderr

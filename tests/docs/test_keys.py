@@ -46,16 +46,3 @@ def test_every_key_is_listed_with_its_meaning(kind):
     page = keys_page("Title", "Words.", [("[table]", kind)])
     assert page.count("\n| `") == len(found)
     assert not any("[" in value for _, value, *_ in found)
-
-
-def test_values_and_defaults_are_in_the_words_of_a_file():
-    table = {key: rest for key, *rest in keys(sections.ContactTable)}
-    assert table["of"][:2] == ["`force`, `torque`, `kinematics`, `gait`", '`"force"`']
-    assert table["on"][0] == "number or table of number"
-    assert table["on"][1] == "required"
-    assert {k: v for k, v, *_ in keys(sections.RobotTable)}["imu_position"] == "3 numbers"
-    assert {k: v for k, v, *_ in keys(map.MapFile)}["sources"] == "table"
-    assert {k: v for k, v, *_ in keys(sections.Source)}[
-        "skip"
-    ] == "whole number >= 0 and <= 1000000"
-    assert {k: v for k, v, *_ in keys(scenario._File)}["segment"] == "array of tables"

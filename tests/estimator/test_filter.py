@@ -17,8 +17,6 @@ from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.sim.common.gravity import GRAVITY
 
 EPSILON = np.array([0.06, 0.06, 0.04])
-LASTS = np.diag([1e-3, 2e-3, 1e-3]), 20.0, 7, np.full(3, 0.5)
-"""A persistent error that wanders: prior, time constant, window, reach."""
 
 
 @pytest.fixture(scope="module")
@@ -60,54 +58,6 @@ def test_a_gyro_bias_is_found_through_velocities(walk, rows):
         *walk.start(b_g=0.02),
     )  # fmt: skip
     assert np.abs(whole.b_g[-1] - bias)[:2].max() < 2e-3
-
-
-@pytest.mark.parametrize("kind", ["imu", "velocity", "coverage"])
-@pytest.mark.parametrize(
-    "persistent", [None, PersistentError(np.eye(3) * 1e-3), PersistentError(*LASTS)], ids=str
-)
-def test_streaming_is_the_compiled_run(walk, rows, kind, persistent):
-    rng = np.random.default_rng(0)
-    n = 1001
-    t, gyro, accel = walk.t[:n], walk.gyro[:n], walk.accel[:n]
-    rows = rows[rows < n]
-    v_I = walk.v_I[rows] + rng.normal(size=(len(rows), 3)) * 0.05
-    start, cov = walk.start(), np.diag([1e-3, 2e-3, 3e-3])
-    if kind == "imu":
-        if persistent is not None:
-            pytest.skip("there is no observer whose error could persist")
-        whole = run_imu(t, gyro, accel, *start, stride=10)
-    elif kind == "velocity":
-        whole = run_velocity(
-            t, gyro, accel, rows, v_I, cov, *start, stride=10, persistent=persistent
-        )
-    else:
-        whole = run_coverage(
-            t, gyro, accel, rows, v_I, EPSILON, 0.8, *start, stride=10, persistent=persistent
-        )
-    assert whole.covariance is not None
-    one = filter_of(*start, persistent=persistent)
-    m, pi = 0, []
-    for k in range(n):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
-        if kind != "imu" and m < len(rows) and rows[m] == k:
-            if kind == "velocity":
-                one.update_velocity(v_I[m], cov)
-            else:
-                pi.append(one.update_coverage(v_I[m], EPSILON, 0.8))
-            m += 1
-        if k % 10 == 0:
-            state = one.state
-            for name in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
-                assert_array_equal(getattr(state, name), getattr(whole, name)[k // 10])
-            assert_array_equal(one.covariance, whole.covariance[k // 10])
-    if kind == "coverage":
-        assert whole.updates is not None
-        pi = [x for x in pi if np.isfinite(x)]
-        assert len(pi) == len(rows) // (persistent.window if persistent else 1)
-        assert_array_equal(whole.updates.pi, pi)
-        assert_array_equal(whole.updates.active, np.array(pi) < 0.8)
 
 
 def trial(walk, rows, rng, noise, std, n):
@@ -183,29 +133,33 @@ def moving(n, rng):
 
 
 @pytest.mark.parametrize("stride", [1, 3])
-@pytest.mark.parametrize("kind", ["imu", "velocity"])
+@pytest.mark.parametrize("kind", ["imu", "velocity", "coverage"])
 @pytest.mark.parametrize(
-    "persistent", [None, PersistentError(np.eye(3) * 1e-3)], ids=["plain", "persistent"]
+    "persistent", [None, PersistentError(np.eye(3) * 1e-3, window=2)], ids=["plain", "persistent"]
 )
 def test_a_few_samples_in_a_run_are_the_same_one_by_one(kind, persistent, stride):
     rng = np.random.default_rng(11)
     (t, gyro, accel), v_I, cov = moving(8, rng), rng.normal(size=(2, 3)), 0.1 * np.eye(3)
     start, rows = (NavState(), 0.01 * np.eye(15)), np.array([2, 5])
-    one = filter_of(*start, persistent=persistent)
+    one, pi = filter_of(*start, persistent=persistent), []
+    given = {"stride": stride, "persistent": persistent}
     if kind == "imu":
         if persistent is not None:
             pytest.skip("there is no observer whose error could persist")
         whole = run_imu(t, gyro, accel, *start, stride=stride)
+    elif kind == "velocity":
+        whole = run_velocity(t, gyro, accel, rows, v_I, cov, *start, **given)
     else:
-        whole = run_velocity(
-            t, gyro, accel, rows, v_I, cov, *start, stride=stride, persistent=persistent
-        )
+        whole = run_coverage(t, gyro, accel, rows, v_I, EPSILON, 0.8, *start, **given)
     states = []
     for k in range(len(t)):
         if k:
             one.predict(gyro[k], accel[k], t[k] - t[k - 1])
-        for m in np.flatnonzero(rows == k) if kind == "velocity" else ():
-            one.update_velocity(v_I[m], cov)
+        for m in np.flatnonzero(rows == k):
+            if kind == "velocity":
+                one.update_velocity(v_I[m], cov)
+            elif kind == "coverage":
+                pi.append(one.update_coverage(v_I[m], EPSILON, 0.8))
         states.append(one.state)
     assert_array_equal(whole.t, t[::stride])
     assert_array_equal(whole.p_GI, [state.p_GI for state in states[::stride]])
@@ -213,6 +167,12 @@ def test_a_few_samples_in_a_run_are_the_same_one_by_one(kind, persistent, stride
     assert whole.covariance is not None
     if (len(t) - 1) % stride == 0:
         assert_array_equal(whole.covariance[-1], one.covariance)
+    if kind == "coverage":
+        assert whole.updates is not None
+        done = np.array([x for x in pi if np.isfinite(x)])
+        assert len(done) == (2 if persistent is None else 1)
+        assert_array_equal(whole.updates.pi, done)
+        assert_array_equal(whole.updates.active, done < 0.8)
 
 
 def test_a_run_goes_on_from_the_last_row_of_the_one_before():

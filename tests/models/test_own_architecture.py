@@ -1,7 +1,7 @@
 """A network in a package of a user's own is one like ours: in help, files, training and loops."""
 
 import pytest
-from own_package import lines_of_script, run_with
+from own_package import lines_of_script
 
 from surefoot.models.observer.observer import Observer, ObserverError
 
@@ -44,8 +44,3 @@ def test_an_own_network_is_offered_trained_and_run(tmp_path):
     assert learning.startswith("averages ['averages', '")
     with pytest.raises(ObserverError, match=r"unknown model 'averages'; known: gru, mlp"):
         Observer.load(tmp_path / "observer.pt")
-
-
-def test_the_command_offers_it():
-    done = run_with("own_architecture", "-m", "surefoot", "train", "--help")
-    assert "--model {gru,mlp,rnn,lstm,bigru,tcn,averages}" in done.stdout

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from mutate import mutants_of
 from plan import PLAN, drawn, quotas, read_plan
-from run import first_outcomes, read_row, run_mutants, write_mutants_page
+from run import first_outcomes, read_row, run_mutants
 from trial import Covering, Outcome, Workplace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -193,25 +193,6 @@ def test_tests_that_name_a_neighbour_of_the_module_come_before_those_of_commands
 
 def covering(name: str, seconds: float) -> Covering:
     return Covering(name, seconds, frozenset({"estimator/tiny.py:same"}))
-
-
-def test_the_page_tells_survivors_from_functions_without_a_test(tmp_path):
-    row = {"file": "a/b.py", "line": 3, "kind": "sign", "after": "-", "tests": 0}
-    outcomes = ["killed", "survived", "uncovered", "timeout"]
-    rows = [
-        {**row, "key": str(k), "before": f"x{k}", "outcome": outcome, "seconds": 1.0}
-        for k, outcome in enumerate(outcomes)
-    ]
-    words = write_mutants_page(tmp_path / "page.md", 500, rows, ["killed"] * 9 + ["survived"])
-    assert words.startswith("2 of the 4 mutants")
-    assert "1 are killed by the time they took, 1 survived, of 1 no test" in words
-    # Clopper and Pearson's interval of nine in ten.
-    assert "90.0 % were killed" in words
-    assert "55.5 to 99.7 %" in words
-    files = {path.stem: path.read_text() for path in (tmp_path / "page").glob("*.csv")}
-    assert "x1" in files["survivors"]
-    assert "x2" in files["without_a_test"]
-    assert "equivalent" not in files
 
 
 def test_the_draw_is_that_of_its_seed_and_has_every_file_by_its_share():

@@ -33,16 +33,6 @@ source = "a test as well"
 """
 
 
-def test_both_suites_have_the_condition_with_a_source_for_each_size():
-    for suite in ("spot", "vision60"):
-        names = {c.name: c for c in Experiment.load(suite).conditions}
-        assert list(names) == ["as drawn", "as built", "as walked"]
-        walked = names["as walked"].walked
-        assert walked is not None
-        assert all(len(one.source) > 20 for one in (walked, *walked.size))
-        assert not names["as walked"].declared
-
-
 def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_path):
     (tmp_path / "walked.toml").write_text(FILE)
     walked = load_as_walked(tmp_path / "walked.toml")
@@ -84,7 +74,7 @@ def test_bad_files_are_one_clear_line(tmp_path, was, now, said):
     refused(said, load_as_walked, tmp_path / "walked.toml")
 
 
-@pytest.mark.parametrize("course", ["Upstair", "Downstair"])
+@pytest.mark.parametrize("course", ["Upstair", pytest.param("Downstair", marks=pytest.mark.long)])
 def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
     suite = Experiment.load("spot")
     condition = next(c for c in suite.conditions if c.name == "as walked")

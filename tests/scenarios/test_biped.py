@@ -89,7 +89,10 @@ def test_columns_in_another_order_are_the_same_robot(robot, log):
 
 @pytest.mark.parametrize(
     ("name", "target", "size"),
-    [("encoder_offset", "left_knee", 0.02), ("link_length", "right_knee", 0.01)],
+    [
+        ("encoder_offset", "left_knee", 0.02),
+        pytest.param("link_length", "right_knee", 0.01, marks=pytest.mark.long),
+    ],
 )
 def test_what_one_of_its_legs_lacks_is_traced(robot, log, name, target, size):
     one = effect(name, target, size)

@@ -102,14 +102,6 @@ def test_a_log_whose_robot_nobody_names_is_named(line, tmp_path, monkeypatch):
     refused("mine: the log names no robot: say which", main, line.split(), error=SystemExit)
 
 
-def test_unknown_options_are_refused(folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    with pytest.raises(SystemExit) as exit_info:
-        main("estimate log.parquet --filtre leg".split())
-    assert exit_info.value.code == 2
-    assert "--filtre" in capsys.readouterr().err
-
-
 def test_simulate_then_estimate(folder, monkeypatch, capsys):
     """The same seed walks the same log; the leg filter then follows it."""
     monkeypatch.chdir(folder)

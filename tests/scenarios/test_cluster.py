@@ -83,6 +83,7 @@ def digests(folder: str) -> dict[str, str]:
     }
 
 
+@pytest.mark.long
 def test_a_worker_dies_half_way_and_no_bit_differs(cluster):
     """Two processes walk, one is killed by SIGKILL as soon as the first log is here."""
 

@@ -15,7 +15,6 @@ from surefoot.scenarios.compare import (
     _pictures,
     command_line,
     error_summary,
-    left_out_lines,
     with_best_marked,
 )
 from surefoot.scenarios.estimate.run import Result
@@ -41,14 +40,6 @@ def test_a_consistent_filter_stays_within_the_interval_on_19_of_20_walks():
     nees = np.square(np.random.default_rng(0).normal(size=(20000, 3))).sum(axis=1)
     low, high = ONE_WALK
     assert np.mean((nees > low) & (nees < high)) == pytest.approx(0.95, abs=0.005)
-
-
-def test_filters_of_one_reason_are_one_line():
-    reasons = {"a": "needs --bounds", "b": "yard: the log lacks contact", "c": "needs --bounds"}
-    assert left_out_lines("yard", reasons) == [
-        "left out on yard: a, c (needs --bounds)",
-        "left out on yard: b (the log lacks contact)",
-    ]
 
 
 def test_the_best_of_each_log_is_marked_and_empty_columns_go():

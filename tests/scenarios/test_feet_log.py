@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from processes import ended
 from refusals import refused
 from synthetic import without
 from written import written
@@ -14,7 +15,6 @@ from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.run import every_row
 from surefoot.scenarios.cli.estimate import NOT_TRUSTED
-from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Beginning, Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import (
@@ -27,42 +27,31 @@ from surefoot.scenarios.estimate.run import (
 )
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.estimate.tuned import tuned
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 SCALER = measured_folder() / "scaler_trot"
 NAMES = {"FL": "a", "FR": "b", "RL": "c_1", "RR": "d"}
 
 
-def stopped(*arguments: str) -> object:
-    """The exit code or message of a command; None where all is well."""
-    try:
-        return main(list(arguments))
-    except SystemExit as stop:
-        return stop.code
-
-
 @pytest.fixture(scope="module")
-def robot():
+def point_feet():
     """Its feet are points: nothing in foot positions says how a foot turns while it rolls."""
     return replace(Robot.load("spot_class"), foot_radius=np.zeros(4))
 
 
 @pytest.fixture(scope="module")
-def log():
-    course = Scenario("short", (Segment(4.0, 0.5, turn=0.3),), Ground(0.8))
-    return walk(course, Robot.load("spot_class"), seed=0)
+def log(log):
+    """A few seconds of the walk that all tests share."""
+    return log.rows(slice(0, 3000))
 
 
 @pytest.fixture(scope="module")
-def feet(log, robot) -> Log:
+def feet(log, point_feet) -> Log:
     """The walk as a robot of legs a, b, c_1 and d would log it that hides its joints."""
-    places = robot.feet_I(log.q)
+    places = point_feet.feet_I(log.q)
     others = [c for c in log.frame if c == "t" or c.startswith(("gyro", "accel", "contact", "ref"))]
     frame = log.frame[others].rename(
         columns={f"contact_{leg}": f"contact_{NAMES[leg]}" for leg in NAMES}
@@ -77,12 +66,12 @@ def feet(log, robot) -> Log:
 
 
 @pytest.mark.parametrize("name", ["leg", "leg_slip"])
-def test_foot_positions_say_what_joint_angles_do(name, log, feet, robot):
+def test_foot_positions_say_what_joint_angles_do(name, log, feet, point_feet):
     """Where the error of a foot does not come from its joints, whose arms only the angles tell."""
     one = estimator_named(name)
     values = FilterSettings(filters={name: tuned(None).of(one) | {"encoder": 1e-9}})
     plain = replace(log, meta=replace(log.meta, effects=()))
-    by_joints = estimated(one, plain, robot, Learnt(), values)
+    by_joints = estimated(one, plain, point_feet, Learnt(), values)
     by_feet = estimated(one, feet, None, Learnt(), values)
     for field in ("R_GI", "v_GI", "p_GI", "b_a", "b_g"):
         np.testing.assert_allclose(getattr(by_feet, field), getattr(by_joints, field), atol=1e-9)
@@ -91,8 +80,8 @@ def test_foot_positions_say_what_joint_angles_do(name, log, feet, robot):
     assert np.abs(np.subtract(by_feet.covariance, by_joints.covariance)).max() < 1e-9
 
 
-def test_with_the_usual_errors_both_estimate_as_well(log, feet, robot):
-    by_joints = run_filter("leg", log, robot).metrics
+def test_with_the_usual_errors_both_estimate_as_well(log, feet, point_feet):
+    by_joints = run_filter("leg", log, point_feet).metrics
     by_feet = run_filter("leg", feet, None).metrics
     assert by_joints is not None
     assert by_feet is not None
@@ -114,13 +103,13 @@ def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
         assert np.abs(np.subtract(other.covariance, whole.covariance)).max() < 1e-9
 
 
-def test_joint_angles_of_a_known_robot_come_first(log, feet, robot):
+def test_joint_angles_of_a_known_robot_come_first(log, feet, point_feet):
     """Foot positions that somebody adds to a log do not change what is estimated."""
     wrong = feet.frame.filter(like="foot_").rename(
         columns={f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}
     )
     more = replace(log, frame=pd.concat([log.frame, 2.0 * wrong], axis=1))
-    same, as_it_was = (run_filter("leg", one, robot).trajectory for one in (more, log))
+    same, as_it_was = (run_filter("leg", one, point_feet).trajectory for one in (more, log))
     np.testing.assert_array_equal(same.p_GI, as_it_was.p_GI)
 
 
@@ -138,17 +127,17 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
     path = tmp_path / "feet.parquet"
     feet.write(path)
     for name in ("leg", "leg_slip", "imu"):
-        assert stopped("estimate", str(path), "--filter", name) in (None, NOT_TRUSTED)
+        assert ended(f"estimate {path} --filter {name}") in (None, NOT_TRUSTED)
     capsys.readouterr()
-    assert stopped("compare", str(path), "-o", str(tmp_path / "compared")) is None
+    assert ended(f"compare {path} -o {tmp_path}/compared") is None
     assert "radar_leg (the log names no robot: say which)" in capsys.readouterr().out
     assert "No recording" in (tmp_path / "compared" / "report.html").read_text()
     results, left_out = run_all(feet, None, Learnt())
     assert {result.filter for result in results} == {"leg", "leg_slip", "imu"}
     assert "radar_leg" in left_out
-    assert stopped("trace", str(path), "-o", str(tmp_path / "traced")) is None
+    assert ended(f"trace {path} -o {tmp_path}/traced") is None
     assert "too short" in capsys.readouterr().out
-    said = str(stopped("loop", str(path), "-o", str(tmp_path / "looped")))
+    said = str(ended(f"loop {path} -o {tmp_path}/looped"))
     assert "its foot positions suffice for estimate, compare, align and trace" in said
 
 
@@ -156,14 +145,14 @@ def test_what_is_missing_is_one_line(tmp_path, feet):
     bare = without(feet, "foot")
     refused(r"lacks foot \(foot_a_x, .*\) and q \(q_<joint>\)", run_filter, "leg", bare, None)
     declared = ({"name": "gyro_bias", "target": "x", "value": 0.01, "unit": "rad/s"},)
-    told = replace(feet, meta=replace(feet.meta, effects=declared))
-    assert run_filter("leg", told, None).metrics is not None
+    declaring = replace(feet, meta=replace(feet.meta, effects=declared))
+    assert run_filter("leg", declaring, None).metrics is not None
     path = tmp_path / "feet.parquet"
     names = {f"contact_{name}": f"contact_{leg}" for leg, name in NAMES.items()}
     names |= {f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}
     known = replace(feet.meta, robot="spot_class")
     replace(feet, frame=feet.frame.rename(columns=names), meta=known).write(path)
-    said = str(stopped("train", str(path), "-o", str(tmp_path / "observer")))
+    said = str(ended(f"train {path} -o {tmp_path}/observer"))
     assert "lacks q (q_" in said
     assert "\n" not in said
 
@@ -210,7 +199,7 @@ def test_the_leg_filter_runs_on_a_measured_walk_of_five_bar_legs(tmp_path):
     assert log.foot_I.shape == (len(log.t), 4, 3)
     assert log.meta.robot is None
     log.write(tmp_path / "scaler.parquet")
-    options = ["--filter", "leg", "-o", str(tmp_path / "estimate.parquet")]
-    assert stopped("estimate", str(tmp_path / "scaler.parquet"), *options) in (None, NOT_TRUSTED)
+    line = f"estimate {tmp_path}/scaler.parquet --filter leg -o {tmp_path}/estimate.parquet"
+    assert ended(line) in (None, NOT_TRUSTED)
     path = Trajectory.read(tmp_path / "estimate.parquet").p_GI
     assert 1.0 < np.linalg.norm(path[-1, :2] - path[0, :2]) < 3.0

@@ -43,39 +43,12 @@ def errors(walk):
 
 @pytest.fixture(scope="module")
 def drawn(walk, errors) -> dict[str, Figure]:
-    rng = np.random.default_rng(1)
-    train, test = rng.normal(0, 0.02, (2000, 3)), rng.normal(0.02, 0.03, (2000, 3))
-    level = ChannelLevel(0.3, 0.1, 0.08, "m/s")
     return {
         "trajectories": figures.trajectories(walk.log, errors, walk.patches),
         "height": figures.height_figure(walk.log, errors),
-        "velocity": figures.velocity_figure(walk.log, walk.prediction, walk.bounds.epsilon),
         "error": figures.position_error(errors),
         "axes": figures.errors_by_axis(errors),
-        "distributions": observer_errors.error_distributions(
-            train, test, walk.bounds.epsilon, walk.bounds.gamma
-        ),
-        "mixing": observer_errors.mixing_curve(mixing(train)),
-        "over floor": over_floor({"leg_velocity": level}),
     }
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("trajectories", ["x [m]", "y [m]", "Truth", "leg", "Start", "friction 0.20"]),
-        ("height", ["time [s]", "height z [m]", "coverage"]),
-        ("velocity", ["m/s", "time [s]", "forward", "inside ± 0.05", "Truth outside"]),
-        ("error", ["position error [m]", "coverage (100 % within 3σ)"]),
-        ("axes", ["position, x", "attitude, yaw", "velocity, forward", "deg", "time [s]", "leg"]),
-        ("distributions", ["error [m/s]", "Gaussian fit, test", "meant: at least 80 %"]),
-        ("mixing", ["lag [samples of 10 ms]", "β(lag)"]),
-        ("over floor", ["residual over noise floor", "0.3 → 0.1 m/s", "before", "after"]),
-    ],
-)
-def test_a_figure_says_what_it_shows(drawn, name, said):
-    text = words(drawn[name])
-    assert [phrase for phrase in said if phrase not in text] == []
 
 
 @pytest.mark.parametrize("name", ["trajectories", "height", "error"])
@@ -119,10 +92,6 @@ def test_a_path_of_any_shape_leaves_room_for_title_and_legend(path):
     assert bottom <= 0.0 <= path[1] <= top
 
 
-def test_legends_stand_outside_the_curves(drawn):
-    assert [name for name, one in drawn.items() if any(ax.get_legend() for ax in one.axes)] == []
-
-
 def test_residuals_stand_over_the_floor_and_what_is_not_judged_is_hollow():
     floor = {"noise_floor": 0.1, "unit": "m/s^2", "of_noise": 0.1}
     levels = {
@@ -138,16 +107,6 @@ def test_residuals_stand_over_the_floor_and_what_is_not_judged_is_hollow():
     assert filled == [True, True, False]
     colors = [to_hex(str(one.get_color())) for one in ax.texts]
     assert colors[0] == colors[2] != colors[1]  # in red only what is above its floor
-
-
-@pytest.mark.parametrize(("sequences", "columns"), [(1, 1), (2, 2), (5, 3)])
-def test_errors_over_time_leave_no_empty_column(sequences, columns):
-    part = pd.DataFrame({"t": [0.0, 1.0], "distance": [0.0, 0.1], "sigma": [0.1, 0.1]})
-    figure = errors_figure({f"walk {k}": {"leg": part} for k in range(sequences)}, "Errors")
-    shown = [ax for ax in figure.axes if ax.get_visible()]
-    assert len(shown) == sequences
-    assert len({round(ax.get_position().x0, 3) for ax in figure.axes}) == columns
-    assert all(ax.get_xlabel() == "time [s]" for ax in shown)
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.1, 0.5, 2.0])
@@ -193,8 +152,8 @@ def test_errors_by_axis_are_those_of_the_series(drawn, errors):
 
 
 def test_a_figure_counts_from_a_whole_second_of_an_epoch(errors):
-    late = {name: replace(one, t=one.t + 1.7e9) for name, one in errors.items()}
-    figure = figures.position_error(late)
+    of_epoch = {name: replace(one, t=one.t + 1.7e9) for name, one in errors.items()}
+    figure = figures.position_error(of_epoch)
     png(figure)
     (ax,) = figure.axes
     assert "1700000000" in ax.get_xlabel()
@@ -204,22 +163,17 @@ def test_a_figure_counts_from_a_whole_second_of_an_epoch(errors):
     assert all(abs(float(text.replace("−", "-"))) < 1000.0 for text in shown)
 
 
-@pytest.mark.parametrize("kind", ["pdf", "svg"])
-def test_a_figure_of_lines_is_the_same_twice(errors, tmp_path, kind):
-    for name in ("one", "two"):
-        save_figure(figures.errors_by_axis(errors), tmp_path / f"{name}.{kind}")
-    one, two = ((tmp_path / f"{name}.{kind}").read_bytes() for name in ("one", "two"))
-    assert one == two
-    assert one.startswith(b"%PDF" if kind == "pdf" else b"<?xml")
-
-
-def test_a_figure_is_a_png_and_the_same_twice(drawn, tmp_path):
-    data = png(drawn["height"])
-    assert data.startswith(b"\x89PNG")
-    assert data == png(drawn["height"])
-    save_figure(drawn["height"], tmp_path / "height.png")
+@pytest.mark.parametrize(
+    ("kind", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")]
+)
+def test_a_figure_is_the_same_twice_and_replaces_no_file(errors, drawn, tmp_path, kind, start):
+    one, two = (tmp_path / f"{name}.{kind}" for name in ("one", "two"))
+    for path in (one, two):
+        save_figure(figures.errors_by_axis(errors), path)
+    assert one.read_bytes() == two.read_bytes()
+    assert one.read_bytes().startswith(start)
     with pytest.raises(SurefootError, match="exists already"):
-        save_figure(drawn["height"], tmp_path / "height.png")
+        save_figure(drawn["axes"], one)
 
 
 def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk):
@@ -228,11 +182,6 @@ def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk)
     assert png(over_floor({}))
     assert png(figures.trajectories(walk.log, {}))
     assert png(figures.position_error({}))
-
-
-def test_unknown_estimators_keep_one_colour_and_style():
-    assert estimator_color("my_filter") == estimator_color("my_filter")
-    assert estimator_line("my_filter") in ("-", "--", "-.", ":")
 
 
 def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():

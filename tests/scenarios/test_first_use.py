@@ -1,11 +1,9 @@
 """What a fresh clone compiles, and that kernels compiled ahead are those that filters use."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from processes import printed
 
 COMPILED = """
 import collections
@@ -44,21 +42,17 @@ SEVERAL = ("add_cross_columns", "is_outlier", "_rotate", "add_velocity")
 
 def compiled(work: str, cache: Path) -> dict[str, int]:
     """Names of the functions that are compiled, and how often."""
-    environment = {**os.environ, "SUREFOOT_CACHE": str(cache)}
-    script = COMPILED.format(work=work)
-    done = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
-    )
-    pairs = (line.split(maxsplit=1) for line in done.stdout.splitlines())
+    said = printed("-c", COMPILED.format(work=work), env={"SUREFOOT_CACHE": str(cache)})
+    pairs = (line.split(maxsplit=1) for line in said.splitlines())
     return {name: int(times) for times, name in pairs}
 
 
 @pytest.mark.slow
 def test_a_fresh_clone_compiles_each_kernel_once_and_no_formatting_of_messages(tmp_path):
     first = compiled(FILTERS, tmp_path)
-    own = {name: times for name, times in first.items() if name.startswith("surefoot.estimator")}
-    assert "surefoot.estimator.filter._run" in own
-    twice = [name for name, times in own.items() if times > 1 and not name.endswith(SEVERAL)]
+    ours = {name: times for name, times in first.items() if name.startswith("surefoot.estimator")}
+    assert "surefoot.estimator.filter._run" in ours
+    twice = [name for name, times in ours.items() if times > 1 and not name.endswith(SEVERAL)]
     assert not twice
     assert not [name for name in first if ".unicode." in name]
     assert not compiled(ESTIMATES, tmp_path)

@@ -1,11 +1,10 @@
 """Walks of many minutes: simulated, indexed and estimated in the memory of one."""
 
 import json
-import subprocess
-import sys
 
 import pytest
 from dataset_index import read_index
+from processes import printed
 
 from surefoot.scenarios.datasets import simulate
 from surefoot.scenarios.settings import SimulateSettings
@@ -70,11 +69,7 @@ def peaks(folder, minutes: int) -> dict[str, dict[str, float]]:
     """Peak memory and time of simulating and of estimating so many minutes, in a process."""
     folder.mkdir()
     (folder / "laps.toml").write_text(LAP.format(laps=minutes))
-    ran = subprocess.run(
-        [sys.executable, "-c", PEAKS], cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert ran.returncode == 0, ran.stderr
-    return json.loads(ran.stdout.splitlines()[-1])
+    return json.loads(printed("-c", PEAKS, cwd=folder, timeout=None).splitlines()[-1])
 
 
 @pytest.mark.parametrize(
@@ -95,9 +90,8 @@ def test_a_thousand_walks_take_the_memory_of_twenty(tmp_path):
     (tmp_path / "step.toml").write_text(STEP)
 
     def peak(seeds: str) -> float:
-        command = [sys.executable, "-c", DATASET, seeds]
-        ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-        return float(ran.stdout.splitlines()[-1])
+        said = printed("-c", DATASET, seeds, cwd=tmp_path, timeout=None)
+        return float(said.splitlines()[-1])
 
     few, many = peak("0:20"), peak("0:1000")
     print(f"20 walks: {few:.0f} MB at most, 1000 walks: {many:.0f} MB")

@@ -8,13 +8,10 @@ from refusals import refused
 
 from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
-from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.walking.batch import walk_job
-
-SUITES = bundled("surefoot.scenarios.experiments", "suites")
 
 
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
@@ -39,11 +36,6 @@ def test_sizes_follow_the_law_of_the_file():
     assert 0.0059 < np.abs(drawn).max() <= 0.006
     compliance = Imperfection("leg_compliance", "", QUADRUPED.joints[:3], fixed=1e-4)
     assert {e.value for e in compliance.drawn(3, QUADRUPED)} == {1e-4}
-
-
-def test_every_size_of_the_suites_has_a_source():
-    for one in load_imperfections(SUITES / "as_built.toml"):
-        assert len(one.source) > 20
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from surefoot.scenarios.settings import WalksSettings
 from surefoot.scenarios.training import kept_walks, many_walks
 from surefoot.scenarios.training.drawn_course import COMMANDS, drawn_course
 from surefoot.scenarios.training.kept_walks import DrawnWalk
-from surefoot.scenarios.training.many_walks import drawn_walk, held_out_walks
+from surefoot.scenarios.training.many_walks import drawn_walk
 from surefoot.sim.gait.options import PLAIN_GAIT
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Scenario, Segment
@@ -100,8 +100,3 @@ def test_what_cannot_be_walked_is_one_line(monkeypatch, capsys, cliff):
     monkeypatch.setattr(many_walks, "ATTEMPTS", 1)
     refused("falls on every one", many_walks.many_walks, four, (str(cliff),))
     assert "1 of 1 walks left out" in capsys.readouterr().out
-
-
-def test_some_walks_are_held_out():
-    assert held_out_walks(1) >= 2
-    assert held_out_walks(120) == 20

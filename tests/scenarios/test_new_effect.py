@@ -2,12 +2,11 @@
 enough to write a class, and with the class the same log is attributed. Of the log the IMU is kept,
 so that it is quick."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from processes import printed
 from refusals import refused
 from synthetic import without
 
@@ -115,5 +114,4 @@ if __name__ == "__main__":
 def test_an_effect_that_a_script_adds_is_known_to_processes_that_it_spawns(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(ADDED)
-    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
-    assert ran.stdout.strip() == "{1: 'own'}", ran.stderr
+    assert printed(script).strip() == "{1: 'own'}"

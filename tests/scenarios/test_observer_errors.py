@@ -9,7 +9,6 @@ from surefoot.scenarios.reporting.observer_errors import (
     bound_words,
     error_bounds,
     error_distributions,
-    error_section,
     error_words,
 )
 from surefoot.scenarios.reporting.plotting import png
@@ -52,15 +51,6 @@ def test_words_name_bias_skewness_and_tails(errors):
 def test_words_say_where_the_bound_holds(errors, scale, said):
     train = errors[0]
     assert said in bound_words(scale[0] * train, scale[1] * train, EPSILON, 0.8)
-
-
-def test_the_section_holds_words_table_and_both_figures(errors):
-    train, test = errors
-    section = error_section(train, test, EPSILON, 0.8, "Stroll")
-    assert "Stroll" in section.heading
-    assert section.table is not None
-    assert len(section.table) == 6
-    assert len(section.pictures) == 2
 
 
 def test_the_bounds_figure_shows_shares_of_the_data(errors):

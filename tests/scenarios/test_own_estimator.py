@@ -13,8 +13,8 @@ from surefoot.sim.robot import Robot
 
 assert list(ESTIMATORS)[-1] == "standing_feet"
 assert "standing_feet" in Experiment("one", ()).filters
-own = ESTIMATORS["standing_feet"]()
-assert tuned(Robot.load("v60_class")).of(own) == {"accel": 0.02, "spread": 0.1}
+mine = ESTIMATORS["standing_feet"]()
+assert tuned(Robot.load("v60_class")).of(mine) == {"accel": 0.02, "spread": 0.1}
 assert estimator_color("standing_feet").startswith("#")
 assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
 """
@@ -32,13 +32,7 @@ def test_it_is_in_every_list():
     assert done.returncode == 0, done.stderr
 
 
-def test_help_names_it():
-    done = run_with("own_estimator", "-m", "surefoot", "estimate", "--help")
-    assert "standing_feet" in done.stdout
-    assert "standing_feet" not in run_with("", "-m", "surefoot", "estimate", "--help").stdout
-
-
-def test_it_is_estimated_tabled_and_drawn(file, tmp_path):
+def test_it_is_tabled_and_drawn(file, tmp_path):
     done = run_with(
         "own_estimator", "-m", "surefoot", "compare", str(file), "-o", "out", cwd=tmp_path
     )
@@ -49,7 +43,3 @@ def test_it_is_estimated_tabled_and_drawn(file, tmp_path):
     assert errors["standing_feet"] < errors["imu"]
     report = (tmp_path / "out" / "report.html").read_text()
     assert "Mean velocity of the standing feet" in report
-    command = ("estimate", str(file), "--filter", "standing_feet", "-o", "own.parquet")
-    done = run_with("own_estimator", "-m", "surefoot", *command, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "own.tum").stat().st_size > 1000

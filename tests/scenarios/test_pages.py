@@ -81,16 +81,6 @@ def test_a_page_is_stale_once_its_code_differs_or_is_unknown(tmp_path):
     assert read_origin(path) == Origin()
 
 
-def test_what_was_written_by_hand_goes_when_a_page_is_made_again(tmp_path):
-    path = tmp_path / "some.md"
-    write_page(path, "Some", [Section("Old")], origin_of(MODULE, "x"))
-    path.write_text(f"{path.read_text()}\n0.12 m, typed by hand\n")
-    write_page(path, "Some", [Section("New")], origin_of(MODULE, "x"))
-    assert "## New\n\n## Origin" in path.read_text()
-    assert "typed by hand" not in path.read_text()
-    assert "Old" not in path.read_text()
-
-
 def test_a_case_is_run_once_for_its_inputs_and_code(tmp_path):
     runs = []
 

@@ -71,11 +71,6 @@ def test_any_text_comes_out_as_it_went_in(text):
     assert set(page.tags) <= set(Page(html_report("a", [plain])).tags)
 
 
-def test_paragraphs_are_kept_apart():
-    page = Page(html_report("T", [Section("H", "one\n\ntwo\n\n\n")]))
-    assert page.tags.count("p") == 2
-
-
 def test_parts_of_a_section_are_headed_below_it_and_no_chapters_of_their_own():
     sections = [Section("A"), Section("B"), *nested([Section("b")]), Section("C")]
     page = html_report("T", sections)

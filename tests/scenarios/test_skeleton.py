@@ -1,10 +1,10 @@
 """`surefoot new estimator`: what it writes passes its own test and runs beside the others."""
 
 import os
-import subprocess
-import sys
+import tomllib
 
 import pytest
+from processes import python
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Estimator
@@ -18,20 +18,13 @@ def folder(tmp_path, monkeypatch, capsys):
     return tmp_path / "two_feet"
 
 
-def run(folder, *arguments: str) -> subprocess.CompletedProcess:
+def run(folder, *arguments: str):
     path = os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return python(*arguments, cwd=folder, env={"PYTHONPATH": path})
 
 
 def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
-    pytest_ = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")[1:]
+    pytest_ = ("-m", "pytest", "-q", "-p", "no:cacheprovider")
     passed = run(folder, *pytest_)
     assert passed.returncode == 0, passed.stdout
     module = folder / "two_feet.py"
@@ -39,21 +32,17 @@ def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
     assert "failed" in run(folder, *pytest_).stdout
 
 
-def test_it_runs_as_a_plugin_and_as_a_package(log, folder):
+def test_it_runs_as_a_plugin_and_its_package_offers_the_same(log, folder):
     log.write(folder / "log.parquet")
     line = ("-m", "surefoot", "estimate", "log.parquet", "--filter", "two_feet")
     ran = run(folder, *line, "--plugin", "two_feet.py")
     assert "APE_trans" in ran.stdout, ran.stderr
-    # As `pip install` leaves it: a folder of metadata beside the module.
-    info = folder / "two_feet-0.1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: two-feet\nVersion: 0.1.0\n")
-    lines = (folder / "pyproject.toml").read_text().splitlines()
-    point = lines[1 + lines.index('[project.entry-points."surefoot.estimators"]')]
-    points = f"[surefoot.estimators]\n{point.replace(chr(34), '')}\n"
-    (info / "entry_points.txt").write_text(points)
-    ran = run(folder, *line)
-    assert "APE_trans" in ran.stdout, ran.stderr
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    ((name, place),) = project["entry-points"]["surefoot.estimators"].items()
+    module, _, kind = place.partition(":")
+    assert (folder / f"{module}.py").is_file()
+    assert f'name = "{name}"' in (folder / f"{module}.py").read_text()
+    assert f"class {kind}" in (folder / f"{module}.py").read_text()
 
 
 @pytest.mark.parametrize("name", ["leg", "Big", "class", "../up", "a-b"])

@@ -104,21 +104,6 @@ def test_every_member_of_a_registry_counts_where_it_is_named(registry, holder):
         assert module in found, name
 
 
-@pytest.mark.parametrize(
-    "module",
-    [
-        "surefoot.scenarios.viewer.recording",
-        "surefoot.scenarios.experiments.products",
-        "studies.hardware.go1",
-        "surefoot.scenarios.tune",
-    ],
-)
-def test_whatever_runs_filters_is_made_of_the_bundled_ones(module):
-    found = imported_sources(module)
-    assert {"surefoot.scenarios.estimate.bundled", "surefoot.estimator.filters.leg"} & set(found)
-    assert ESTIMATORS["leg"].__module__ in found
-
-
 def test_a_walk_depends_on_what_its_robot_includes(machine):
     name, part = machine
     before = recipe(Job(WALK, name, 0))

@@ -26,9 +26,9 @@ def arm(tmp_path_factory) -> Modelled:
     ("name", "target", "value"),
     [
         ("link_mass", "elbow", 0.1),
-        ("link_mass", "shoulder", 0.2),
-        ("link_com", "elbow_z", -0.02),
-        ("link_inertia", "elbow", 0.01),
+        pytest.param("link_mass", "shoulder", 0.2, marks=pytest.mark.long),
+        pytest.param("link_com", "elbow_z", -0.02, marks=pytest.mark.long),
+        pytest.param("link_inertia", "elbow", 0.01, marks=pytest.mark.long),
     ],
 )
 def test_a_wrong_link_of_an_arm_is_named_with_its_size(arm, name, target, value):

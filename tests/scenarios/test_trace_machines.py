@@ -63,6 +63,7 @@ def test_dry_friction_of_a_slide_is_named_though_it_sticks_at_every_turn(tmp_pat
     assert again.verdict == "no_residual", summary(again)
 
 
+@pytest.mark.long
 def test_a_load_on_a_link_is_its_mass_and_where_it_is(tmp_path):
     arm = machine(ARM, tmp_path)
 
@@ -76,6 +77,7 @@ def test_a_load_on_a_link_is_its_mass_and_where_it_is(tmp_path):
     assert {name for name, _ in sizes} <= {"link_mass", "link_com", "link_inertia"}
 
 
+@pytest.mark.long
 def test_large_loads_rotors_and_frictions_of_slides_are_within_bounds(tmp_path):
     """A gantry of 26 kg: 12 kg on its ram, and a viscous belt."""
     gantry = machine(GANTRY, tmp_path)

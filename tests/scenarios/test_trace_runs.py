@@ -9,10 +9,9 @@ import pandas as pd
 import pytest
 from pendulum import swung
 
-from surefoot.models.attribution.effect_sizes import Found
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.run import TraceOptions, trace, trace_logs, unchanged_beside
-from surefoot.scenarios.trace.words import size_in_words, summary
+from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
@@ -86,6 +85,7 @@ def test_a_held_out_run_without_the_effect_says_so():
     assert why in found.reasons
 
 
+@pytest.mark.long
 def test_a_held_out_run_is_not_evaluated_where_its_joint_sticks():
     """At rest the drive pushes with any torque that dry friction holds."""
     moves = run(1, friction=0.4)
@@ -105,7 +105,7 @@ def test_a_held_out_run_is_not_evaluated_where_its_joint_sticks():
     assert levels[1] == pytest.approx(levels[0], rel=0.1)
 
 
-@pytest.mark.parametrize("zero", [0.0, 0.1])
+@pytest.mark.parametrize("zero", [pytest.param(0.0, marks=pytest.mark.long), 0.1])
 def test_nothing_has_changed_but_a_zero(zero):
     found = trace_logs([run(3, zero, armature=0.03)], PENDULUM, TraceOptions(declared=[ROTOR]))
     assert found.effects == ()
@@ -121,6 +121,7 @@ def test_what_has_changed_is_named_and_what_was_declared_is_not():
     assert "armature" not in [e.name for e in found.effects]
 
 
+@pytest.mark.long
 def test_less_friction_than_was_declared_is_named_and_less_than_none_is_not():
     had, has = 0.5, 0.3
     declared = [effect("coulomb_friction", "shoulder", had)]
@@ -153,23 +154,6 @@ def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
         main([*common, str(tmp_path / "same"), "--holdout", first])
 
 
-@pytest.mark.parametrize(
-    ("name", "target", "words"),
-    [
-        ("link_length", "calf", "link_length of every calf +6 mm"),
-        ("link_length", "FR_calf", "link_length FR_calf +6 mm"),
-        ("foot_rolling", "left", "foot_rolling of the left legs +6 mm"),
-        ("foot_rolling", "all", "foot_rolling of all legs +6 mm"),
-        ("foot_rolling", "FL", "foot_rolling FL +6 mm"),
-        ("payload", "all", "payload all +0.006 kg"),
-        ("link_mass", "all", "link_mass of all links +0.006 kg"),
-    ],
-)
-def test_targets_read_as_one_would_say_them(name, target, words):
-    one = effect(name, target, 0.006)
-    assert size_in_words(Found(one, (0.0, 0.01)), one.unit).startswith(words)
-
-
 def test_runs_without_torques_are_traced():
     """One candidate alone is left: a delay of the rates."""
     logs = [
@@ -184,6 +168,7 @@ def test_a_log_is_given_once(tmp_path):
         trace([run(0), run(1), run(0)], PENDULUM, tmp_path)
 
 
+@pytest.mark.long
 def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path, capsys):
     """A rotor seems another in each run: one more such run is no change, friction is one."""
     logs = [run(k, armature=x) for k, x in ((0, 0.01), (1, 0.03), (2, 0.05), (5, 0.02))]
@@ -212,6 +197,7 @@ def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path
     assert changed.effects[0].value == pytest.approx(0.5, rel=0.25)
 
 
+@pytest.mark.long
 def test_a_bias_of_all_runs_is_no_change_and_nor_is_the_order_of_effects(tmp_path):
     """A torque sensor's zero, which each run has at about one size, and a drive's effects."""
 

@@ -126,6 +126,7 @@ def test_feet_that_yield_are_not_taken_for_lost_friction(robot, one):
     assert slip_effect(estimate_friction([case], np.random.default_rng(0))) == ()
 
 
+@pytest.mark.long
 def test_friction_is_that_with_the_effects_found_compensated():
     """Joints of a fast clock make seeming slides, which are gone once the clock is found."""
     fast = effect("clock_scale", "joints", 0.002)

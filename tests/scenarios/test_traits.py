@@ -1,23 +1,10 @@
 """What estimators say of themselves decides where they are drawn, ranked and compared."""
 
-import re
-from pathlib import Path
-
 import pandas as pd
-import pytest
 
-from surefoot.scenarios.estimate import bundled
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, Traits, traits
 from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.findings import suite_findings, suite_overview
-
-MODULES = (
-    "viewer/recording.py",
-    "trace/loop_report.py",
-    "trace/filters.py",
-    "experiments/findings.py",
-    "experiments/report.py",
-)
 
 
 class Mine:
@@ -34,14 +21,6 @@ def test_one_of_each_kind_is_no_variant():
     short = [name for name in ESTIMATORS.bundled if not traits(name).variant]
     assert short == ["coverage", "velocity", "leg", "imu"]
     assert [name for name in ESTIMATORS.bundled if not traits(name).drawn] == ["imu"]
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_no_list_of_filters_is_written_by_hand(module):
-    text = (Path(bundled.__file__).parents[1] / module).read_text()
-    names = "|".join(ESTIMATORS.bundled)
-    compared = re.findall(rf'(?:==|!=|in|startswith)[ (]+(?:"(?:{names})"[, ]*)+', text)
-    assert compared == []
 
 
 def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch):

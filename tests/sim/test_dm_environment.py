@@ -1,13 +1,12 @@
 """The dm_env environment: a foreign controller drives, and the Log is as if we had walked."""
 
-import subprocess
-import sys
 import unittest
 
 import dm_env
 import numpy as np
 import pytest
 from dm_env import test_utils
+from processes import printed
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
@@ -137,6 +136,5 @@ def test_without_dm_control_it_is_one_line_that_says_what_to_install():
         "try: import surefoot.sim.walking.dm_environment\n"
         "except SurefootError as error: print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    (line,) = done.stdout.splitlines()
+    (line,) = printed("-c", script).splitlines()
     assert "pip install dm-control" in line

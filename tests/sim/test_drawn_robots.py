@@ -41,14 +41,19 @@ def drawn(tmp_path, text: str) -> Robot:
 @pytest.mark.parametrize(
     "foot",
     [
-        BOX,
         '<geom type="cylinder" pos="0 0 -.19" size=".015 .02"/>',
-        '<geom type="cylinder" pos="0 0 -.2" size=".025 .008"/>',
-        '<geom type="cylinder" pos="0 0 -.2" size=".02 .02" euler="1.57 0 0"/>',
-        '<geom type="ellipsoid" pos="0 0 -.2" size=".03 .02 .02"/>',
-        '<geom type="capsule" fromto="0 -.02 -.2 0 .02 -.2" size=".02"/>',
         '<geom type="mesh" mesh="f" pos="0 0 -.2" mass=".03"/>',
         f'<geom size=".025"/>{BOX}',
+        *(
+            pytest.param(one, marks=pytest.mark.long)
+            for one in (
+                BOX,
+                '<geom type="cylinder" pos="0 0 -.2" size=".025 .008"/>',
+                '<geom type="cylinder" pos="0 0 -.2" size=".02 .02" euler="1.57 0 0"/>',
+                '<geom type="ellipsoid" pos="0 0 -.2" size=".03 .02 .02"/>',
+                '<geom type="capsule" fromto="0 -.02 -.2 0 .02 -.2" size=".02"/>',
+            )
+        ),
     ],
 )
 def test_it_walks_on_feet_of_any_shape(tmp_path, foot):

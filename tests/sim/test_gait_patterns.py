@@ -39,12 +39,6 @@ def test_feet_swing_when_the_pattern_says(name):
         assert np.mean(log.contact[(log.t > 2.0) & (log.t < 6.0)].sum(axis=1) >= 3) > 0.75
 
 
-def test_the_trot_is_what_it_was():
-    trot = plan(Scenario("flat", (Segment(1.0, 0.3),), Ground(0.8)), ROBOT, 0).gait
-    assert trot.period == 0.5 * np.sqrt(ROBOT.leg_length / 0.66)
-    assert (trot.duty, trot.phase.tolist()) == (0.6, [0.0, 0.5, 0.5, 0.0])
-
-
 def test_what_is_no_gait_is_one_line():
     refused("did you mean 'trot'", GaitOptions, pattern="trott")
     for wrong in (Pattern((0.0, 0.5, 0.5, 1.5), 0.6), Pattern((0.0, 0.5, 0.5, 0.0), 0.99)):

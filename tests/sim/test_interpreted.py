@@ -1,16 +1,15 @@
 """Without numba's compiler (NUMBA_DISABLE_JIT, for debuggers and coverage) kernels do the same."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
+import pytest
+from processes import printed
 
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import walk
 
+INTERPRETED = {"NUMBA_DISABLE_JIT": "1"}
 SCENARIO = """
 name = "short"
 robot = "spot_class"
@@ -19,14 +18,11 @@ segment = [{duration = 0.3, forward = 0.3}]
 """
 
 
+@pytest.mark.long
 def test_an_interpreted_walk_is_the_compiled_one(tmp_path):
     file = tmp_path / "short.toml"
     file.write_text(SCENARIO)
-    subprocess.run(
-        [sys.executable, "-m", "surefoot", "simulate", file, "-o", tmp_path],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-        check=True,
-    )
+    printed("-m", "surefoot", "simulate", file, "-o", tmp_path, env=INTERPRETED)
     interpreted = Log.read(tmp_path / "short_0.parquet")
     compiled = walk(Scenario.load(file), Robot.load("spot_class"), 0)
     # Compiled code contracts products and sums: the last digits differ, and steps amplify that.
@@ -44,10 +40,4 @@ start = NavState(np.eye(3), np.zeros(3), np.zeros(3))
 made = InvariantFilter(start, 0.01 * np.eye(15), FilterNoise())
 made.predict(np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.01)
 """
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
+    printed("-c", code, env=INTERPRETED)

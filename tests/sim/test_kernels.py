@@ -1,7 +1,6 @@
 """What a user is told while kernels are compiled, and what a compiled kernel accepts."""
 
 import errno
-import gc
 import importlib
 import os
 import sys
@@ -13,7 +12,6 @@ from numba.core.caching import IndexDataCacheFile
 from surefoot.sim.common.kernels import (
     COMPILE_TIME,
     QUIET_TIME,
-    RARE_COLLECTION,
     _Compilation,
     compiled,
     kernel,
@@ -87,18 +85,3 @@ def test_a_kernel_compiled_for_a_signature_refuses_other_arguments():
     assert total(np.ones(3)) == 3.0
     with pytest.raises(TypeError):
         total(np.ones((3, 2))[:, 0])
-
-
-def test_garbage_is_collected_rarely_while_kernels_are_compiled_and_as_usual_afterwards():
-    usual, listener = gc.get_threshold(), _Compilation()
-    gc.set_threshold(701, 11, 9)
-    try:
-        for depth in range(2):  # a kernel, and one that it calls
-            listener.on_start(None)  # type: ignore[arg-type]
-            assert gc.get_threshold()[:2] == RARE_COLLECTION[:2], depth
-        listener.on_end(None)  # type: ignore[arg-type]
-        assert gc.get_threshold()[:2] == RARE_COLLECTION[:2]
-        listener.on_end(None)  # type: ignore[arg-type]
-        assert gc.get_threshold()[:2] == (701, 11)
-    finally:
-        gc.set_threshold(*usual)

@@ -6,28 +6,16 @@ from numpy.testing import assert_allclose
 from synthetic import without
 
 from surefoot.sim.common.gravity import GRAVITY_G
+from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.momentum_balance import momentum_balance
-from surefoot.sim.scenario import Scenario
+from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.walk import walk
 
-WALK = """
-name = "walk"
-robot = "spot_class"
-[ground]
-mu = 0.8
-[[segment]]
-duration = 4.0
-forward = 0.5
-turn = 0.3
-"""
-
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory, robot):
-    file = tmp_path_factory.mktemp("walk") / "walk.toml"
-    file.write_text(WALK)
-    return walk(Scenario.load(file), robot, seed=2)
+def log(robot):
+    return walk(Scenario("walk", (Segment(4.0, 0.5, turn=0.3),), Ground(0.8)), robot, seed=2)
 
 
 def test_torques_are_those_of_the_motors(log, robot):
@@ -56,9 +44,9 @@ def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):
 def test_feet_share_the_load_by_their_sensors_in_any_unit_before_they_count_as_standing(log, robot):
     """Of contacts that begin and end at half the load, as those of a pad that is read so."""
     half = 0.5 * np.median(log.force[log.contact])
-    late = {f"contact_{leg}": 1.0 * (log.force[:, i] > half) for i, leg in enumerate(log.legs)}
+    delayed = {f"contact_{leg}": 1.0 * (log.force[:, i] > half) for i, leg in enumerate(log.legs)}
     by_counts = {f"force_{leg}": 7.0 + 3.0 * log.force[:, i] for i, leg in enumerate(log.legs)}
-    seen = log.with_columns(late)
+    seen = log.with_columns(delayed)
     up_B = log.ref_R_GI[:, 2] @ robot.R_BI.T
     walks = log.t - log.t[0] > 1.0
 

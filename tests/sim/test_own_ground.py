@@ -257,15 +257,15 @@ def test_a_patch_that_slips_follows_the_fields_lattice(tmp_path):
     assert far.snapped(grid(tmp_path).ground.fields[0]) != far
 
 
-def test_a_walk_over_any_bundled_course_keeps_its_ground():
+def test_a_log_keeps_the_ground_of_any_bundled_course():
     for name in bundled_scenarios():
         scenario = Scenario.load(name)
-        ground = plan(scenario, Robot.load(str(scenario.robot)), 0).ground
+        ground = drawn(scenario, np.random.default_rng(0)).scenario.ground
         log = Log(pd.DataFrame({"t": [0.0, 1.0]}), Meta(1.0, model=ground_metadata(ground)))
         kept = ground_of_log(log)
         assert kept is not None
         assert kept.patches == ground.patches
         (x, y), half = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 500)), ground.half_size
         there = surfaces(ground.height_map, half * x, half * y)[0]
-        drawn = surfaces(kept.height_map, half * x, half * y)[0]
-        assert np.quantile(np.abs(drawn - there), 0.98) < 1e-5, name
+        found = surfaces(kept.height_map, half * x, half * y)[0]
+        assert np.quantile(np.abs(found - there), 0.98) < 1e-5, name

@@ -71,20 +71,6 @@ def test_without_ranges_nothing_is_changed(tmp_path):
     assert (drew.period, drew.clearance, drew.gain, drew.payload) == (1.0, 1.0, 1.0, 0.0)
 
 
-@pytest.mark.parametrize("path", SUITES, ids=lambda p: p.stem)
-def test_every_scenario_of_the_house_loads(path):
-    scenario = Scenario.load(path)
-    assert scenario.robot
-    if path.parent.name in ("spot", "vision60"):
-        assert scenario.role
-
-
-def test_each_suite_has_one_course_to_train_and_one_to_calibrate_on():
-    for suite, count in (("spot", 10), ("vision60", 7)):
-        roles = [Scenario.load(p).role for p in SUITES if p.parent.name == suite]
-        assert (len(roles), roles.count("train"), roles.count("calibrate")) == (count, 1, 1)
-
-
 HIGHEST_RISER = 0.13  # m: shins strike the edges of stairs from 15 cm on
 
 

@@ -71,7 +71,13 @@ def test_its_own_robot_and_one_of_no_other_walk_it_as_written():
     assert course_for(unknown, small(0.5)) is unknown
 
 
-@pytest.mark.parametrize("name", TORQUES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *list(TORQUES)[:1],
+        *(pytest.param(name, marks=pytest.mark.long) for name in list(TORQUES)[1:]),
+    ],
+)
 def test_robots_of_the_menagerie_walk_the_demo_s_hardest_course(name):
     """Turns, a stop and ice, drawn for legs of 0.66 m; at that size those of 0.4 m fall on it."""
     file = MENAGERIE / f"{name}.xml"

@@ -210,13 +210,6 @@ def test_what_a_package_imports_when_it_is_asked_counts(house, tmp_path, start, 
     assert set(imported_sources("asking")) == {"asking", "late", *added}
 
 
-def test_a_name_of_the_public_interface_counts(house, tmp_path):
-    write(tmp_path, {"plugin": "from surefoot import Robot\n"})
-    found = imported_sources("plugin")
-    assert "surefoot.sim.robot.robot" in found
-    assert "surefoot.scenarios.trace.run" not in found
-
-
 def test_the_code_of_several_classes_is_that_of_their_modules(house, monkeypatch):
     kinds = [type(name, (), {"__module__": f"house.{name}"}) for name in ("plain", "beside")]
     before = code_digest(*kinds)

@@ -1,6 +1,5 @@
 """The bench compares like with like: the same work on both sides, the smallest times."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +9,7 @@ from whole_runs import run_coverage
 from studies.bench import walking
 from studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
 from studies.bench.filter import BENCH_GAMMA, gtsam_filter, run_updates, trial, velocity_filter
-from studies.bench.ratio import Ratio, in_turn
-from studies.bench.run import Bench, bench
-from studies.command import run_study
+from studies.bench.run import bench
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
@@ -36,18 +33,6 @@ def test_a_replay_that_ends_elsewhere_is_no_measure():
         replace(bare, last=bare.last + 1e-15).run()
 
 
-def test_in_turn_tells_the_smallest_times():
-    naps = iter([0.0, 0.05, 0.01, 0.05])
-    ours, theirs = in_turn(lambda: time.sleep(next(naps)), lambda: None, rounds=3)
-    assert 0.01 <= ours < 0.05
-    assert theirs < 0.01
-
-
-def test_the_command_prints_a_table(capsys):
-    run_study(Bench, "--only walking --rounds 1".split())
-    assert "mujoco.rollout" in capsys.readouterr().out
-
-
 def test_unknown_items_and_too_many_rounds_are_refused():
     for rounds, only, option in (
         (1, ["flying"], "--only"),
@@ -56,11 +41,6 @@ def test_unknown_items_and_too_many_rounds_are_refused():
     ):
         with pytest.raises(SurefootError, match=option):
             bench(rounds, only)
-
-
-def test_a_line_says_whether_its_target_is_met():
-    words = [Ratio("a", "b", value, 5.0, "").as_row()[""] for value in (5.0, 4.9, None)]
-    assert words == ["met", "missed", "-"]
 
 
 def test_samples_and_box_moments_do_the_same_work():

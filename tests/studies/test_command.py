@@ -1,11 +1,10 @@
 """A study on the command line: one line for bad input and for an interruption."""
 
 import signal
-import subprocess
-import sys
 from dataclasses import dataclass
 
 import pytest
+from processes import python
 
 from studies.command import run_study
 from surefoot.extend import SurefootError
@@ -28,8 +27,7 @@ run_study(Ended)
 
 @pytest.mark.parametrize("number", [int(signal.SIGINT), int(signal.SIGTERM)])
 def test_an_interrupted_study_says_in_one_line_how_it_continues(number):
-    command = [sys.executable, "-c", ENDED, "--number", str(number)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = python("-c", ENDED, "--number", number)
     assert ended.returncode == 128 + number
     (line,) = ended.stderr.splitlines()
     assert "run the same command" in line

@@ -14,7 +14,6 @@ from studies.hardware.go1 import ladder, rolling_table
 from studies.hardware.machines import MACHINES, RUNS, Measured
 from studies.hardware.report import FINDINGS, WORDS
 from studies.hardware.study import MEASURED, HardwareStudy, run_hardware
-from studies.measured import measured_folder
 from surefoot.scenarios.reporting.pages import read_origin, tables_folder
 from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.sim.common.errors import SurefootError
@@ -135,17 +134,13 @@ def test_the_chapter_of_a_real_drive_has_a_row_for_each_run(tmp_path):
     assert (tmp_path / "cases" / "ak80_pendulum.png").stat().st_size > 10_000
 
 
-def test_measured_logs_are_looked_for_beside_the_project():
-    assert measured_folder() == MEASURED
-
-
 def test_simulated_feet_tell_their_radius_by_any_part_of_the_stance():
     robot = Robot.load("spot_class")
     course = (Segment(6.0, 0.7), Segment(6.0, 0.4, turn=0.5))
     log = walk(Scenario("rolling", course, Ground(0.8)), robot, 2)
     points = replace(robot, foot_radius=np.zeros(4))
-    told = rolling_table(log, points)["radius by forward velocity [mm]"]
-    radii = [float(one.split(" ")[0]) for one in told]
+    rolling = rolling_table(log, points)["radius by forward velocity [mm]"]
+    radii = [float(one.split(" ")[0]) for one in rolling]
     assert radii == pytest.approx([1e3 * robot.foot_radius[0]] * len(radii), rel=0.2)
     assert [words for words, _ in ladder([], points)][1].startswith("not found: foot rolling")
     assert [words for words, _ in ladder([], robot)] == ["as declared"]

@@ -74,14 +74,6 @@ def test_perfect_samples_lead_along_the_true_motion(study):
     assert np.abs(found.R_GI - truth.R_GI).max() < 1e-10
 
 
-def test_the_motion_is_that_of_a_walking_base():
-    truth = true_motion(load_study())
-    speed = np.linalg.norm(truth.v_GI[:, :2], axis=1)
-    assert 0.3 < speed.mean() < 1.2
-    assert np.abs(np.diff(truth.p_GI, axis=0) * 200.0 - truth.v_GI[1:]).max() < 0.1
-    assert np.abs(truth.p_GI[:, 2]).max() < 0.05
-
-
 def test_a_trial_depends_on_its_own_seed_alone(study):
     truth = true_motion(study)
     two = make_trials(study, truth, BIASED.test, seeds(2))
