@@ -52,8 +52,9 @@ def readings(log: Log, by_feet: bool = False) -> Log:
     known = ("gyro_", "accel_", *joints, "contact_", "force_", "foot_", "ref_")
     if dead_contacts(log):
         known = tuple(name for name in known if name != "contact_")
-    read_by = (*channels().values(), *known_effects().usable()[0].values())
-    known += tuple(n for one in read_by for n in one.needs if n.startswith("x_"))
+    needs = [one.needs for one in channels().values()]
+    needs += [kind.traced.needs for kind in known_effects().usable()[0].values()]
+    known += tuple(name for of_one in needs for name in of_one if name.startswith("x_"))
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known)]
     meta = replace(log.meta, scenario=None, seed=None, effects=(), versions={})
     return Log(log.frame.filter(items=names), meta, log.name)
@@ -217,7 +218,7 @@ def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> 
     effects = [
         name
         for name, kind in sorted(known_effects().usable()[0].items())
-        if kind.is_compensated() and not kind.on_given_feet
+        if kind.is_compensated() and not kind.traced.on_given_feet
     ]
     needing = "since they need joint angles and a robot model"
     notes = [
@@ -234,15 +235,15 @@ def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> 
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
     """One sentence for each effect that cannot be identified without a reference, and could be with
     one."""
-    told = {name for case in cases for name, _ in all_keys(case)}
+    candidates = {name for case in cases for name, _ in all_keys(case)}
     lacking = {
         name: {g for case in cases for g in channel.missing_groups(case.log, case.fixed)}
         for name, channel in channels().items()
     }
     notes = []
     for name, kind in sorted(known_effects().usable()[0].items()):
-        needs = [one for one in kind.channels if lacking.get(one) == {"reference"}]
-        if kind.is_compensated() and name not in told and needs:
+        needs = [one for one in kind.traced.channels if lacking.get(one) == {"reference"}]
+        if kind.is_compensated() and name not in candidates and needs:
             notes.append(
                 f"{name}: not identifiable without a reference; it shows in {' and '.join(needs)}"
             )
