@@ -11,6 +11,7 @@ from surefoot.models.attribution.evidence import all_keys, log_under_model
 from surefoot.models.residuals.channels import channels
 from surefoot.sim.effects import add
 from surefoot.sim.effects.base import Effect
+from surefoot.sim.effects.traced import Traced
 from surefoot.sim.log import LogError
 from surefoot.sim.robot import Robot
 
@@ -21,10 +22,8 @@ class GyroByTemperature(Effect):
     name = "gyro_by_temperature"
     unit = "rad/s/K"
     bounds = (-1.0, 1.0)
-    channels = ("imu_gyro",)
     targets = ("x",)
-    needs = ("imu", "x_temperature")
-    step = 1e-3
+    traced = Traced(channels=("imu_gyro",), step=1e-3, needs=("imu", "x_temperature"))
 
     def compensate(self, log, robot):
         gyro = log.frame["gyro_x"] - self.value * log.frame["x_temperature"]

@@ -14,9 +14,7 @@ import pytest
 
 import surefoot
 from surefoot.scenarios.cli.main import COMMANDS, main
-from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.sim.common import progress
-from surefoot.sim.effects import CATALOGUE
 from surefoot.sim.log import Log, Meta
 
 PLUGIN = """
@@ -151,11 +149,6 @@ def test_what_libraries_accept_in_a_variable_is_accepted(name, value):
     done = command(None, "robots", "spot_class", **{name: value})
     assert done.returncode == 0
     assert name not in done.stderr  # which may say that kernels are compiled
-
-
-def test_the_effects_that_are_known_early_are_those_of_the_catalogue():
-    assert set(EFFECT_NAMES) == set(CATALOGUE)
-    assert len(EFFECT_NAMES) == len(set(EFFECT_NAMES))
 
 
 def test_results_are_json_where_that_is_asked_for(capsys):
