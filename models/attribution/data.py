@@ -10,6 +10,7 @@ from surefoot.models.attribution.noise_floor import NoiseFloor, ground_evenness
 from surefoot.models.attribution.sensor_noise import reference_notes
 from surefoot.models.residuals.binning import BIN, bin_mean, inner_bins
 from surefoot.models.residuals.channels import CHANNELS, channels
+from surefoot.sim.common.errors import unknown
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 
@@ -157,6 +158,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     """Notes on the data, for the reader of the result."""
     plugins = (known_effects(), CHANNELS)
     notes = [f"{why}; not used" for one in plugins for why in one.usable()[1].values()]
+    notes += _misnamed_channels()
     there = set.intersection(*(set(channels_of(case)) for case in cases))
     fixed, by_feet = cases[0].fixed, cases[0].by_feet
     of_joints: list[str] = []
@@ -209,6 +211,16 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
             "the model's feet are points; the walks of the noise floor have the feet of its file"
         )
     return tuple(notes)
+
+
+def _misnamed_channels() -> list[str]:
+    """A note for each effect that names a channel which does not exist, such as a misspelt one."""
+    return [
+        f"effect {name}: {unknown('channel', one, channels())}"
+        for name, kind in known_effects().usable()[0].items()
+        for one in kind.traced.channels
+        if one not in channels()
+    ]
 
 
 def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> list[str]:

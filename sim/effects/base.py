@@ -19,6 +19,7 @@ from surefoot.sim.effects.targets import AXES, Part, groups, parts
 from surefoot.sim.effects.traced import Prior, Traced
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
+from surefoot.sim.physics.leg_loads import knows_loads
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
@@ -70,12 +71,12 @@ class Effect:
     def __post_init__(self):
         if isinstance(self.targets, tuple) and self.target not in self.targets:
             raise SurefootError(self._unknown(self.target, self.targets))
-        low, high = self.bounds
+        low, high = self.bounds_on(None, self.target)
         low = -high if self.may_lessen else low
         if not low <= self.value <= high:
             raise SurefootError(
-                f"effect {self.name}: value must lie between {low:g} and {high:g} {self.unit}, "
-                f"is {self.value:g}"
+                f"effect {self.name} {self.target}: value must lie between {low:g} and {high:g} "
+                f"{self.unit}, is {self.value:g}"
             )
 
     @classmethod
@@ -169,8 +170,9 @@ class Effect:
 
     @classmethod
     def is_compensated_on(cls, log: Log) -> bool:
-        """Whether a log has the columns that `compensate` needs."""
-        return all(log.has(group) for group in cls.traced.needs)
+        """Whether a log has the columns that `compensate` needs, and those that show loads."""
+        loaded = not cls.traced.uses_loads or knows_loads(log)
+        return loaded and all(log.has(group) for group in cls.traced.needs)
 
     @classmethod
     def traced_at(cls, target: str) -> Traced:

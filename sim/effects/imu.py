@@ -4,6 +4,7 @@ The bounds are wider than the figures given, to cover sensors that were never ca
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,15 +17,10 @@ from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
-_READINGS = Traced(
-    belongs_to="sensor",
-    step=1e-3,
-    chain_rule="readings",
-    needs=("imu",),
-    on_given_feet=True,
-)
-_GYRO = replace(_READINGS, channels=("imu_gyro", "leg_velocity"))
-_ACCEL = replace(_READINGS, channels=("imu_accel",))
+_imu = partial(Traced, step=1e-3, needs=("imu",), belongs_to="sensor", on_given_feet=True)
+_readings = partial(_imu, chain_rule="readings")
+_gyro = partial(_readings, channels=("imu_gyro", "leg_velocity"))
+_accel = partial(_readings, channels=("imu_accel",))
 _SPECIFICATION = "MPU-6050 Product Specification"
 
 
@@ -38,8 +34,7 @@ class ImuRotation(Effect):
     unit = "rad"
     bounds = (-0.5, 0.5)
     targets = AXES
-    traced = replace(
-        _READINGS,
+    traced = _readings(
         channels=("imu_gyro", "imu_accel", "leg_velocity"),
         prior=Prior(0.035, "Haarnoja et al., Science Robotics 2024: 2 degrees"),
         motion="tilt the body in stance about each axis in turn",
@@ -68,8 +63,7 @@ class GyroScale(Scale):
     bounds = (-0.3, 0.3)
     targets = AXES
     readings = ("gyro",)
-    traced = replace(
-        _GYRO,
+    traced = _gyro(
         prior=Prior(0.03, f"{_SPECIFICATION}: 3 %", most=0.09),
         motion="turn the body about that axis, both ways and at several rates",
     )
@@ -85,8 +79,7 @@ class AccelScale(Scale):
     bounds = (-0.3, 0.3)
     targets = AXES
     readings = ("accel",)
-    traced = replace(
-        _ACCEL,
+    traced = _accel(
         prior=Prior(0.03, f"{_SPECIFICATION}: 3 %", most=0.09),
         motion="tilt the body and hold it, best upside down: gravity along the axis changes",
     )
@@ -103,8 +96,7 @@ class GyroBias(Offset):
     bounds = (-0.5, 0.5)
     targets = AXES
     readings = ("gyro",)
-    traced = replace(
-        _GYRO,
+    traced = _gyro(
         belongs_to="run",
         prior=Prior(0.35, f"{_SPECIFICATION}: 20 deg/s"),
         motion="tilt the body and hold it: a bias stays, an effect of gravity changes",
@@ -122,8 +114,7 @@ class AccelBias(Offset):
     bounds = (-2.0, 2.0)
     targets = AXES
     readings = ("accel",)
-    traced = replace(
-        _ACCEL,
+    traced = _accel(
         belongs_to="run",
         step=1e-2,
         prior=Prior(0.8, f"{_SPECIFICATION}: 50 mg along x and y, 80 mg along z"),
@@ -141,8 +132,7 @@ class GyroGSensitivity(Effect):
     unit = "rad/s per m/s^2"
     bounds = (-0.02, 0.02)
     targets = AXES
-    traced = replace(
-        _GYRO,
+    traced = _gyro(
         step=1e-4,
         prior=Prior(0.001, f"{_SPECIFICATION}: 1.8e-4 is typical, no maximum given"),
         motion="tilt the body and hold it: gravity along the axis then changes",
@@ -168,8 +158,7 @@ class ImuPosition(Effect):
     unit = "m"
     bounds = (-0.5, 0.5)
     targets = AXES
-    traced = replace(
-        _ACCEL,
+    traced = _accel(
         lossy=True,
         prior=Prior(0.1, "models whose IMU is left at the origin; 5 mm is drawn by others"),
         motion="turn fast about each axis: a lever arm's error grows with the rate squared",
@@ -198,10 +187,8 @@ class ImuLowpass(Effect):
     unit = "s"
     bounds = (0.0, 0.1)
     targets = ("all",)
-    traced = replace(
-        _READINGS,
+    traced = _imu(
         channels=("imu_gyro", "imu_accel"),
-        chain_rule=None,
         lossy=True,
         prior=Prior(0.032, f"{_SPECIFICATION}, register map: down to 5 Hz"),
     )

@@ -6,6 +6,7 @@ no source for the bounds, none was found and they were chosen wide.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -20,13 +21,9 @@ TORQUE_WINDOW = 0.03
 """Four times the averaging time of the torque whose sign gives a joint's position in its play [s].
 """
 
-_POSE = Traced(
-    channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
-    step=1e-3,
-    chain_rule="readings",
-    belongs_to="sensor",
-)
-_TORQUE = replace(_POSE, channels=("joint_torque", "base_wrench", "command"))
+_reading = partial(Traced, step=1e-3, chain_rule="readings")
+_POSE = ("leg_velocity", "foot_height", "base_wrench")
+_TORQUE = ("joint_torque", "base_wrench", "command")
 
 
 class EncoderOffset(Offset):
@@ -39,8 +36,8 @@ class EncoderOffset(Offset):
     unit = "rad"
     bounds = (-0.2, 0.2)
     readings = ("q",)
-    traced = replace(
-        _POSE,
+    traced = _reading(
+        channels=(*_POSE, "joint_torque"),
         belongs_to="run",
         prior=Prior(0.05, "Haarnoja et al., Science Robotics 2024: 2.9 degrees"),
         motion="walk crouched and tall, and turn on the spot",
@@ -48,19 +45,19 @@ class EncoderOffset(Offset):
 
 
 class EncoderScale(Scale):
-    """A joint's encoder has a scale error: it reads 1 + size times the angle and rate."""
+    """A joint's encoder has a scale error: it reads 1 + size times the angle and rate.
+
+    A turn of an encoder is a turn, and gears have whole teeth: what is left is the slope of its
+    non-linearity.
+    """
 
     name = "encoder_scale"
     bounds = (-0.2, 0.2)
     readings = ("q", "dq")
-    traced = replace(
-        _POSE,
-        prior=Prior(
-            0.025,
-            "a turn of an encoder is a turn, and gears have whole teeth: what is left is the slope "
-            "of its non-linearity, 1.41 degrees over a turn (ams AS5050 data sheet)",
-            most=0.075,
-        ),
+    traced = _reading(
+        channels=(*_POSE, "joint_torque"),
+        belongs_to="sensor",
+        prior=Prior(0.025, "ams AS5050 data sheet: 1.41 degrees over a turn", most=0.075),
         motion="bend the joint over its whole range: a scale's error grows with the angle",
     )
 
@@ -80,11 +77,9 @@ class Backlash(ReadingError):
     bounds = (0.0, 0.1)
     groups = True
     readings = ("q",)
-    traced = replace(
-        _POSE,
-        channels=("joint_rate", "leg_velocity", "foot_height", "base_wrench"),
+    traced = _reading(
+        channels=("joint_rate", *_POSE),
         step=2e-4,
-        belongs_to="machine",
         needs=("tau",),
         prior=Prior(0.035, "maxon catalogue: planetary gearheads of 0.5 to 2 degrees"),
         motion="load the joint in both directions at the same angle",
@@ -120,13 +115,10 @@ class TorqueScale(Scale):
     bounds = (-0.5, 0.5)
     groups = True
     readings = ("tau",)
-    traced = replace(
-        _TORQUE,
+    traced = _reading(
+        channels=_TORQUE,
         step=1e-2,
-        belongs_to="machine",
-        prior=Prior(
-            0.1, "Margolis and Agrawal, CoRL 2022, public code: motor strengths of 90 to 110 %"
-        ),
+        prior=Prior(0.1, "Margolis and Agrawal, CoRL 2022: motor strengths of 90 to 110 %"),
     )
 
 
@@ -140,8 +132,8 @@ class TorqueBias(Offset):
     unit = "N m"
     bounds = (-2e3, 2e3)
     readings = ("tau",)
-    traced = replace(
-        _TORQUE,
+    traced = _reading(
+        channels=_TORQUE,
         step=0.1,
         belongs_to="run",
         bounds_on_legs=(-200.0, 200.0),

@@ -5,7 +5,7 @@ base. The bounds are wide: CAD models omit cables, screws and covers, a tenth to
 mass, and a gantry carries a hundred kilograms.
 """
 
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -23,7 +23,7 @@ _LEAST = 1e-12
 """Least mass [kg] and moment [kg m^2] of a link, which must have some."""
 
 
-_MASS = Traced(channels=("joint_torque", "base_wrench"), step=1e-3, chain_rule="mass")
+_mass = partial(Traced, channels=("joint_torque", "base_wrench"), chain_rule="mass")
 _LOAD_SHARE = 0.4
 """Load that a machine on a fixed base carries for 19 of 20, as a share of its moving mass:
 Universal Robots UR10e, technical specifications: 12.5 kg of 33.5 kg.
@@ -38,8 +38,7 @@ class LinkMass(Effect):
     bounds = (-20.0, 200.0)
     targets = "link"
     groups = True
-    traced = replace(
-        _MASS,
+    traced = _mass(
         step=1e-2,
         bounds_on_legs=(-0.5, 5.0),
         prior=Prior(0.6, "Tan et al., RSS 2018: masses of 80 to 120 %, of links up to 3 kg"),
@@ -75,12 +74,10 @@ class LinkCom(Effect):
     unit = "m"
     bounds = (-0.5, 0.5)
     targets = "link_axis"
-    traced = replace(
-        _MASS,
+    traced = _mass(
+        step=1e-3,
         bounds_on_legs=(-0.1, 0.1),
-        prior=Prior(
-            0.05, "no figure found: a quarter of a link of 0.2 m, as drawn and not weighed"
-        ),
+        prior=Prior(0.05, "no figure found: a quarter of a link of 0.2 m, drawn and not weighed"),
         motion="move the joint fast and slowly, in several attitudes of the link",
     )
 
@@ -108,13 +105,10 @@ class LinkInertia(Effect):
     may_lessen = True
     targets = "link"
     groups = True
-    traced = replace(
-        _MASS,
+    traced = _mass(
         step=1e-5,
         bounds_on_legs=(0.0, 0.5),
-        prior=Prior(
-            0.02, "Tan et al., RSS 2018: inertias of 50 to 150 %, of links up to 0.04 kg m^2"
-        ),
+        prior=Prior(0.02, "Tan et al., RSS 2018: 50 to 150 % of links up to 0.04 kg m^2"),
         motion="move the joint fast and slowly: an inertia only resists acceleration",
     )
 

@@ -6,12 +6,12 @@ Science Robotics 2024, 10 to 50 ms. The bounds include these ranges.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects.base import Effect, declared_on
 from surefoot.sim.effects.reference_lag import reference_lag, reference_lag_drift
@@ -31,6 +31,9 @@ a sine is linear over an eighth of its period.
 """
 
 
+_late = partial(Traced, step=1e-3, belongs_to="sensor", lossy=True)
+
+
 class Delay(Effect):
     """Some readings arrive late by a constant time."""
 
@@ -41,7 +44,7 @@ class Delay(Effect):
     unit = "s"
     bounds = (-0.05, 0.05)
     targets = ("all",)
-    traced = Traced(step=1e-3, belongs_to="sensor", lossy=True)
+    traced = _late()
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return streams_at(streams, self.delayed, streams.t - self.value)
@@ -83,8 +86,7 @@ class JointDelay(Delay):
 
     name = "joint_delay"
     delayed = STREAMS["joints"]
-    traced = replace(
-        Delay.traced,
+    traced = _late(
         channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
         needs=("reference",),
         on_given_feet=True,
@@ -104,8 +106,7 @@ class ImuDelay(Delay):
 
     name = "imu_delay"
     delayed = STREAMS["imu"]
-    traced = replace(
-        Delay.traced,
+    traced = _late(
         channels=("imu_gyro", "imu_accel", "leg_velocity"),
         needs=("imu",),
         on_given_feet=True,
@@ -120,8 +121,7 @@ class TorqueDelay(Delay):
 
     name = "torque_delay"
     delayed = ("tau",)
-    traced = replace(
-        Delay.traced,
+    traced = _late(
         channels=("joint_torque", "base_wrench", "command"),
         chain_rule="readings",
         prior=LATENCY,
@@ -136,8 +136,7 @@ class RateDelay(Delay):
 
     name = "rate_delay"
     delayed = ("dq",)
-    traced = replace(
-        Delay.traced,
+    traced = _late(
         channels=("joint_rate", "leg_velocity", "joint_torque", "base_wrench"),
         needs=("dq",),
         # Longer than a row, so that noise is not differentiated as the slope of rates.
@@ -153,15 +152,12 @@ class ReferenceDelay(Delay):
     name = "reference_delay"
     bounds = (-0.2, 0.2)
     delayed = STREAMS["reference"]
-    traced = replace(
-        Delay.traced,
+    traced = _late(
         channels=("imu_gyro", "imu_accel", "leg_velocity", "foot_height"),
         belongs_to="run",
         needs=("reference",),
         on_given_feet=True,
-        prior=Prior(
-            0.05, "no figure found: motion capture over a network, of a few frames at 100 Hz"
-        ),
+        prior=Prior(0.05, "no figure found: motion capture, a few frames at 100 Hz late"),
         motion="change speed often: a delay's error grows with the acceleration",
     )
 
@@ -231,18 +227,9 @@ class ContactDelay(Effect):
         belongs_to="sensor",
         needs=("contact", "reference"),
         on_given_feet=True,
-        prior=Prior(
-            0.08, "no figure found: filters of 10 Hz, debouncing and foam that springs back"
-        ),
+        prior=Prior(0.08, "no figure found: filters of 10 Hz, debouncing, foam that springs back"),
         motion="change the gait's frequency and speed",
     )
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.target == "liftoff" and self.value < 0.0:
-            raise SurefootError(
-                f"effect {self.name}: a liftoff is not early, is {self.value:g} {self.unit}"
-            )
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         threshold = streams.contact_threshold * robot.mass * GRAVITY
@@ -282,6 +269,7 @@ class ContactDelay(Effect):
     @classmethod
     def bounds_on(cls, limbs: Limbs | None, target: str | None = None) -> tuple[float, float]:
         low, high = super().bounds_on(limbs, target)
+        # No foot is sensed to lift off before it does.
         return (0.0 if target == "liftoff" else low), high
 
 
@@ -303,10 +291,7 @@ class ClockScale(Effect):
         needs=("reference",),
         on_given_feet=True,
         lossy=True,
-        prior=Prior(
-            0.005,
-            "no figure found: quartz is within 1e-4, oscillators without it within some per mille",
-        ),
+        prior=Prior(0.005, "no figure found: oscillators without quartz, some per mille"),
         motion="record a longer log: the difference of the clocks keeps growing",
     )
 

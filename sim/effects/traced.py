@@ -76,7 +76,5 @@ class Traced:
     scales_with: Literal["unit", "foot_radius"] = "unit"
 
 
-NO_FIGURE_OF_DRIVES = (
-    "no figure of a robot's drive found: chosen wide for legs; large arms may have more"
-)
-"""Source of priors for which none was found."""
+NO_FIGURE_OF_DRIVES = "no figure found: wide for legs; large arms may have more"
+"""Source of priors of drives for which none was found."""

@@ -120,7 +120,7 @@ def test_a_current_may_say_half_of_a_torque_and_not_less():
     before = Streams(np.arange(3.0), still, still, at_rest, at_rest, tau, tau, tau)
     after = TorqueScale("FL_calf", -0.5).alter_streams(before, ROBOT)
     assert_array_equal(after.tau[:, 2], 2.0)
-    with pytest.raises(SurefootError, match=r"torque_scale: value must lie between -0\.5 "):
+    with pytest.raises(SurefootError, match=r"torque_scale \S+: value must lie between -0\.5 "):
         TorqueScale("FL_calf", -0.52)
 
 
