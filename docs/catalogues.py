@@ -77,7 +77,8 @@ def effects_page() -> str:
 
 _PARTS: dict[Part, str] = {
     "joint": "a joint (`FL_calf`)",
-    "joint_axis": "a link along an axis of its body (`FL_calf_x`)",
+    "link": "a link, by the joint that moves it (`FL_calf`)",
+    "link_axis": "a link along an axis of its body (`FL_calf_x`)",
     "leg": "a leg (`FL`)",
     "leg_link": "a link of a leg, by the joint at its upper end (`FL_calf`)",
     "leg_axis": "a leg along an axis of the base (`FL_x`)",

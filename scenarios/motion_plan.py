@@ -3,7 +3,7 @@ it.
 
 The robot walks short motions in simulation, from which the derivatives of the residual with respect
 to every candidate effect are taken. With Gaussian noise of the size of the residuals and Gaussian
-priors (`surefoot.models.attribution.effect_sizes`), the covariance of all sizes together is
+priors (`Effect.size_prior`), the covariance of all sizes together is
 (f X^T W X + P)^-1, where f is the number of repetitions of the motion. A motion reveals an effect
 if the standard deviation of its size is a tenth of what its prior allows.
 """
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.attribution.design import design
-from surefoot.models.attribution.effect_sizes import prior_of
 from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linearise, log_under_model
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.errors import check_known
@@ -101,7 +100,7 @@ def _information(evidence: Evidence, keys: Sequence[Key]) -> tuple[np.ndarray, n
             sigma = 1.4826 * np.median(np.abs(y[rows] - np.median(y[rows])))
             if sigma > 0.0:
                 total[np.ix_(which, which)] += X.T @ X / sigma**2
-    within = [prior_of(known_effects()[name]).within / 1.96 for name, _ in keys]
+    within = [known_effects()[name].size_prior().within / 1.96 for name, _ in keys]
     return total, np.concatenate([np.array(within), evidence.deviations]) ** -2.0
 
 

@@ -57,7 +57,11 @@ if TYPE_CHECKING:
     from surefoot.sim.effects import compensate_all, effect, known_effects
     from surefoot.sim.effects.base import Effect, with_columns
     from surefoot.sim.effects.body import FootRolling
+    from surefoot.sim.effects.contact import DriveEffect
+    from surefoot.sim.effects.readings import Offset, Scale
     from surefoot.sim.effects.targets import AXES
+    from surefoot.sim.effects.timing import Delay
+    from surefoot.sim.effects.traced import Prior, Traced
     from surefoot.sim.gait.patterns import Pattern
     from surefoot.sim.ground.terrain import Ground, HeightField, Patch, Strip
     from surefoot.sim.log import Log, joint_velocity, reference_velocity

@@ -28,10 +28,10 @@ heights = [1.5, 1.5]
 @pytest.fixture
 def catalogue():
     """The catalogue of effects, which a test may add to; afterwards it is as it was."""
-    before = dict(CATALOGUE)
+    before = dict(CATALOGUE.bundled)
     yield CATALOGUE
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
+    CATALOGUE.bundled.clear()
+    CATALOGUE.bundled.update(before)
 
 
 @pytest.fixture(scope="session")

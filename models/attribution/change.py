@@ -14,7 +14,6 @@ import numpy as np
 from scipy.special import stdtrit
 
 from surefoot.models.attribution.effect_sizes import (
-    PER_RUN_EFFECTS,
     Found,
     interior_bounds,
     plausible_size,
@@ -43,12 +42,6 @@ AS_LIKELY = 2.0 * np.log(20.0)
 """The same up to which another explanation is as good: twenty to one."""
 SURE = 1.645
 """Standard deviations above the limit at which a change is named in 95 of 100 runs."""
-SENSOR_EFFECTS = PER_RUN_EFFECTS | {
-    *("encoder_scale", "joint_delay", "rate_delay", "torque_delay", "contact_delay"),
-    *("gyro_scale", "accel_scale", "gyro_g_sensitivity", "imu_rotation", "imu_position"),
-    *("imu_lowpass", "imu_delay"),
-}
-"""Effects of sensors, which are no changes of a machine's body."""
 LOAD = ("link_mass", "link_com", "link_inertia")
 """What a load changes of the link that it is tied to."""
 CONTRADICTION = 3.0
@@ -111,7 +104,8 @@ class Hypothesis:
     @property
     def of_sensor(self) -> bool:
         """Whether it is an error of a sensor."""
-        return self.keys[-1][0] == ANGLE_ERROR or self.keys[0][0] in SENSOR_EFFECTS
+        first, last = self.keys[0][0], self.keys[-1][0]
+        return last == ANGLE_ERROR or known_effects()[first].traced.belongs_to != "machine"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from surefoot.models.attribution.noise_floor import NoiseFloor, ground_evenness
 from surefoot.models.attribution.sensor_noise import reference_notes
 from surefoot.models.residuals.binning import BIN, bin_mean, inner_bins
 from surefoot.models.residuals.channels import CHANNELS, channels
+from surefoot.sim.common.errors import unknown
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 
@@ -52,8 +53,9 @@ def readings(log: Log, by_feet: bool = False) -> Log:
     known = ("gyro_", "accel_", *joints, "contact_", "force_", "foot_", "ref_")
     if dead_contacts(log):
         known = tuple(name for name in known if name != "contact_")
-    read_by = (*channels().values(), *known_effects().usable()[0].values())
-    known += tuple(n for one in read_by for n in one.needs if n.startswith("x_"))
+    needs = [one.needs for one in channels().values()]
+    needs += [kind.traced.needs for kind in known_effects().usable()[0].values()]
+    known += tuple(name for of_one in needs for name in of_one if name.startswith("x_"))
     names = [n for n in log.frame if str(n) == "t" or str(n).startswith(known)]
     meta = replace(log.meta, scenario=None, seed=None, effects=(), versions={})
     return Log(log.frame.filter(items=names), meta, log.name)
@@ -156,6 +158,7 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     """Notes on the data, for the reader of the result."""
     plugins = (known_effects(), CHANNELS)
     notes = [f"{why}; not used" for one in plugins for why in one.usable()[1].values()]
+    notes += _misnamed_channels()
     there = set.intersection(*(set(channels_of(case)) for case in cases))
     fixed, by_feet = cases[0].fixed, cases[0].by_feet
     of_joints: list[str] = []
@@ -210,6 +213,16 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
     return tuple(notes)
 
 
+def _misnamed_channels() -> list[str]:
+    """A note for each effect that names a channel which does not exist, such as a misspelt one."""
+    return [
+        f"effect {name}: {unknown('channel', one, channels())}"
+        for name, kind in known_effects().usable()[0].items()
+        for one in kind.traced.channels
+        if one not in channels()
+    ]
+
+
 def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> list[str]:
     """What a trace by feet alone assumes, and what it does without: channels `of_joints`, and
     effects.
@@ -217,7 +230,7 @@ def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> 
     effects = [
         name
         for name, kind in sorted(known_effects().usable()[0].items())
-        if kind.is_compensated() and not kind.on_given_feet
+        if kind.is_compensated() and not kind.traced.on_given_feet
     ]
     needing = "since they need joint angles and a robot model"
     notes = [
@@ -234,15 +247,15 @@ def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> 
 def _not_identifiable(cases: Sequence[LogUnderModel]) -> list[str]:
     """One sentence for each effect that cannot be identified without a reference, and could be with
     one."""
-    told = {name for case in cases for name, _ in all_keys(case)}
+    candidates = {name for case in cases for name, _ in all_keys(case)}
     lacking = {
         name: {g for case in cases for g in channel.missing_groups(case.log, case.fixed)}
         for name, channel in channels().items()
     }
     notes = []
     for name, kind in sorted(known_effects().usable()[0].items()):
-        needs = [one for one in kind.channels if lacking.get(one) == {"reference"}]
-        if kind.is_compensated() and name not in told and needs:
+        needs = [one for one in kind.traced.channels if lacking.get(one) == {"reference"}]
+        if kind.is_compensated() and name not in candidates and needs:
             notes.append(
                 f"{name}: not identifiable without a reference; it shows in {' and '.join(needs)}"
             )

@@ -576,7 +576,7 @@ def _own_gains(
     """The same of the channels that the effect shows in, of all their blocks (K,)."""
     gains = _gains(one, effects, sides, used)
     return np.concatenate(
-        [np.zeros(0), *(gains[c] for c in one.channels_of(one.target) if c in gains)]
+        [np.zeros(0), *(gains[c] for c in one.traced_at(one.target).channels if c in gains)]
     )
 
 
@@ -625,7 +625,7 @@ def _lag_notes(lags: Sequence[Found]) -> list[str]:
 def _shown_between_feet(found: Sequence[Found]) -> tuple[str, ...]:
     """A reason that names the effects seen only in the relative motion of the feet."""
     effects = [one.effect for one in found]
-    by_feet = [e for e in effects if "leg_velocity" in e.channels_of(e.target)]
+    by_feet = [e for e in effects if "leg_velocity" in e.traced_at(e.target).channels]
     names = ", ".join(f"{one.name} {one.target}" for one in by_feet)
     return (f"{names}: {ONLY_BETWEEN_FEET}",) if by_feet else ()
 

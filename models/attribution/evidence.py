@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import takewhile
+from itertools import chain, takewhile
 
 import numpy as np
 
@@ -31,7 +31,9 @@ from surefoot.models.residuals.layout import Layout, ResidualTable, filled, layo
 from surefoot.models.residuals.motion import motion_under_model, with_ground
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, in_order, known_effects
-from surefoot.sim.effects.base import AXES, changed_columns, with_columns
+from surefoot.sim.effects.base import changed_columns, with_columns
+from surefoot.sim.effects.readings import Scale
+from surefoot.sim.effects.targets import AXES
 from surefoot.sim.log import Log, MemoisedLog
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot.machine import Machine
@@ -158,16 +160,16 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that can be compensated and has a channel in the log."""
     there, legged, limbs, keys = {*channels_of(case)}, case.robot.legged, case.robot.limbs, []
     for kind in known_effects().usable()[0].values():
-        lacks = case.fixed and "reference" in kind.needs
+        lacks = case.fixed and "reference" in kind.traced.needs
         if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
             continue
-        if case.by_feet and not kind.on_given_feet:
+        if case.by_feet and not kind.traced.on_given_feet:
             continue
         of_torques = getattr(kind, "readings", ()) == ("tau",)
         keys += [
             (kind.name, target)
             for target in kind.targets_on(limbs)
-            if there & {*kind.channels_of(target)}
+            if there & {*kind.traced_at(target).channels}
             # A joint without a drive has no reading of a torque that may err.
             and not (of_torques and {*kind.members_of(target, limbs)} <= {*case.undriven})
             and not (legged is not None and kind.equals_another(target, legged))
@@ -222,7 +224,7 @@ def linearise(
         stale = {(e.name, e.target) for e in chosen}
         if any(one.contacts_differ for one in logs):
             # The same bins may be in stance and yet a different set of feet share the load.
-            stale |= {key for key in before.keys if known_effects()[key[0]].uses_loads}
+            stale |= {key for key in before.keys if known_effects()[key[0]].traced.uses_loads}
         known = zip(before.keys, before.X, strict=True)
         X = tuple(regressor(key) if key in stale else one for key, one in known)
         return replace(before, table=table, X=X)
@@ -289,18 +291,15 @@ def _reading_scale(layout: Layout, chosen: Sequence[Effect]) -> np.ndarray:
     """
     factor = np.ones(layout.width)
     for one in chosen:
-        for column in _SCALED.get(one.name, ()):
+        scales = one.readings if isinstance(one, Scale) else ()
+        for column in chain.from_iterable(_UNIT_OF.get(reading, ()) for reading in scales):
             scaled = [f"{column}_{part}" for part in one.members(layout.limbs)]
             factor[np.isin(layout.names, scaled)] *= 1.0 + one.value
     return factor
 
 
-_SCALED = {
-    "torque_scale": ("torque", "command"),
-    "gyro_scale": ("gyro",),
-    "accel_scale": ("accel",),
-}
-"""Effect that scales a reading -> columns of the residual that have its unit, by its parts."""
+_UNIT_OF = {"tau": ("torque", "command"), "gyro": ("gyro",), "accel": ("accel",)}
+"""Reading -> columns of the residual that have its unit, by its parts."""
 
 
 class _Linear:
@@ -354,7 +353,7 @@ class _Linear:
         """
         seeing: dict[tuple[Effect, ...], list[str]] = {tuple(effects): []}
         for name in names:
-            seen = tuple(one for one in effects if name not in one.unseen_by)
+            seen = tuple(one for one in effects if name not in one.traced.unseen_by)
             seeing.setdefault(seen, []).append(name)
         log, robot = self._compensated(effects)
         motion = self._motion(self.case.log, log, robot, self.case.motion)
@@ -413,7 +412,7 @@ class _Linear:
     def _derivative_at_zero(self, key: Key, step: float, names: Sequence[str]) -> Regressor:
         """Derivative at zero, by the effect's chain rule or by a difference of these channels."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
-        if known_effects()[key[0]].chain_rule == "readings":
+        if known_effects()[key[0]].traced.chain_rule == "readings":
             change = self._by_chain_rule(log, robot, step)
         else:
             change = self._by_difference(key, log, robot, names) / step
@@ -452,7 +451,7 @@ class _Linear:
         """
         inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
         same = unchanged_channels(self.robot, robot) if log is self.log else ()
-        if known_effects()[key[0]].chain_rule is not None and robot is not self.robot:
+        if known_effects()[key[0]].traced.chain_rule is not None and robot is not self.robot:
             # Such a step moves contact changes by less than a row: their times are kept.
             same = (*same, *(name for name in names if channels()[name].of_events))
             inputs = under_model(self.parts.inputs, robot)
@@ -462,7 +461,7 @@ class _Linear:
 
     def _derivative_at_value(self, key: Key) -> Regressor:
         """Derivative by central differences at the value of a chosen effect."""
-        step = known_effects()[key[0]].step_of(key[1])
+        step = known_effects()[key[0]].traced_at(key[1]).step
 
         def table(more: float) -> np.ndarray:
             effects = [
@@ -482,10 +481,11 @@ class _Linear:
         a neighbour.
         """
         kind, names, values = known_effects()[key[0]], _event_channels(key), one.values
-        shown = ~np.isin(one.columns, self.layout.of(*kind.unseen_by))
+        shown = ~np.isin(one.columns, self.layout.of(*kind.traced.unseen_by))
         if names:
             shown = np.isin(one.columns, self.layout.of(*names))
-            values = np.where(np.abs(kind.step_of(key[1]) * values) < CHANGE_WINDOW, values, 0.0)
+            step = kind.traced_at(key[1]).step
+            values = np.where(np.abs(step * values) < CHANGE_WINDOW, values, 0.0)
         return Regressor(one.columns[shown], values[:, shown])
 
     def nuisance_regressors(self) -> list[tuple[Regressor, float, Key | None]]:
@@ -513,7 +513,7 @@ class _Linear:
 
 def _event_channels(key: Key) -> tuple[str, ...]:
     """Channels of an effect that shows only in the times of events; none for any other."""
-    names = known_effects()[key[0]].channels_of(key[1])
+    names = known_effects()[key[0]].traced_at(key[1]).channels
     of_events = all(name in channels() and channels()[name].of_events for name in names)
     return tuple(names) if of_events else ()
 

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.special import stdtrit
 
 from surefoot.models.attribution.effect_sizes import (
-    PER_RUN_EFFECTS,
     Found,
     interior_bounds,
+    per_run_effects,
     plausible_size,
     price_of_some_parts,
     with_clipped_size,
@@ -72,8 +72,6 @@ SETTLED = 0.02
 """Standard deviations by which sizes move once they have settled."""
 MOVED = 0.1
 """Relative change of a size from which derivatives are computed again."""
-SHIFTS = ("joint_delay", "rate_delay", "torque_delay", "imu_delay")
-"""Effects that are undone by interpolation of noisy streams."""
 INEXACT = 1e-4
 """Share of the squared residual that effects of the body explain which their models leave: 1 % of
 its amplitude.
@@ -194,7 +192,7 @@ class Problem:
     @property
     def per_run(self) -> frozenset[str]:
         """Names of the effects that each log has at a size of its own."""
-        return PER_RUN_EFFECTS if self.several else frozenset()
+        return per_run_effects() if self.several else frozenset()
 
     @property
     def by_windows(self) -> bool:
@@ -296,7 +294,7 @@ def problem_of(
     machine, kinds = cases[0].robot, known_effects()
     limbs = machine.limbs
     span = max(float(np.ptp(case.log.t)) for case in cases)
-    per_run = PER_RUN_EFFECTS if several else frozenset()
+    per_run = per_run_effects() if several else frozenset()
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
     if several:
         # Clocks of each log are told relative to the IMU's: all of them together show in nothing.
@@ -321,9 +319,7 @@ def problem_of(
         price=np.array(price),
         certain=certain,
         unknown=np.array([_unknown_size(key, limbs) for key in keys]),
-        shift=np.array(
-            [0.25 * span if name == "clock_scale" else float(name in SHIFTS) for name, _ in keys]
-        ),
+        shift=np.array([kinds[name].shift_in(span) for name, _ in keys]),
         declared=declared,
     )
 
@@ -331,7 +327,8 @@ def problem_of(
 def _unknown_size(key: Key, limbs: Limbs) -> float:
     """Standard deviation of the size that an effect seems to have without being there."""
     name, target = key
-    shows_in = [channels()[c] for c in known_effects()[name].channels_of(target) if c in channels()]
+    traced = known_effects()[name].traced_at(target)
+    shows_in = [channels()[c] for c in traced.channels if c in channels()]
     levels = [channel.level_spread.get(target, 0.0) for channel in shows_in]
     if limbs.feet_alone:
         levels.append(POINT_FEET_SIZES.get(key, 0.0))

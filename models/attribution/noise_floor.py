@@ -324,7 +324,8 @@ def is_compensated_approximately(one: Effect) -> bool:
     """
     kind = type(one)
     on_body = kind.edit_spec is not Effect.edit_spec
-    return on_body or kind.alter_ground is not Effect.alter_ground or kind.is_lossy(one.target)
+    on_ground = kind.alter_ground is not Effect.alter_ground
+    return on_body or on_ground or kind.traced_at(one.target).lossy
 
 
 def _floor_walks(plan: FloorPlan) -> tuple[FloorWalk, ...]:

@@ -19,7 +19,8 @@ from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
-from surefoot.sim.effects.base import AXES, Effect, with_columns
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.targets import AXES
 from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, reference_noise
 from surefoot.sim.log import Log
@@ -71,7 +72,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
         cases: the logs under the declared model.
         sigma: noise of each column (W,), by `reading_noise`.
     """
-    by_load = {name for name, kind in known_effects().items() if kind.uses_loads}
+    by_load = {name for name, kind in known_effects().items() if kind.traced.uses_loads}
     keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
     rng = np.random.default_rng(_SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]

@@ -75,7 +75,7 @@ def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[
     """
     found, limbs = [one.effect for one in result.found], result.metric.known.layout.limbs
     kind = {joint: limbs.kind(i) for i, joint in enumerate(limbs.joints)}
-    at = [e.target for e in found if e.target in kind and "leg_velocity" in e.channels]
+    at = [e.target for e in found if e.target in kind and "leg_velocity" in e.traced.channels]
     if not at or cases[0].fixed:
         return ()
     joints = [joint for joint in kind if kind[joint] in {kind[one] for one in at}]

@@ -101,6 +101,7 @@ def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
     """
     if not all(type(one.effect).is_compensated() for one in found):
         return True
-    shown = {name for one in found for name in one.effect.channels_of(one.effect.target)}
+    ones = [one.effect for one in found]
+    shown = {name for one in ones for name in one.traced_at(one.target).channels}
     own = [channels[name] for name in shown if name in channels]
     return not own or any(c.after < c.before for c in own)

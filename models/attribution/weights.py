@@ -24,6 +24,7 @@ from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.torques import dilate
 from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.effects.contact import DriveEffect
 from surefoot.sim.log import joint_velocity
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 
@@ -45,8 +46,6 @@ every stance and makes all sizes uncertain.
 """
 MOST_LAGS = 15
 """Lags over which autocorrelations are summed, in entries: the length of a stance."""
-DRY = ("coulomb_friction", "load_friction")
-"""Effects that are dry friction."""
 SLOW = 0.5
 """Share of a joint's RMS rate below which it is slow, at most: small slides never reach
 STICTION_RATE.
@@ -262,7 +261,9 @@ def sticks(cases: Sequence[LogUnderModel], effects: Sequence[Effect], layout: La
 def _with_dry_friction(case: LogUnderModel, effects: Sequence[Effect]) -> set[str]:
     """Names of the joints that have dry friction, by the effects or by the model's file."""
     limbs, dynamics = case.robot.limbs, case.robot.dynamics
-    found = {joint for e in effects if e.name in DRY for joint in e.members(limbs)}
+    found = {
+        joint for e in effects if isinstance(e, DriveEffect) and e.dry for joint in e.members(limbs)
+    }
     if dynamics is None:
         return found
     dry = dynamics.model.dof_frictionloss[dynamics.dof_adr] > 0.0

@@ -10,28 +10,11 @@ from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.files import is_file, is_there
 from surefoot.sim.common.limits import admitted
 from surefoot.sim.common.log_file import check_first_bytes
-from surefoot.sim.common.plugins import plugins
+from surefoot.sim.effects.catalogue import known_effects
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import machine_file, robot_file
 from surefoot.sim.scenario_catalog import scenario_file
 
-EFFECT_NAMES = (
-    *("encoder_offset", "link_length", "foot_rolling", "imu_rotation", "gyro_scale", "joint_delay"),
-    *("gyro_bias", "accel_bias", "accel_scale", "imu_position", "gyro_g_sensitivity", "imu_delay"),
-    *("imu_lowpass", "encoder_scale", "leg_compliance", "foot_elasticity", "backlash", "payload"),
-    *("hip_offset", "mounting_rotation", "viscous_friction", "coulomb_friction", "load_friction"),
-    *("armature", "torque_scale", "torque_bias", "torque_delay", "com_offset", "foot_slip"),
-    *(
-        "soft_ground",
-        "contact_delay",
-        "reference_delay",
-        "clock_scale",
-        "leg_heading",
-        "rate_delay",
-    ),
-    *("command_delay", "link_mass", "link_com", "link_inertia"),
-)
-"""Names of the bundled effects; the catalogue itself takes seconds to import."""
 MOST_NAMED = 8
 """Largest number of logs that are named of a folder."""
 
@@ -85,7 +68,7 @@ def _refuse_folder(folder: Path) -> None:
 
 
 def _known_effect(name: str) -> None:
-    check_known("effect", name, (*EFFECT_NAMES, *plugins("surefoot.effects")))
+    check_known("effect", name, known_effects())
 
 
 _NEEDED = {

@@ -6,7 +6,6 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from surefoot.scenarios.cli import options
-from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.scenarios.settings import (
     GridSettings,
@@ -20,6 +19,7 @@ from surefoot.scenarios.settings import (
     TuneSettings,
 )
 from surefoot.sim.common.errors import SurefootError, check_known
+from surefoot.sim.effects.catalogue import CATALOGUE
 
 
 @options.command
@@ -206,7 +206,7 @@ class PlanCommand(options.JsonOption):
         Positional[tuple[str, ...]],
         arg(
             metavar="EFFECT...",
-            help=f"Effects: {', '.join(EFFECT_NAMES)}, or your own.",
+            help=f"Effects: {', '.join(CATALOGUE.bundled)}, or your own.",
             help_behavior_hint=options.NEEDED,
         ),
     ]

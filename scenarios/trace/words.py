@@ -11,8 +11,6 @@ from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.scenarios.reporting.tables import cell
 from surefoot.scenarios.trace.filters import DEAD_RECKONING, HARM, REPORTED
 from surefoot.scenarios.trace.result import Filters, Trace
-from surefoot.sim.common.files import bundled
-from surefoot.sim.common.toml import read_toml
 from surefoot.sim.effects import Effect, known_effects
 
 VERDICTS = {
@@ -24,9 +22,8 @@ VERDICTS = {
     "unchanged": "nothing has changed since the runs that the declared effects were found in",
 }
 """The result in one sentence; `{}` stands for the effects found."""
-_MOTIONS = bundled("surefoot.scenarios.trace", "motions.toml")
-_PLURALS = {"joint": "joints", "leg": "legs", "leg_link": "links", "leg_axis": "legs"}
-"""Kind of target (`Effect.targets`) -> plural noun."""
+_PLURALS = {"joint": "joints", "link": "links", "leg": "legs", "leg_link": "links"}
+"""Kind of target that has groups (`Effect.targets`) -> plural noun."""
 _MUCH = 0.1
 """Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
@@ -47,8 +44,8 @@ _SAME = 0.02
 
 def motion_to_distinguish(names: Sequence[str]) -> str:
     """Motion that would distinguish effects of these names."""
-    motions = read_toml(_MOTIONS)
-    return "; ".join(dict.fromkeys(motions.get(name, "more varied motion") for name in names))
+    known = known_effects()
+    return "; ".join(dict.fromkeys(known[name].traced.motion for name in names))
 
 
 def headline(found: Trace) -> str:
@@ -88,7 +85,7 @@ def target_in_words(one: Effect) -> str:
     kind = type(one).targets
     if not type(one).groups or isinstance(kind, tuple):
         return one.target
-    several = "links" if one.name.startswith("link_") else _PLURALS[kind]
+    several = _PLURALS[kind]
     if one.target == "all":
         return f"of all {several}"
     if one.target in ("left", "right", "front", "rear"):

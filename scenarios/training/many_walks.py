@@ -103,7 +103,7 @@ def drawn_walk(
 
 
 def _resized(one: Effect, factor: float) -> Effect:
-    low, high = one.bounds_on_legs or one.bounds
+    low, high = one.traced.bounds_on_legs or one.bounds
     return replace(one, value=float(np.clip(factor * one.value, low, high)))
 
 

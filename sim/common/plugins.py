@@ -38,7 +38,7 @@ class Registry(Mapping[str, Any]):
     def __init__(
         self,
         group: str,
-        bundled: Mapping[str, Any],
+        bundled: dict[str, Any],
         needs: tuple[str, ...] = (),
         check: Callable[[Any], None] = lambda member: None,
     ):
@@ -73,7 +73,7 @@ class Registry(Mapping[str, Any]):
             if points:
                 raise SurefootError(f"{_what(points[0])}: surefoot has one of that name")
             member = self.bundled[name]
-            return EntryPoint(name, member, self.group).load() if type(member) is str else member
+            return _imported(member) if type(member) is str else member
         if not points:
             raise KeyError(name)
         point, *others = points
@@ -88,6 +88,8 @@ class Registry(Mapping[str, Any]):
 
     def check_member(self, name: str, member: Any) -> None:
         """Raise SurefootError where a member is not valid, or calls itself differently."""
+        if not isinstance(member, type):
+            raise SurefootError(f"must be a class, is {member!r:.60}")
         missing = [attribute for attribute in self.needs if not hasattr(member, attribute)]
         if missing:
             raise SurefootError(f"lacks {', '.join(missing)}")
@@ -111,6 +113,12 @@ class Registry(Mapping[str, Any]):
             except SurefootError as error:
                 broken[name] = str(error)
         return members, broken
+
+
+@cache
+def _imported(member: str) -> Any:
+    """A bundled "module:attribute"."""
+    return EntryPoint("", member, "").load()
 
 
 @contextmanager

@@ -1,13 +1,17 @@
-"""Effects that a real robot has and a model may lack: one small class each, and their catalogue."""
+"""Effects that a real robot has and a model may lack: one small class each, and their catalogue.
+
+Imported on first use, since the names of the catalogue need neither MuJoCo nor the classes.
+"""
 
 # ruff: noqa: F401
-from surefoot.sim.effects.base import AXES, Effect
-from surefoot.sim.effects.catalogue import (
-    CATALOGUE,
-    add,
-    compensate_all,
-    declared_effects,
-    effect,
-    in_order,
-    known_effects,
-)
+from typing import TYPE_CHECKING
+
+from surefoot.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from surefoot.sim.effects.base import Effect
+    from surefoot.sim.effects.catalogue import CATALOGUE, add, effect, known_effects
+    from surefoot.sim.effects.compensation import compensate_all, declared_effects, in_order
+    from surefoot.sim.effects.targets import AXES
+
+__getattr__, __dir__ = lazy_names(globals())

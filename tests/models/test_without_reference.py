@@ -98,7 +98,7 @@ def test_channels_that_need_a_reference_are_left_out(case, log):
     ],
 )
 def test_regressors_are_the_slopes_of_what_feet_say_of_each_other(case, name, target):
-    step = 1e-2 * type(effect(name, target, 0.0)).step_of(target)
+    step = 1e-2 * type(effect(name, target, 0.0)).traced_at(target).step
     table = table_of(case, ())
     slope = (table - table_of(case, [effect(name, target, step)])) / step
     one = _Linear(case, ()).regressor((name, target))

@@ -16,10 +16,8 @@ from refusals import refused
 
 import surefoot
 from surefoot.scenarios.cli.main import COMMANDS, main
-from surefoot.scenarios.cli.named import EFFECT_NAMES
 from surefoot.scenarios.cli.start import _check_environment
 from surefoot.sim.common import progress
-from surefoot.sim.effects import CATALOGUE
 from surefoot.sim.log import Log, Meta
 
 PLUGIN = """
@@ -155,11 +153,6 @@ def test_numbers_in_the_environment_are_what_libraries_accept(name, value, accep
         assert os.environ.get(name, "") == value
     else:
         refused(f"{name} .*'{value}'", _check_environment)
-
-
-def test_the_effects_that_are_known_early_are_those_of_the_catalogue():
-    assert set(EFFECT_NAMES) == set(CATALOGUE)
-    assert len(EFFECT_NAMES) == len(set(EFFECT_NAMES))
 
 
 def test_results_are_json_where_that_is_asked_for(capsys):

@@ -45,9 +45,10 @@ class Stream:
         self.t = sample.t
 """,
     "effects": """
-from surefoot.extend import Effect
+from surefoot.extend import Effect, Traced
 class Mine(Effect):
-    name, unit, bounds, channels, targets, step = "mine", "1", (0.0, 1.0), (), ("all",), 0.1
+    name, unit, bounds, targets = "mine", "1", (0.0, 1.0), ("all",)
+    traced = Traced(channels=("imu_gyro",), step=0.1)
     def compensate(self, log, robot):
         return log, robot
 """,
@@ -185,7 +186,10 @@ FAULTS = [
     ("effects", "Mine.compensate = lambda self, log, robot: None", "NoneType"),
     ("effects", "Mine.compensate = lambda self, log, robot: (None, robot)", "NoneType"),
     ("effects", "Mine.bounds = None", "NoneType"),
-    ("effects", "Mine.step = -1.0", "step"),
+    ("effects", "Mine.traced = Traced(channels=('imu_gyro',), step=-1.0)", "step"),
+    ("effects", "Mine.traced = Traced(step=0.1)", "channels"),
+    ("effects", "Mine.step, Mine.lossy = 0.1, True", "step, lossy: to be stated by traced"),
+    ("effects", "Mine.traced = 0.1", "traced must be Traced(...)"),
     ("channels", "Mine.residual = lambda self, inputs: exit(0)", "SystemExit"),
     ("channels", "Mine.residual = lambda self, inputs: np.zeros((3, 3))", "shape"),
     ("channels", "Mine.residual = lambda self, inputs: 1j", "complex"),

@@ -13,7 +13,9 @@ from synthetic import without
 from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.sim.effects import CATALOGUE, add
-from surefoot.sim.effects.base import AXES, Effect, with_columns
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.targets import AXES
+from surefoot.sim.effects.traced import Traced
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -29,10 +31,8 @@ class GyroWarming(Effect):
     name = "gyro_warming"
     unit = "rad/s"
     bounds = (-0.5, 0.5)
-    channels = ("imu_gyro", "leg_velocity")
     targets = AXES
-    needs = ("imu",)
-    step = 1e-3
+    traced = Traced(channels=("imu_gyro", "leg_velocity"), step=1e-3, needs=("imu",))
 
     def alter_streams(self, streams, robot):
         gyro = streams.gyro.copy()
@@ -78,10 +78,10 @@ def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
     class Nameless(Effect):
         unit = "m"
         bounds = (0.0, 1.0)
-        channels = ("imu_gyro",)
         targets = AXES
 
     refused("Nameless: lacks name", add, Nameless)
+    refused("GyroWarming: must be a class, is GyroWarming(", add, GyroWarming("x", 0.01))
 
     class Taken(GyroWarming):
         name = "gyro_bias"

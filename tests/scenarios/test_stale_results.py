@@ -64,7 +64,7 @@ def boots(tmp_path, monkeypatch):
     sys.modules.pop("own_boots", None)
     forget()
     kind = import_module("own_boots").RubberBoots
-    monkeypatch.setitem(CATALOGUE, kind.name, kind)
+    monkeypatch.setitem(CATALOGUE.bundled, kind.name, kind)
     return kind("all", 0.004), path
 
 
@@ -94,7 +94,7 @@ def edited(path):
         (ARCHITECTURES.bundled, "surefoot.models.registry"),
         (CALIBRATORS.bundled, "surefoot.models.registry"),
         ({kind.name: kind for kind in BUNDLED_CHANNELS}, "surefoot.models.residuals.channels"),
-        (CATALOGUE, "surefoot.sim.effects.catalogue"),
+        (CATALOGUE.bundled, "surefoot.sim.effects.catalogue"),
     ],
 )
 def test_every_member_of_a_registry_counts_where_it_is_named(registry, holder):

@@ -12,6 +12,7 @@ from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import before_and_after, causes_of_drift, drift, drift_parts
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.traced import Traced
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -26,8 +27,8 @@ class Drift(Effect):
     name = "drift"
     unit = "rad/s^2"
     bounds = (-1.0, 1.0)
-    channels = ("imu_gyro",)
     targets = ("all",)
+    traced = Traced(channels=("imu_gyro",), step=1e-3)
 
     def compensate(self, log, robot):
         reading = log.frame["gyro_x"].to_numpy() - self.value * (log.t - log.t[0])

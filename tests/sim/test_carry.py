@@ -37,7 +37,7 @@ def test_each_size_is_carried_by_its_dimension():
 
 def test_sizes_stay_within_the_bounds_of_legs():
     found = one("coulomb_friction", "FL_calf", 90.0)  # eight times as much is within a gantry's
-    assert found == known_effects()["coulomb_friction"].bounds_on_legs[1]
+    assert found == known_effects()["coulomb_friction"].traced.bounds_on_legs[1]
 
 
 def test_to_itself_nothing_changes_and_there_and_back_is_where_one_was():

@@ -1,5 +1,7 @@
 """Every effect of the catalogue, from a file into a walk, shows in the data as what it says."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import mujoco
@@ -333,5 +335,19 @@ def test_the_whole_catalogue_is_here():
         *("contact_delay", "mounting_rotation"),
     }
     assert elsewhere | {case[0] for case in READINGS} == set(CATALOGUE)
-    explained = {name for name, kind in CATALOGUE.items() if kind.is_compensated()}
-    assert all(hasattr(CATALOGUE[name], "step") for name in explained)
+
+
+def test_bundled_effects_say_what_those_of_others_must():
+    for name, kind in CATALOGUE.items():
+        CATALOGUE.check_member(name, kind)
+
+
+def test_names_are_listed_before_slow_imports():
+    script = (
+        "import sys; from surefoot.sim.effects.catalogue import CATALOGUE; print(*CATALOGUE);"
+        "print({'mujoco', 'numpy', 'pandas'} & {*sys.modules})"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    names, imported = ran.stdout.splitlines()
+    assert names.split() == list(CATALOGUE)
+    assert imported == "set()", ran.stderr

@@ -117,7 +117,7 @@ def test_bounds_are_those_of_either_sign_and_leave_room_for_a_step(name):
     assert low in (0.0, -high) or name in ("contact_delay", "link_mass")
     if kind.is_compensated() and name != "contact_delay":  # no touch-down is sensed early
         for target in kind.single_targets(QUADRUPED):
-            inner, step = kind.interior_bounds(target), kind.step_of(target)
+            inner, step = kind.interior_bounds(target), kind.traced_at(target).step
             assert_allclose([inner[0] - low, high - inner[1]], 1.1 * step)
 
 

@@ -64,6 +64,11 @@ def test_a_broken_member_stops_only_what_uses_it(package):
         ("mine = own_thing:Mine", "Other = 1\n", "AttributeError"),
         ("mine = own_thing:Mine", "class Mine:\n    pass\n", "lacks label, run"),
         (
+            "mine = own_thing:Mine",
+            "class Its:\n    label = run = 1\nMine = Its()",
+            "must be a class",
+        ),
+        (
             "theirs = own_thing:Mine",
             "class Mine:\n    label = run = 1\n",
             "surefoot has one of that name",

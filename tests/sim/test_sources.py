@@ -121,11 +121,9 @@ def test_the_files_of_a_script_are_no_sources(tmp_path):
 @pytest.mark.parametrize(
     ("module", "name"),
     [
-        ("surefoot.models.attribution.effect_sizes", "surefoot.models.attribution/priors.toml"),
         ("surefoot.models.realism.card", "surefoot.models.realism/tolerances.toml"),
         ("surefoot.scenarios.estimate.tuned", "surefoot.scenarios.estimate/tuned.toml"),
         ("surefoot.scenarios.reporting.html", "surefoot.scenarios.reporting/report.css"),
-        ("surefoot.scenarios.trace.words", "surefoot.scenarios.trace/motions.toml"),
         ("surefoot.scenarios.viewer.recording", "surefoot.scenarios.viewer/about.toml"),
         ("surefoot.sim.importing.guessing.names", "surefoot.sim.importing.guessing/words.toml"),
         ("studies.blind.plan", "studies.blind/study.toml"),

@@ -73,7 +73,7 @@ def test_a_sort_of_part_that_there_is_not_is_refused():
         name = "typo"
         targets = "joints"  # pyright: ignore[reportAssignmentType]
 
-    refused("a tuple of words or one of joint, joint_axis, leg", add, Typo)
+    refused("a tuple of words or one of joint, link, link_axis", add, Typo)
     assert "typo" not in CATALOGUE
 
 
@@ -88,7 +88,7 @@ GROUPED = [
 def test_a_group_is_its_members_one_after_the_other(log, name, group):
     """Injected and compensated alike: one size on each member."""
     kind = CATALOGUE[name]
-    size = 10 * kind.step
+    size = 10 * kind.traced.step
     whole, members = kind(group, size), kind.members_of(group, SPOT.limbs)
     assert len(members) > 1
     log_1, robot_1 = whole.compensate(log, SPOT)

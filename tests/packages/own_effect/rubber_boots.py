@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from surefoot.extend import JOINTS, Effect, FootRolling
+from surefoot.extend import JOINTS, Effect, FootRolling, Traced
 
 SHANK = 0.3  # m
 
@@ -16,9 +16,8 @@ class RubberBoots(Effect):
     name = "rubber_boots"
     unit = "m"
     bounds = (-0.02, 0.02)
-    channels = ("leg_velocity", "foot_height", "base_wrench")
     targets = ("all",)
-    step = 1e-3
+    traced = Traced(channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
 
     def edit_spec(self, spec, robot):
         FootRolling("all", self.value).edit_spec(spec, robot)

@@ -1,0 +1,107 @@
+"""Streams, references and logs as they were at other times."""
+
+import operator
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from surefoot.sim.common.quaternion import slerp
+from surefoot.sim.log import Log
+from surefoot.sim.sensors.streams import Reference, Streams
+
+STREAMS = {
+    "imu": ("gyro", "accel"),
+    "joints": ("q", "dq", "tau", "foot"),
+    "feet": ("force", "contact"),
+    "reference": ("ref",),
+}
+"""Readings of each stream, by the first word of a log's columns; positions of the feet belong to
+the joints, and contacts to the feet's forces, from which they are derived.
+"""
+
+
+def streams_at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> Streams:
+    """The streams with the readings `names`, as far as they have them, as they were at the times
+    `then` (N,) [s].
+
+    Linear interpolation would low-pass an IMU, unlike a delay, and would begin each contact early.
+    """
+    t = streams.t
+    then = np.clip(then, t[0], t[-1])
+    moved = {}
+    for name in [name for name in names if hasattr(streams, name)]:
+        x = getattr(streams, name)
+        if name in STREAMS["imu"]:
+            moved[name] = CubicSpline(t, x)(then)
+        elif name in STREAMS["feet"]:
+            moved[name] = x[_nearest(t, then)]
+        else:
+            moved[name] = np.column_stack([np.interp(then, t, column) for column in x.T])
+    return replace(streams, **moved)
+
+
+def reference_at(reference: Reference, then: np.ndarray) -> Reference:
+    """The reference as it was at the times `then` (N,) [s]."""
+    t = reference.t
+    then = np.clip(then, t[0], t[-1])
+    turned = Slerp(t, Rotation.from_matrix(reference.R_GI))(then)
+    p_GI, v_GI = (
+        np.column_stack([np.interp(then, t, x) for x in part.T])
+        for part in (reference.p_GI, reference.v_GI)
+    )
+    return Reference(t, turned.as_matrix(), p_GI, v_GI)
+
+
+def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
+    """The log with the columns of these kinds resampled at the times `then` (N,) [s].
+
+    A spline keeps the noise at any fraction of a sample, while linear interpolation would smooth it
+    halfway between two. Flags and attitudes are not interpolated by splines.
+    """
+    t = log.t
+    then = np.clip(then, t[0], t[-1])
+    names = [n for n in log.columns if n.split("_")[0] in kinds and not _commanded(n)]
+    flags = [n for n in names if n.startswith(("contact_", "ref_ok"))]
+    turns = [n for n in names if n.startswith("ref_q_")]
+    smooth = [n for n in names if n not in flags and n not in turns]
+    columns = {}
+    for kind in dict.fromkeys(name.split("_")[0] for name in smooth):
+        of_kind = [n for n in smooth if n.split("_")[0] == kind]
+        values = _spline(t, kind, [log.columns[name] for name in of_kind])(then)
+        columns |= {name: values[:, i] for i, name in enumerate(of_kind)}
+    columns |= {name: log.columns[name][_nearest(t, then)] for name in flags}
+    if turns:
+        values = slerp(t, log.ref_q, then)
+        columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
+    return log.with_columns(columns)
+
+
+KEPT_ROWS = 100_000
+"""Rows up to which splines are kept: those of twelve joints then take a tenth of a GB."""
+_splines: dict[str, tuple[list[np.ndarray], CubicSpline]] = {}
+"""Kind of columns -> those of the last log, time first, and their spline: the delays and the clock
+of a stream are tried one after the other.
+"""
+
+
+def _spline(t: np.ndarray, kind: str, columns: list[np.ndarray]) -> CubicSpline:
+    """Spline through columns (N,) of one kind at times t (N,) [s]."""
+    known = [t, *columns]
+    last = _splines.get(kind)
+    if last and len(last[0]) == len(known) and all(map(operator.is_, last[0], known)):
+        return last[1]
+    spline = CubicSpline(t, np.column_stack(columns))
+    if len(t) <= KEPT_ROWS:
+        _splines[kind] = known, spline
+    return spline
+
+
+def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """Index of the row nearest to each time in `then` (N,) [s]."""
+    return np.searchsorted(0.5 * (t[1:] + t[:-1]), then)
+
+
+def _commanded(name: str) -> bool:
+    return name.startswith(("q_des_", "dq_des_", "tau_ff_"))
