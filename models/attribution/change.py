@@ -29,9 +29,8 @@ from surefoot.models.attribution.model_error import (
     NOTHING,
     ZERO,
     ModelError,
+    at_middles,
     evidence_of,
-    window_averaged,
-    windows,
 )
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
@@ -207,7 +206,7 @@ class _NewRuns:
             cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
         evidence = linearise(cases, chosen, [key], evaluation_channels=False)
         if cases[0].fixed:
-            evidence = window_averaged(evidence, windows(evidence))
+            evidence = at_middles(evidence)
         return self.metric.products(evidence.table, evidence.X)
 
 

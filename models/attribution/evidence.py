@@ -263,7 +263,7 @@ def with_changes(
     starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
     per_log, names = [], ()
     for case in cases:
-        linear = _Linear(case, chosen)
+        linear = _Linear(case, chosen, evaluation_channels=False)
         added = changes(linear.log)
         names = tuple(added)
         per_log.append([linear.by_columns(columns) for columns in added.values()])
@@ -290,8 +290,9 @@ def _reading_scale(layout: Layout, chosen: Sequence[Effect]) -> np.ndarray:
     factor = np.ones(layout.width)
     for one in chosen:
         for column in _SCALED.get(one.name, ()):
-            scaled = [f"{column}_{part}" for part in one.members(layout.limbs)]
-            factor[np.isin(layout.names, scaled)] *= 1.0 + one.value
+            for part in one.members(layout.limbs):
+                if (name := f"{column}_{part}") in layout.names:
+                    factor[layout.names.index(name)] *= 1.0 + one.value
     return factor
 
 
@@ -402,24 +403,23 @@ class _Linear:
             # To first order, a group of equal sizes is the sum of its members.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
         sizes = kind.starts_on(key[1], self.log)
-        if len(sizes) == 1:
-            return self._derivative_at_zero(key, sizes[0], self.fitted)
-        # No fit uses the evaluation channels, but they help to choose between several starts.
-        tried = [self._derivative_at_zero(key, size, self.names) for size in sizes]
+        tried = [self._derivative_at_zero(key, size) for size in sizes]
+        if len(tried) == 1:
+            return tried[0]
         # A start of either sign is valid for sizes of that sign; take the one that agrees best.
         shares = [explained_share(one, self.table) for one in tried]
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
-    def _derivative_at_zero(self, key: Key, step: float, names: Sequence[str]) -> Regressor:
-        """Derivative at zero, by the effect's chain rule or by a difference of these channels."""
+    def _derivative_at_zero(self, key: Key, step: float) -> Regressor:
+        """Derivative at zero, by the effect's chain rule or by a difference."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
         if known_effects()[key[0]].chain_rule == "readings":
             change = self._by_chain_rule(log, robot, step)
         else:
-            change = self._by_difference(key, log, robot, names) / step
-        # On the scale of the readings.
-        factor = _reading_scale(self.layout, [effect(*key, step)])
-        change = factor * change + (factor - 1.0) / step * self.parts.table
+            change = self._by_difference(key, log, robot) / step
+        if key[0] in _SCALED:
+            factor = _reading_scale(self.layout, [effect(*key, step)])
+            change = factor * change + (factor - 1.0) / step * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
@@ -444,20 +444,18 @@ class _Linear:
         change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
         return change
 
-    def _by_difference(
-        self, key: Key, log: Log, robot: Machine, names: Sequence[str]
-    ) -> np.ndarray:
-        """Change of the table (M, W) to this log and model, in those of the channels `names` that
-        the effect may change.
+    def _by_difference(self, key: Key, log: Log, robot: Machine) -> np.ndarray:
+        """Change of the table (M, W) to this log and model, in those of the fitted channels that the
+        effect may change.
         """
         inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
         same = unchanged_channels(self.robot, robot) if log is self.log else ()
         if known_effects()[key[0]].chain_rule is not None and robot is not self.robot:
             # Such a step moves contact changes by less than a row: their times are kept.
-            same = (*same, *(name for name in names if channels()[name].of_events))
+            same = (*same, *(name for name in self.fitted if channels()[name].of_events))
             inputs = under_model(self.parts.inputs, robot)
-        only = _event_channels(key) or names
-        again = [name for name in names if name in only and name not in same]
+        only = _event_channels(key) or self.fitted
+        again = [name for name in self.fitted if name in only and name not in same]
         return filled(self.layout, inputs, again) - self.parts.table
 
     def _derivative_at_value(self, key: Key) -> Regressor:
