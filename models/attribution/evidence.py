@@ -39,7 +39,8 @@ from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
 """A candidate: name and target of an effect."""
-
+Changes = Mapping[Key, Mapping[str, np.ndarray]]
+"""Candidate -> what one unit of it adds to columns of a log, each (N,)."""
 
 FIXED_BASE_RATE = 0.1
 """RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
@@ -194,6 +195,7 @@ def linearise(
     keys: Sequence[Key],
     before: Evidence | None = None,
     evaluation_channels: bool = True,
+    changes: Callable[[Log], Changes] = lambda log: {},
 ) -> Evidence:
     """Compute residuals with `chosen` compensated, and their derivatives with respect to `keys`.
 
@@ -207,6 +209,7 @@ def linearise(
         keys: of the candidates.
         before: an evidence whose derivatives may be reused.
         evaluation_channels: whether to compute the channels that are never fitted.
+        changes: of a log, further candidates that are no effects.
     """
     logs = [_Linear(case, chosen, evaluation_channels) for case in cases]
     starts, table = (
@@ -226,14 +229,16 @@ def linearise(
         known = zip(before.keys, before.X, strict=True)
         X = tuple(regressor(key) if key in stale else one for key, one in known)
         return replace(before, table=table, X=X)
+    added = [{key: one.by_columns(x) for key, x in changes(one.log).items()} for one in logs]
+    further = [joined_regressor([one[key] for one in added], starts) for key in added[0]]
     of_logs = [(i, *one) for i, log in enumerate(logs) for one in log.nuisance_regressors()]
     return Evidence(
         layout=logs[0].layout,
         t=np.concatenate([case.motion.t for case in cases]),
         log=np.repeat(np.arange(len(logs)), np.diff(starts)),
         table=table,
-        keys=tuple(keys),
-        X=tuple(map(regressor, keys)),
+        keys=(*keys, *added[0]),
+        X=(*map(regressor, keys), *further),
         Z=tuple(joined_regressor([one], starts, i) for i, one, *_ in of_logs),
         deviations=np.array([deviation for *_, deviation, _ in of_logs]),
         bias_of=tuple(key for *_, key in of_logs),
@@ -244,31 +249,6 @@ def linearise(
             if target in known_effects()[name].group_targets(cases[0].robot.limbs)
         ),
     )
-
-
-def with_changes(
-    known: Evidence,
-    cases: Sequence[LogUnderModel],
-    chosen: Sequence[Effect],
-    changes: Callable[[Log], Mapping[Key, Mapping[str, np.ndarray]]],
-) -> Evidence:
-    """The evidence with further candidates.
-
-    Args:
-        known: evidence of the cases.
-        cases: the logs.
-        chosen: effects that are compensated.
-        changes: candidate -> what one unit of it adds to columns of a log, each (N,).
-    """
-    starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
-    per_log, names = [], ()
-    for case in cases:
-        linear = _Linear(case, chosen, evaluation_channels=False)
-        added = changes(linear.log)
-        names = tuple(added)
-        per_log.append([linear.by_columns(columns) for columns in added.values()])
-    X = [joined_regressor(parts, starts) for parts in zip(*per_log, strict=True)]
-    return replace(known, keys=(*known.keys, *names), X=(*known.X, *X))
 
 
 def table_of(
@@ -445,8 +425,8 @@ class _Linear:
         return change
 
     def _by_difference(self, key: Key, log: Log, robot: Machine) -> np.ndarray:
-        """Change of the table (M, W) to this log and model, in those of the fitted channels that the
-        effect may change.
+        """Change of the table (M, W) to this log and model, in the fitted channels that the effect
+        may change.
         """
         inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
         same = unchanged_channels(self.robot, robot) if log is self.log else ()

@@ -80,6 +80,8 @@ its amplitude.
 """
 EXACT_SHARE = 1e-3
 """Share of an effect's plausible size to which any model is exact."""
+LINEAR = ("gyro_bias", "accel_bias")
+"""Effects of each log that need no compensation, since the residual is linear in them."""
 ZERO_MOVED = 4.0
 """Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
 ZERO_SETTLED = 0.5
@@ -197,11 +199,25 @@ class Problem:
         return PER_RUN_EFFECTS if self.several else frozenset()
 
     @property
+    def zero_keys(self) -> list[Key]:
+        """The candidates that each log has at a size of its own, without sums of others."""
+        kinds = known_effects()
+        return [
+            (name, target)
+            for name, target in self.keys
+            if name in self.per_run and target in kinds[name].single_targets(self.limbs)
+        ]
+
+    @property
     def by_windows(self) -> bool:
         """Whether torques are averaged over windows, as for the error of the model: with several
         runs of a machine on a fixed base. Rows whose torques jump tell no accelerations.
         """
         return self.several and all(c.fixed and c.log.has("tau") for c in self.cases)
+
+    def sized(self, key: Key, size: float) -> Effect:
+        """A candidate with a size, clipped to its bounds on the machine."""
+        return with_clipped_size(effect(*key, 0.0), size, self.machine)
 
     def at(self, keys: Sequence[Key]) -> np.ndarray:
         """Places of these candidates (k,)."""
@@ -277,6 +293,28 @@ class Chosen:
     def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]
         return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
+
+
+def least_excess(error: ModelError) -> float:
+    """Standard deviations that a size hardly exceeds in runs of a machine that lacks nothing, by
+    Student's t of as many runs as the model's error is known from.
+    """
+    return float(stdtrit(error.runs - 1, 1.0 - CHANCE)) if error.runs > 1 else LEAST_EXCESS
+
+
+def least_named(
+    deviation: np.ndarray | float,
+    prior: np.ndarray | float,
+    price: np.ndarray | float,
+    excess: float,
+) -> np.ndarray:
+    """Sizes (C,) whose evidence reaches its price and which exceed their standard deviations (C,)
+    by `excess`, for standard deviations of their prior (C,).
+    """
+    ratio = (prior / deviation) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        enough = np.sqrt((price + np.log1p(ratio)) * (1.0 + ratio) / ratio)
+    return np.maximum(enough, excess) * deviation
 
 
 def problem_of(
@@ -456,6 +494,9 @@ class _State:
 
     @staticmethod
     def of(problem: Problem, error: ModelError) -> "_State":
+        if problem.by_windows:
+            noise = {group: OF_MEAN * level for group, level in error.noise.items()}
+            error = replace(error, noise=noise)
         metric = _metric(problem, (), None, error)
         return _State(problem.cases, problem, (), error, metric)
 
@@ -469,9 +510,8 @@ class _State:
 
     @property
     def least_excess(self) -> float:
-        """Standard deviations that few walks of the model hardly exceed."""
-        runs = self.error.runs
-        return float(stdtrit(runs - 1, 1.0 - CHANCE)) if runs > 1 else LEAST_EXCESS
+        """Standard deviations that a size of an unchanged machine hardly exceeds."""
+        return least_excess(self.error)
 
     def bias(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """Most by which sizes of candidates (k,) with these standard deviations are biased.
@@ -524,13 +564,7 @@ def _metric(
     """Metric at these effects; derivatives of an evidence `before` may be reused."""
     before = None if problem.by_windows else before
     known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    return _metric_of(problem, without_sticking(problem, effects, known), error)
-
-
-def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
-    if problem.by_windows:
-        noise = {group: OF_MEAN * level for group, level in error.noise.items()}
-        error = replace(error, noise=noise)
+    known = without_sticking(problem, effects, known)
     return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 
 
@@ -617,18 +651,11 @@ def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
 def _with_zeros(state: _State, effects: Sequence[Effect], moved: float = ZERO_MOVED) -> _State:
     """Compensate each log's zeros and clocks that are far from where they are now, by more than
     `moved` standard deviations.
-
-    Biases need no compensation, since the residual is linear in them.
     """
-    problem, kinds = state.problem, known_effects()
-    keys = [
-        key
-        for key in problem.keys
-        if key[0] in problem.per_run - {"gyro_bias", "accel_bias"}
-        and key[1] in kinds[key[0]].single_targets(problem.limbs)
-    ]
+    problem = state.problem
+    keys = [key for key in problem.zero_keys if key[0] not in LINEAR]
     doubt = problem.unknown[problem.at(keys)]
-    for _ in range(ZERO_ROUNDS if keys else 0):
+    for _ in range(ZERO_ROUNDS):
         zeros = []
         for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
             sizes = {(e.name, e.target): e.value for e in case.zeros}
@@ -639,11 +666,7 @@ def _with_zeros(state: _State, effects: Sequence[Effect], moved: float = ZERO_MO
                     sizes[key] = size
                 if abs(sizes.get(key, 0.0)) <= least:
                     sizes.pop(key, None)
-            zeros.append(
-                tuple(
-                    with_clipped_size(effect(*k, 0.0), x, problem.machine) for k, x in sizes.items()
-                )
-            )
+            zeros.append(tuple(problem.sized(key, size) for key, size in sizes.items()))
         if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
@@ -756,11 +779,7 @@ def _extended(
     for keys, sizes, likely in _proposals(state, beside):
         if tried and not likely:
             break
-        new = [effect(*key, 0.0) for key in keys]
-        new = [
-            with_clipped_size(one, x, state.problem.machine)
-            for one, x in zip(new, sizes, strict=True)
-        ]
+        new = [state.problem.sized(key, x) for key, x in zip(keys, sizes, strict=True)]
         one = _refined(state, [*chosen.effects, *new])
         gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
         at = one.at(keys)
@@ -871,9 +890,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
         able &= np.isfinite(beside.evidence)
         order = (int(i) for i in np.argsort(-beside.evidence) if able[i])
         for i in islice(_distinct(order, problem), SINGLES):
-            other = with_clipped_size(
-                effect(*problem.keys[i], 0.0), beside.sizes[i], problem.machine
-            )
+            other = problem.sized(problem.keys[i], beside.sizes[i])
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
             if not np.all(state.earned_by(one) > 0.0):
@@ -894,10 +911,7 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     gains = beside.sizes * beside.S[1:, 0]
     every = np.arange(len(problem.keys))
     deviations = np.hypot(beside.deviations, problem.unknown)
-    ratio = (problem.prior / deviations) ** 2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        enough = np.sqrt((problem.price + np.log1p(ratio)) * (1.0 + ratio) / ratio)
-    least = np.maximum(enough, state.least_excess) * deviations
+    least = least_named(deviations, problem.prior, problem.price, state.least_excess)
     least += state.bias(every, beside.deviations)
     out = []
     for i in np.argsort(-beside.evidence):
@@ -945,21 +959,14 @@ def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Fo
 
 def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
     """Each log's own zeros, biases and clocks."""
-    problem, kinds = state.problem, known_effects()
-    keys = [
-        key
-        for key in problem.keys
-        if key[0] in problem.per_run and key[1] in kinds[key[0]].single_targets(problem.limbs)
-    ]
-    fits = state.metric.zeros(keys) if keys else [[] for _ in problem.cases]
-    runs = []
-    for case, fitted in zip(problem.cases, fits, strict=True):
+    problem, keys, runs = state.problem, state.problem.zero_keys, []
+    for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
         known = {(e.name, e.target): e.value for e in case.zeros}
         found = []
         for key, (size, deviation) in zip(keys, fitted, strict=True):
-            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.machine)
+            one = problem.sized(key, known.get(key, size))
             half = 1.96 * deviation
-            if key in known or key[0] in ("gyro_bias", "accel_bias"):
+            if key in known or key[0] in LINEAR:
                 found.append(Found(one, (one.value - half, one.value + half)))
         runs.append(FittedRun(case, tuple(found), case.zeros))
     return tuple(runs)

@@ -22,12 +22,12 @@ from scipy.linalg import block_diag
 from surefoot.models.attribution.design import design, nuisance_precision, scaled_inverse
 from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import (
+    Changes,
     Evidence,
     Key,
     LogUnderModel,
     all_keys,
     linearise,
-    with_changes,
 )
 from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.binning import BIN
@@ -150,12 +150,14 @@ def evidence_of(
     windows and with `angle_errors`; and the `rates` of each run (`RunSums`).
     """
     first = cases[0]
-    known = linearise(cases, effects, all_keys(first), evaluation_channels=False)
+    errs = first.fixed and first.log.has("dq") and first.log.has("tau")
+
+    def changes(log: Log) -> Changes:
+        return angle_errors(log, first.undriven) if errs else {}
+
+    known = linearise(cases, effects, all_keys(first), evaluation_channels=False, changes=changes)
     if not first.fixed:
         return known, [{} for _ in cases]
-    if first.log.has("dq") and first.log.has("tau"):
-        undriven = first.undriven
-        known = with_changes(known, cases, effects, lambda log: angle_errors(log, undriven))
     known = at_middles(known)
     of_rates, rates = known.layout.of("joint_rate"), []
     for run in range(len(cases)):
@@ -264,7 +266,7 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     return w[whole] / total[whole, None]
 
 
-def angle_errors(log: Log, undriven: Sequence[str]) -> dict[Key, Mapping[str, np.ndarray]]:
+def angle_errors(log: Log, undriven: Sequence[str]) -> Changes:
     """What may be added to the angle and the rate of a joint without a drive, apart from a zero: a
     drift, and shares of all angles.
 
