@@ -7,20 +7,21 @@ changes of a link, or an error of the sensor of a joint's angle. No change of th
 where an error of a sensor explains the runs about as well.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import stdtrit
 
 from surefoot.models.attribution.effect_sizes import (
     Found,
     interior_bounds,
     plausible_size,
+    with_clipped_size,
     with_deviation,
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
-from surefoot.models.attribution.explain import CHANCE, NAMED
+from surefoot.models.attribution.explain import NAMED, least_excess, least_named
 from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
@@ -29,9 +30,8 @@ from surefoot.models.attribution.model_error import (
     PER_RUN,
     ZERO,
     ModelError,
+    at_middles,
     evidence_of,
-    window_averaged,
-    windows,
 )
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
@@ -181,10 +181,6 @@ class _NewRuns:
             sizes[self.keys.index((one.effect.name, one.effect.target))] = one.effect.value
         return sizes
 
-    def clipped(self, key: Key, size: float) -> float:
-        """A size that the effect may have."""
-        return float(np.clip(size, *interior_bounds(*key, self.machine)))
-
     def overlap(self, one: Key, other: Key) -> float:
         """Cosine (0 to 1) between the regressors of two candidates."""
         S = self.metric.S
@@ -202,7 +198,7 @@ class _NewRuns:
             cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
         evidence = linearise(cases, chosen, [key], evaluation_channels=False)
         if cases[0].fixed:
-            evidence = window_averaged(evidence, windows(evidence))
+            evidence = at_middles(evidence)
         return self.metric.products(evidence.table, evidence.X)
 
 
@@ -275,13 +271,14 @@ def _best(
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
     if best.evidence <= first[0].evidence - AS_LIKELY:
         as_good = [one for one in first if abs(one.evidence - best.evidence) < AS_LIKELY]
-    if best.evidence < NAMED or best.excess < _least_excess(known):
+    if best.evidence < NAMED or best.excess < least_excess(known):
         return Change("unchanged", (), (), (), least), new
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
         for one in _distinct([one for one in as_good if one is not best], best)
     )
-    if _is_lost_zero(best.keys) and not _within_bounds(best, new.machine):
+    low, high = interior_bounds(*best.keys[0], new.machine)
+    if _is_lost_zero(best.keys) and not low < best.sizes[0] < high:
         return Change("not_identifiable", (_words(best),), (), rivals, least), new
     sensors = [one for one in (best, *rivals) if one.of_sensor]
     if sensors and not (best.of_sensor and len(best.keys) == 1):
@@ -317,18 +314,14 @@ def _explanations(new: _NewRuns) -> list[tuple[tuple[Key, ...], frozenset[str]]]
             name in (*LOAD, ZERO) and target not in kinds[name].single_targets(limbs)
         ):
             members = kinds[name].members_of(target, limbs)
-            out.append(((key,), frozenset(one.removesuffix(_axis(one)) for one in members)))
+            # Without the axis, such as "_y" of "FL_calf_y".
+            out.append(((key,), frozenset(re.sub("_[xyz]$", "", one) for one in members)))
     for joint in limbs.joints:
         own = {joint, *(f"{joint}_{axis}" for axis in AXES)}
         out.append((tuple(k for k in keys if k[0] in LOAD and k[1] in own), frozenset({joint})))
         if errors := [k for k in keys if k[0] == ANGLE_ERROR and k[1].split()[0] == joint]:
             out.append((((ZERO, joint), *errors), frozenset({joint})))
     return [(own, part) for own, part in out if len(own) > 0]
-
-
-def _axis(target: str) -> str:
-    """The axis that a target names after a part, such as "_y" of "FL_calf_y"."""
-    return target[-2:] if target[-2:] in {f"_{axis}" for axis in AXES} else ""
 
 
 def _prior(key: Key, limbs: Limbs) -> float:
@@ -342,26 +335,20 @@ def _prior(key: Key, limbs: Limbs) -> float:
 def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hypothesis | None:
     """An explanation with its sizes, to first order; None where the runs do not show it."""
     place = [1 + new.keys.index(key) for key in keys]
-    S = new.metric.S
-    A = S[np.ix_(place, place)]
+    A, b = new.metric.S[np.ix_(place, place)], new.metric.S[place, 0]
     if np.diag(A).min() < NOTHING:
         return None
     covariance = np.linalg.pinv(A, hermitian=True)
-    alone = covariance @ S[place, 0]
+    alone = covariance @ b
     prior = np.array([_prior(key, new.limbs) for key in keys])
     if _is_lost_zero(keys):
         prior = np.maximum(prior, np.abs(alone))
-    both = covariance + np.diag(prior**2)
-    # Evidence of the sizes alone: N(0, covariance + prior) against N(0, covariance).
-    evidence = (
-        alone @ np.linalg.solve(covariance, alone)
-        - alone @ np.linalg.solve(both, alone)
-        - np.linalg.slogdet(both)[1]
-        + np.linalg.slogdet(covariance)[1]
-    )
-    sizes = prior**2 * np.linalg.solve(both, alone)
-    gain = float(alone @ S[place, 0])
-    return Hypothesis(keys, part, sizes, np.sqrt(np.diag(covariance)), float(evidence), gain)
+    # Marginal likelihood, relative to that of no size, in units of the prior.
+    inner, pull = np.eye(len(keys)) + prior[:, None] * A * prior, prior * b
+    sizes = np.linalg.solve(inner, pull)
+    evidence = float(pull @ sizes - np.linalg.slogdet(inner)[1])
+    deviations = np.sqrt(np.diag(covariance))
+    return Hypothesis(keys, part, prior * sizes, deviations, evidence, float(alone @ b))
 
 
 def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
@@ -381,7 +368,7 @@ def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
         if _is_lost_zero(one.keys):
             prior = max(prior, abs(size))
         else:
-            size = new.clipped(key, size)
+            size = with_clipped_size(effect(*key, 0.0), size, new.machine).value
         S = new.at(key, size)
         variance = 1.0 / S[1, 1]
         gain = float(new.metric.S[0, 0] - S[0, 0])
@@ -398,14 +385,7 @@ def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
 def _least(one: Hypothesis, new: _NewRuns) -> float:
     """The least size that is named in 95 of 100 runs like these."""
     deviation, prior = float(one.deviations[0]), _prior(one.keys[0], new.limbs)
-    ratio = (prior / deviation) ** 2
-    z = np.sqrt((NAMED + np.log1p(ratio)) * (1.0 + ratio) / ratio)
-    return float((max(z, _least_excess(new.known)) + SURE) * deviation)
-
-
-def _least_excess(known: ModelError) -> float:
-    """Standard deviations that unchanged runs hardly exceed, as few as they are."""
-    return float(stdtrit(known.runs - 1, 1.0 - CHANCE))
+    return float(least_named(deviation, prior, NAMED, least_excess(new.known)) + SURE * deviation)
 
 
 def _contradicted(rates: Sequence[Mapping[str, float]], known: ModelError) -> tuple[str, ...]:
@@ -438,12 +418,6 @@ def _found(one: Hypothesis, machine: Machine) -> tuple[Found, ...]:
     ]
     strongest = sorted(shown, key=lambda x: -abs(x[1]) / x[2])
     return tuple(with_deviation(key, size, error, machine) for key, size, error in strongest)
-
-
-def _within_bounds(one: Hypothesis, machine: Machine) -> bool:
-    """Whether a single size is one that its effect may have."""
-    low, high = interior_bounds(*one.keys[0], machine)
-    return low < one.sizes[0] < high
 
 
 def _words(one: Hypothesis) -> str:

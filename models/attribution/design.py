@@ -1,8 +1,7 @@
 """An evidence sorted by column, and sums of products over its rows."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -41,18 +40,6 @@ class Design:
         """Number of candidates and nuisance parameters."""
         return len(self.evidence.X) + len(self.evidence.Z)
 
-    @cached_property
-    def singles(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """X (n, k) and `which` (k,) of each column without groups, which are sums of their
-        members.
-        """
-        single = self.evidence.single
-        own = (single[which] for which in self.which)
-        return tuple(
-            (X, which) if one.all() else (np.ascontiguousarray(X[:, one]), which[one])
-            for X, which, one in zip(self.X, self.which, own, strict=True)
-        )
-
     def explained(self, sizes: np.ndarray) -> np.ndarray:
         """X sizes (M, W), for sizes (C + B,) of the candidates and nuisance parameters."""
         out = np.zeros_like(self.y)
@@ -73,15 +60,35 @@ class Design:
             part: number (M,) of the part of each bin, which does not decrease.
         """
         G = np.zeros((part.max(initial=0) + 1, 1 + self.size, 1 + self.size))
-        for c in columns:
-            rows, scale = self.rows[c], root[self.rows[c], c]
-            used = np.flatnonzero(scale)
-            A = np.column_stack([y[rows, c], self.X[c]])[used] * scale[used, None]
-            place, ends = np.append(0, 1 + self.which[c]), np.arange(len(G) + 1)
-            for k, (i, j) in enumerate(pairwise(np.searchsorted(part[rows[used]], ends))):
-                if j > i:
-                    add_block(G[k], place, A[i:j].T @ A[i:j])
+        for c, k, rows, X in self._parts(columns, part):
+            weight, known = root[rows, c] ** 2, y[rows, c]
+            weighted = X * weight[:, None]
+            right = known @ weighted
+            add_block(G[k], 1 + self.which[c], weighted.T @ X)
+            G[k, 0, 0] += known @ (weight * known)
+            G[k, 0, 1 + self.which[c]] += right
+            G[k, 1 + self.which[c], 0] += right
         return G
+
+    def products(self, values: np.ndarray, columns: Iterable[int], part: np.ndarray) -> np.ndarray:
+        """Products (K, C + B, n) of candidates and nuisance parameters with values (n, M, W), as of
+        `grams`.
+        """
+        out = np.zeros((part.max(initial=0) + 1, self.size, len(values)))
+        for c, k, rows, X in self._parts(columns, part):
+            out[k, self.which[c]] += X.T @ values[:, rows, c].T
+        return out
+
+    def _parts(
+        self, columns: Iterable[int], part: np.ndarray
+    ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
+        """Column, number of a part, its bins with a value (n,), and their regressors (n, k)."""
+        ends = np.arange(part.max(initial=0) + 2)
+        for c in columns:
+            rows = self.rows[c]
+            for k, (i, j) in enumerate(pairwise(np.searchsorted(part[rows], ends))):
+                if j > i:
+                    yield c, k, rows[i:j], self.X[c][i:j]
 
 
 def design(evidence: Evidence) -> Design:

@@ -52,7 +52,6 @@ from surefoot.models.attribution.model_error import (
     ModelError,
     model_error,
     model_error_as_dict,
-    run_evidence,
     run_sums,
 )
 from surefoot.models.attribution.noise_floor import (
@@ -704,7 +703,7 @@ def _error_of(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> Mode
     """Error of the model with these effects, as the runs show it. A run's own zeros are not
     compensated, since those of new runs are not either.
     """
-    runs = [run_sums(run_evidence(case, effects)) for case in cases]
+    runs = [run_sums(case, effects) for case in cases]
     return model_error(runs, cases[0].robot.limbs)
 
 

@@ -41,7 +41,8 @@ from surefoot.sim.sensors.streams import Sensors
 
 Key = tuple[str, str]
 """A candidate: name and target of an effect."""
-
+Changes = Mapping[Key, Mapping[str, np.ndarray]]
+"""Candidate -> what one unit of it adds to columns of a log, each (N,)."""
 
 FIXED_BASE_RATE = 0.1
 """RMS of the gyro below which a base is taken to be fixed [rad/s]: a trot has at least 0.2, the
@@ -196,6 +197,7 @@ def linearise(
     keys: Sequence[Key],
     before: Evidence | None = None,
     evaluation_channels: bool = True,
+    changes: Callable[[Log], Changes] = lambda log: {},
 ) -> Evidence:
     """Compute residuals with `chosen` compensated, and their derivatives with respect to `keys`.
 
@@ -209,6 +211,7 @@ def linearise(
         keys: of the candidates.
         before: an evidence whose derivatives may be reused.
         evaluation_channels: whether to compute the channels that are never fitted.
+        changes: of a log, further candidates that are no effects.
     """
     logs = [_Linear(case, chosen, evaluation_channels) for case in cases]
     starts, table = (
@@ -228,14 +231,16 @@ def linearise(
         known = zip(before.keys, before.X, strict=True)
         X = tuple(regressor(key) if key in stale else one for key, one in known)
         return replace(before, table=table, X=X)
+    added = [{key: one.by_columns(x) for key, x in changes(one.log).items()} for one in logs]
+    further = [joined_regressor([one[key] for one in added], starts) for key in added[0]]
     of_logs = [(i, *one) for i, log in enumerate(logs) for one in log.nuisance_regressors()]
     return Evidence(
         layout=logs[0].layout,
         t=np.concatenate([case.motion.t for case in cases]),
         log=np.repeat(np.arange(len(logs)), np.diff(starts)),
         table=table,
-        keys=tuple(keys),
-        X=tuple(map(regressor, keys)),
+        keys=(*keys, *added[0]),
+        X=(*map(regressor, keys), *further),
         Z=tuple(joined_regressor([one], starts, i) for i, one, *_ in of_logs),
         deviations=np.array([deviation for *_, deviation, _ in of_logs]),
         bias_of=tuple(key for *_, key in of_logs),
@@ -246,31 +251,6 @@ def linearise(
             if target in known_effects()[name].group_targets(cases[0].robot.limbs)
         ),
     )
-
-
-def with_changes(
-    known: Evidence,
-    cases: Sequence[LogUnderModel],
-    chosen: Sequence[Effect],
-    changes: Callable[[Log], Mapping[Key, Mapping[str, np.ndarray]]],
-) -> Evidence:
-    """The evidence with further candidates.
-
-    Args:
-        known: evidence of the cases.
-        cases: the logs.
-        chosen: effects that are compensated.
-        changes: candidate -> what one unit of it adds to columns of a log, each (N,).
-    """
-    starts = np.searchsorted(known.log, np.arange(len(cases) + 1))
-    per_log, names = [], ()
-    for case in cases:
-        linear = _Linear(case, chosen)
-        added = changes(linear.log)
-        names = tuple(added)
-        per_log.append([linear.by_columns(columns) for columns in added.values()])
-    X = [joined_regressor(parts, starts) for parts in zip(*per_log, strict=True)]
-    return replace(known, keys=(*known.keys, *names), X=(*known.X, *X))
 
 
 def table_of(
@@ -401,24 +381,23 @@ class _Linear:
             # To first order, a group of equal sizes is the sum of its members.
             return summed_regressor([self.regressor((key[0], member)) for member in members])
         sizes = kind.starts_on(key[1], self.log)
-        if len(sizes) == 1:
-            return self._derivative_at_zero(key, sizes[0], self.fitted)
-        # No fit uses the evaluation channels, but they help to choose between several starts.
-        tried = [self._derivative_at_zero(key, size, self.names) for size in sizes]
+        tried = [self._derivative_at_zero(key, size) for size in sizes]
+        if len(tried) == 1:
+            return tried[0]
         # A start of either sign is valid for sizes of that sign; take the one that agrees best.
         shares = [explained_share(one, self.table) for one in tried]
         return tried[int(np.argmax(np.sign(sizes) * shares))]
 
-    def _derivative_at_zero(self, key: Key, step: float, names: Sequence[str]) -> Regressor:
-        """Derivative at zero, by the effect's chain rule or by a difference of these channels."""
+    def _derivative_at_zero(self, key: Key, step: float) -> Regressor:
+        """Derivative at zero, by the effect's chain rule or by a difference."""
         log, robot = compensate_all([effect(*key, step)], self.log, self.robot)
         if known_effects()[key[0]].traced.chain_rule == "readings":
             change = self._by_chain_rule(log, robot, step)
         else:
-            change = self._by_difference(key, log, robot, names) / step
-        # On the scale of the readings.
+            change = self._by_difference(key, log, robot) / step
         factor = _reading_scale(self.layout, [effect(*key, step)])
-        change = factor * change + (factor - 1.0) / step * self.parts.table
+        if not np.all(factor == 1.0):
+            change = factor * change + (factor - 1.0) / step * self.parts.table
         one = self._to_reading_scale(self._where_it_shows(key, sparse(change, self.parts.table)))
         return Regressor(one.columns, -one.values)
 
@@ -443,20 +422,18 @@ class _Linear:
         change[:, columns] += np.nan_to_num(after - self.parts.table[:, columns]) / step
         return change
 
-    def _by_difference(
-        self, key: Key, log: Log, robot: Machine, names: Sequence[str]
-    ) -> np.ndarray:
-        """Change of the table (M, W) to this log and model, in those of the channels `names` that
-        the effect may change.
+    def _by_difference(self, key: Key, log: Log, robot: Machine) -> np.ndarray:
+        """Change of the table (M, W) to this log and model, in the fitted channels that the effect
+        may change.
         """
         inputs = ResidualInputs(log, robot, self._motion(self.log, log, robot, self.motion))
         same = unchanged_channels(self.robot, robot) if log is self.log else ()
         if known_effects()[key[0]].traced.chain_rule is not None and robot is not self.robot:
             # Such a step moves contact changes by less than a row: their times are kept.
-            same = (*same, *(name for name in names if channels()[name].of_events))
+            same = (*same, *(name for name in self.fitted if channels()[name].of_events))
             inputs = under_model(self.parts.inputs, robot)
-        only = _event_channels(key) or names
-        again = [name for name in names if name in only and name not in same]
+        only = _event_channels(key) or self.fitted
+        again = [name for name in self.fitted if name in only and name not in same]
         return filled(self.layout, inputs, again) - self.parts.table
 
     def _derivative_at_value(self, key: Key) -> Regressor:

@@ -78,6 +78,8 @@ its amplitude.
 """
 EXACT_SHARE = 1e-3
 """Share of an effect's plausible size to which any model is exact."""
+LINEAR = ("gyro_bias", "accel_bias")
+"""Effects of each log that need no compensation, since the residual is linear in them."""
 ZERO_MOVED = 4.0
 """Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
 ZERO_SETTLED = 0.5
@@ -195,11 +197,25 @@ class Problem:
         return per_run_effects() if self.several else frozenset()
 
     @property
+    def zero_keys(self) -> list[Key]:
+        """The candidates that each log has at a size of its own, without sums of others."""
+        kinds = known_effects()
+        return [
+            (name, target)
+            for name, target in self.keys
+            if name in self.per_run and target in kinds[name].single_targets(self.limbs)
+        ]
+
+    @property
     def by_windows(self) -> bool:
         """Whether torques are averaged over windows, as for the error of the model: with several
         runs of a machine on a fixed base. Rows whose torques jump tell no accelerations.
         """
         return self.several and all(c.fixed and c.log.has("tau") for c in self.cases)
+
+    def sized(self, key: Key, size: float) -> Effect:
+        """A candidate with a size, clipped to its bounds on the machine."""
+        return with_clipped_size(effect(*key, 0.0), size, self.machine)
 
     def at(self, keys: Sequence[Key]) -> np.ndarray:
         """Places of these candidates (k,)."""
@@ -453,6 +469,9 @@ class _State:
 
     @staticmethod
     def of(problem: Problem, error: ModelError) -> "_State":
+        if problem.by_windows:
+            noise = {group: OF_MEAN * level for group, level in error.noise.items()}
+            error = replace(error, noise=noise)
         metric = _metric(problem, (), None, error)
         return _State(problem.cases, problem, (), error, metric)
 
@@ -466,9 +485,8 @@ class _State:
 
     @property
     def least_excess(self) -> float:
-        """Standard deviations that few walks of the model hardly exceed."""
-        runs = self.error.runs
-        return float(stdtrit(runs - 1, 1.0 - CHANCE)) if runs > 1 else LEAST_EXCESS
+        """Standard deviations that a size of an unchanged machine hardly exceeds."""
+        return least_excess(self.error)
 
     def bias(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """Most by which sizes of candidates (k,) with these standard deviations are biased.
@@ -515,189 +533,26 @@ class _State:
         return np.where(agreed, earned, np.minimum(earned, -1.0))
 
 
-def _metric(
-    problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
-) -> Metric:
-    """Metric at these effects; derivatives of an evidence `before` may be reused."""
-    before = None if problem.by_windows else before
-    known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
-    return _metric_of(problem, without_sticking(problem, effects, known), error)
-
-
-def _metric_of(problem: Problem, known: Evidence, error: ModelError) -> Metric:
-    if problem.by_windows:
-        noise = {group: OF_MEAN * level for group, level in error.noise.items()}
-        error = replace(error, noise=noise)
-    return metric_of(problem.cases, known, error, problem.use, problem.per_run)
-
-
-def without_sticking(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
-    """The evidence without the entries in which a joint of a fixed base may stick at effects, over
-    windows if the problem is.
+def least_excess(error: ModelError) -> float:
+    """Standard deviations that a size hardly exceeds in runs of a machine that lacks nothing, by
+    Student's t of as many runs as the model's error is known from.
     """
-    still = sticks(problem.cases, [*problem.declared, *effects], known.layout)
-    known = replace(known, table=np.where(still, np.nan, known.table))
-    return at_middles(known) if problem.by_windows else known
+    return float(stdtrit(error.runs - 1, 1.0 - CHANCE)) if error.runs > 1 else LEAST_EXCESS
 
 
-def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) -> np.ndarray:
-    """The table (M, W) with effects compensated, as of `without_sticking` at other effects."""
-    if problem.by_windows:
-        known = linearise(problem.cases, effects, (), evaluation_channels=False)
-        return without_sticking(problem, at, known).table
-    tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
-    still = sticks(problem.cases, [*problem.declared, *at], layout_for(problem.limbs))
-    return np.where(still, np.nan, np.concatenate(tables))
-
-
-def _settled(
-    state: _State, effects: Sequence[Effect], moved: float = ZERO_MOVED
-) -> tuple[_State, Chosen]:
-    """Fit each log's zeros (`moved` as of `_with_zeros`) and the sizes of effects in turn; drop
-    what does not earn its place.
+def least_named(
+    deviation: np.ndarray | float,
+    prior: np.ndarray | float,
+    price: np.ndarray | float,
+    excess: float,
+) -> np.ndarray:
+    """Sizes (C,) whose evidence reaches its price and which exceed their standard deviations (C,)
+    by `excess`, for standard deviations of their prior (C,).
     """
-    while True:
-        if tuple(effects) != state.effects:
-            state = state.at(effects)
-        state = _with_zeros(state, effects, moved)
-        chosen = _refined(state, effects)
-        state = replace(state, explained=_explained_by_body(state, chosen))
-        kept = _without_worst(chosen, state.earned_by(chosen))
-        if kept is None:
-            return state, chosen
-        effects = kept
-
-
-def _without_worst(chosen: Chosen, earned: np.ndarray) -> tuple[Effect, ...] | None:
-    """The effects without the one that earns its place least; None if all earn theirs."""
-    worst = int(np.argmin(earned)) if len(earned) else -1
-    if worst < 0 or earned[worst] > 0.0:
-        return None
-    return (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
-
-
-def _not_imitated(
-    state: _State, chosen: Chosen, left: Callable[[Sequence[Effect], Sequence[Key]], np.ndarray]
-) -> tuple[_State, Chosen]:
-    """Drop the effects that the residual which the others leave once compensated may imitate; left
-    as of `explain`.
-
-    How much is left depends on how an effect is simulated, so it is no part of the error under
-    which sizes are fitted.
-    """
-    while chosen.effects:
-        imitated = [
-            left([e for e in chosen.effects if e != one], chosen.keys)[place]
-            for place, one in enumerate(chosen.effects)
-        ]
-        deviations = np.hypot(chosen.deviations, imitated)
-        earned = state.earned(chosen.keys, chosen.sizes, deviations)
-        kept = _without_worst(chosen, earned)
-        if kept is None:
-            break
-        state, chosen = _settled(state, kept)
-    return state, chosen
-
-
-def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
-    """Squared residual of each channel (channels,) that those of the effects explain which a model
-    compensates only approximately.
-    """
-    exact = [one for one in chosen.effects if not is_compensated_approximately(one)]
-    if len(exact) == len(chosen.effects):
-        return np.zeros(1)
-    without = _table(state.problem, exact, exact)
-    square = state.metric.squares
-    return np.maximum(square(without) - square(chosen.table), 0.0)
-
-
-def _with_zeros(state: _State, effects: Sequence[Effect], moved: float = ZERO_MOVED) -> _State:
-    """Compensate each log's zeros and clocks that are far from where they are now, by more than
-    `moved` standard deviations.
-
-    Biases need no compensation, since the residual is linear in them.
-    """
-    problem, kinds = state.problem, known_effects()
-    keys = [
-        key
-        for key in problem.keys
-        if key[0] in problem.per_run - {"gyro_bias", "accel_bias"}
-        and key[1] in kinds[key[0]].single_targets(problem.limbs)
-    ]
-    doubt = problem.unknown[problem.at(keys)]
-    for _ in range(ZERO_ROUNDS if keys else 0):
-        zeros = []
-        for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
-            sizes = {(e.name, e.target): e.value for e in case.zeros}
-            for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
-                least = ZERO_MOVED * np.hypot(deviation, more)
-                known = key in sizes
-                if abs(size - sizes.get(key, 0.0)) > (moved * deviation if known else least):
-                    sizes[key] = size
-                if abs(sizes.get(key, 0.0)) <= least:
-                    sizes.pop(key, None)
-            zeros.append(
-                tuple(
-                    with_clipped_size(effect(*k, 0.0), x, problem.machine) for k, x in sizes.items()
-                )
-            )
-        if zeros == [case.zeros for case in problem.cases]:
-            break
-        cases = [
-            replace(
-                log_under_model(*compensate_all(these, case.log, case.robot), case.undriven),
-                zeros=these,
-            )
-            for these, case in zip(zeros, state.declared, strict=True)
-        ]
-        problem = replace(problem, cases=cases)
-        metric = _metric(problem, effects, None, state.error)
-        state = replace(state, problem=problem, metric=metric)
-    return state
-
-
-def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
-    """Refine the sizes of effects on the true residual, by Gauss-Newton steps."""
-    problem, metric, machine = state.problem, state.metric, state.problem.machine
-    effects = in_order([with_clipped_size(one, one.value, machine) for one in start])
-    keys = [(one.name, one.target) for one in effects]
-    precision = problem.prior[problem.at(keys)] ** -2.0
-    # Size at which each derivative was taken, and the derivative.
-    known = {(e.name, e.target): e.value for e in state.effects}
-    derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
-    best = None
-    for _ in range(NEWTON_STEPS):
-        stale = [
-            key
-            for key, one in zip(keys, effects, strict=True)
-            if key not in derived or abs(derived[key][0] - one.value) > MOVED * abs(one.value)
-        ]
-        if stale or best is None:
-            evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
-            evidence = without_sticking(problem, state.effects, evidence)
-            table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
-            derived |= {
-                key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
-            }
-        else:
-            table = _table(problem, effects, state.effects)
-        X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
-        S = metric.products(table, X, keys)
-        A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)
-        volume = np.linalg.slogdet(A / scale / scale[:, None])[1]
-        cost = float(S[0, 0] + precision @ sizes**2 + volume)
-        if best is None or cost < best.cost:
-            best = Chosen(effects, float(S[0, 0]), cost, metric, precision, table, X)
-        inverse = np.linalg.pinv(A, hermitian=True)
-        moved = sizes + inverse @ (S[1:, 0] - precision * sizes)
-        effects = tuple(
-            with_clipped_size(one, x, machine) for one, x in zip(effects, moved, strict=True)
-        )
-        change = np.array([one.value for one in effects]) - sizes
-        if np.all(np.abs(change) <= SETTLED * np.sqrt(np.diag(inverse))):
-            break
-    assert best is not None
-    return best
+    ratio = (prior / deviation) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        enough = np.sqrt((price + np.log1p(ratio)) * (1.0 + ratio) / ratio)
+    return np.maximum(enough, excess) * deviation
 
 
 @dataclass(frozen=True)
@@ -743,6 +598,35 @@ def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Be
     )
 
 
+def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
+    """Every candidate of a round, those that earn a place first, by evidence."""
+    problem = state.problem
+    earned = state.earned(problem.keys, beside.sizes, beside.deviations)
+    total = max(float(beside.S[0, 0]), 1e-300)
+    gains = beside.sizes * beside.S[1:, 0]
+    every = np.arange(len(problem.keys))
+    deviations = np.hypot(beside.deviations, problem.unknown)
+    least = least_named(deviations, problem.prior, problem.price, state.least_excess)
+    least += state.bias(every, beside.deviations)
+    out = []
+    for i in np.argsort(-beside.evidence):
+        name, target = problem.keys[i]
+        low, high = interior_bounds(name, target, problem.machine)
+        if name not in problem.per_run and np.isfinite(beside.deviations[i]):
+            out.append(
+                Candidate(
+                    key=problem.keys[i],
+                    size=float(beside.sizes[i]),
+                    deviation=float(deviations[i]),
+                    share=float(gains[i]) / total,
+                    least=float(least[i]),
+                    at_bound=bool(not low < beside.sizes[i] < high),
+                    earned=bool(earned[i] > 0.0 and beside.evidence[i] > 0.0),
+                )
+            )
+    return tuple(sorted(out, key=lambda one: not one.earned))
+
+
 def _extended(
     state: _State, chosen: Chosen, beside: _Beside
 ) -> tuple[Chosen | None, tuple[tuple[Effect, str], ...]]:
@@ -753,11 +637,7 @@ def _extended(
     for keys, sizes, likely in _proposals(state, beside):
         if tried and not likely:
             break
-        new = [effect(*key, 0.0) for key in keys]
-        new = [
-            with_clipped_size(one, x, state.problem.machine)
-            for one, x in zip(new, sizes, strict=True)
-        ]
+        new = [state.problem.sized(key, x) for key, x in zip(keys, sizes, strict=True)]
         one = _refined(state, [*chosen.effects, *new])
         gained = chosen.cost - one.cost - float(np.sum(state.problem.price[state.problem.at(keys)]))
         at = one.at(keys)
@@ -767,26 +647,6 @@ def _extended(
             rejected += [(one.effects[i], _why_not(state, one, i, gained)) for i in at]
     best = max(tried, key=lambda pair: pair[0])[1] if tried else None
     return best, tuple(rejected)
-
-
-def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
-    """Why a refined effect at this place does not earn it."""
-    one, size = chosen.effects[place], abs(chosen.sizes[place])
-    low, high = interior_bounds(one.name, one.target, state.problem.machine)
-    if not low < one.value < high:
-        bound = low if one.value <= low else high
-        return f"its size is at its bound of {bound:.2g} {one.unit}"
-    if size <= BLOCKS_AGREE * chosen.between_blocks[place]:
-        excess = size / chosen.between_blocks[place]
-        return (
-            f"the log's blocks disagree on it: {excess:.1f} of {BLOCKS_AGREE:g} standard deviations"
-        )
-    if gained <= 0.0:
-        return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
-    at = state.problem.at([chosen.keys[place]])
-    size -= state.bias(at, chosen.deviations[[place]])[0]
-    excess = max(size, 0.0) / np.hypot(chosen.deviations[place], state.problem.unknown[at][0])
-    return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
 
 
 def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.ndarray, bool]]:
@@ -868,9 +728,7 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
         able &= np.isfinite(beside.evidence)
         order = (int(i) for i in np.argsort(-beside.evidence) if able[i])
         for i in islice(_distinct(order, problem), SINGLES):
-            other = with_clipped_size(
-                effect(*problem.keys[i], 0.0), beside.sizes[i], problem.machine
-            )
+            other = problem.sized(problem.keys[i], beside.sizes[i])
             one = _refined(state, [*chosen.effects[:place], other, *chosen.effects[place + 1 :]])
             costs = problem.price[i] - problem.price[own]
             if not np.all(state.earned_by(one) > 0.0):
@@ -883,36 +741,192 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
     return None, tuple(rivals)
 
 
-def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
-    """Every candidate of a round, those that earn a place first, by evidence."""
+def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
+    """Why a refined effect at this place does not earn it."""
+    one, size = chosen.effects[place], abs(chosen.sizes[place])
+    low, high = interior_bounds(one.name, one.target, state.problem.machine)
+    if not low < one.value < high:
+        bound = low if one.value <= low else high
+        return f"its size is at its bound of {bound:.2g} {one.unit}"
+    if size <= BLOCKS_AGREE * chosen.between_blocks[place]:
+        excess = size / chosen.between_blocks[place]
+        return (
+            f"the log's blocks disagree on it: {excess:.1f} of {BLOCKS_AGREE:g} standard deviations"
+        )
+    if gained <= 0.0:
+        return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
+    at = state.problem.at([chosen.keys[place]])
+    size -= state.bias(at, chosen.deviations[[place]])[0]
+    excess = max(size, 0.0) / np.hypot(chosen.deviations[place], state.problem.unknown[at][0])
+    return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
+
+
+def _not_imitated(
+    state: _State, chosen: Chosen, left: Callable[[Sequence[Effect], Sequence[Key]], np.ndarray]
+) -> tuple[_State, Chosen]:
+    """Drop the effects that the residual which the others leave once compensated may imitate; left
+    as of `explain`.
+
+    How much is left depends on how an effect is simulated, so it is no part of the error under
+    which sizes are fitted.
+    """
+    while chosen.effects:
+        imitated = [
+            left([e for e in chosen.effects if e != one], chosen.keys)[place]
+            for place, one in enumerate(chosen.effects)
+        ]
+        deviations = np.hypot(chosen.deviations, imitated)
+        earned = state.earned(chosen.keys, chosen.sizes, deviations)
+        kept = _without_worst(chosen, earned)
+        if kept is None:
+            break
+        state, chosen = _settled(state, kept)
+    return state, chosen
+
+
+def _without_worst(chosen: Chosen, earned: np.ndarray) -> tuple[Effect, ...] | None:
+    """The effects without the one that earns its place least; None if all earn theirs."""
+    worst = int(np.argmin(earned)) if len(earned) else -1
+    if worst < 0 or earned[worst] > 0.0:
+        return None
+    return (*chosen.effects[:worst], *chosen.effects[worst + 1 :])
+
+
+def _settled(
+    state: _State, effects: Sequence[Effect], moved: float = ZERO_MOVED
+) -> tuple[_State, Chosen]:
+    """Fit each log's zeros (`moved` as of `_with_zeros`) and the sizes of effects in turn; drop
+    what does not earn its place.
+    """
+    while True:
+        if tuple(effects) != state.effects:
+            state = state.at(effects)
+        state = _with_zeros(state, effects, moved)
+        chosen = _refined(state, effects)
+        state = replace(state, explained=_explained_by_body(state, chosen))
+        kept = _without_worst(chosen, state.earned_by(chosen))
+        if kept is None:
+            return state, chosen
+        effects = kept
+
+
+def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
+    """Refine the sizes of effects on the true residual, by Gauss-Newton steps."""
+    problem, metric, machine = state.problem, state.metric, state.problem.machine
+    effects = in_order([with_clipped_size(one, one.value, machine) for one in start])
+    keys = [(one.name, one.target) for one in effects]
+    precision = problem.prior[problem.at(keys)] ** -2.0
+    # Size at which each derivative was taken, and the derivative.
+    known = {(e.name, e.target): e.value for e in state.effects}
+    derived = {key: (x, metric.known.X[metric.known.keys.index(key)]) for key, x in known.items()}
+    best = None
+    for _ in range(NEWTON_STEPS):
+        stale = [
+            key
+            for key, one in zip(keys, effects, strict=True)
+            if key not in derived or abs(derived[key][0] - one.value) > MOVED * abs(one.value)
+        ]
+        if stale or best is None:
+            evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
+            evidence = without_sticking(problem, state.effects, evidence)
+            table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
+            derived |= {
+                key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
+            }
+        else:
+            table = _table(problem, effects, state.effects)
+        X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
+        S = metric.products(table, X, keys)
+        A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)
+        volume = np.linalg.slogdet(A / scale / scale[:, None])[1]
+        cost = float(S[0, 0] + precision @ sizes**2 + volume)
+        if best is None or cost < best.cost:
+            best = Chosen(effects, float(S[0, 0]), cost, metric, precision, table, X)
+        inverse = np.linalg.pinv(A, hermitian=True)
+        moved = sizes + inverse @ (S[1:, 0] - precision * sizes)
+        effects = tuple(
+            with_clipped_size(one, x, machine) for one, x in zip(effects, moved, strict=True)
+        )
+        change = np.array([one.value for one in effects]) - sizes
+        if np.all(np.abs(change) <= SETTLED * np.sqrt(np.diag(inverse))):
+            break
+    assert best is not None
+    return best
+
+
+def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
+    """Squared residual of each channel (channels,) that those of the effects explain which a model
+    compensates only approximately.
+    """
+    exact = [one for one in chosen.effects if not is_compensated_approximately(one)]
+    if len(exact) == len(chosen.effects):
+        return np.zeros(1)
+    without = _table(state.problem, exact, exact)
+    square = state.metric.squares
+    return np.maximum(square(without) - square(chosen.table), 0.0)
+
+
+def _with_zeros(state: _State, effects: Sequence[Effect], moved: float = ZERO_MOVED) -> _State:
+    """Compensate each log's zeros and clocks that are far from where they are now, by more than
+    `moved` standard deviations.
+    """
     problem = state.problem
-    earned = state.earned(problem.keys, beside.sizes, beside.deviations)
-    total = max(float(beside.S[0, 0]), 1e-300)
-    gains = beside.sizes * beside.S[1:, 0]
-    every = np.arange(len(problem.keys))
-    deviations = np.hypot(beside.deviations, problem.unknown)
-    ratio = (problem.prior / deviations) ** 2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        enough = np.sqrt((problem.price + np.log1p(ratio)) * (1.0 + ratio) / ratio)
-    least = np.maximum(enough, state.least_excess) * deviations
-    least += state.bias(every, beside.deviations)
-    out = []
-    for i in np.argsort(-beside.evidence):
-        name, target = problem.keys[i]
-        low, high = interior_bounds(name, target, problem.machine)
-        if name not in problem.per_run and np.isfinite(beside.deviations[i]):
-            out.append(
-                Candidate(
-                    key=problem.keys[i],
-                    size=float(beside.sizes[i]),
-                    deviation=float(deviations[i]),
-                    share=float(gains[i]) / total,
-                    least=float(least[i]),
-                    at_bound=bool(not low < beside.sizes[i] < high),
-                    earned=bool(earned[i] > 0.0 and beside.evidence[i] > 0.0),
-                )
+    keys = [key for key in problem.zero_keys if key[0] not in LINEAR]
+    doubt = problem.unknown[problem.at(keys)]
+    for _ in range(ZERO_ROUNDS):
+        zeros = []
+        for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
+            sizes = {(e.name, e.target): e.value for e in case.zeros}
+            for key, (size, deviation), more in zip(keys, fitted, doubt, strict=True):
+                least = ZERO_MOVED * np.hypot(deviation, more)
+                known = key in sizes
+                if abs(size - sizes.get(key, 0.0)) > (moved * deviation if known else least):
+                    sizes[key] = size
+                if abs(sizes.get(key, 0.0)) <= least:
+                    sizes.pop(key, None)
+            zeros.append(tuple(problem.sized(key, size) for key, size in sizes.items()))
+        if zeros == [case.zeros for case in problem.cases]:
+            break
+        cases = [
+            replace(
+                log_under_model(*compensate_all(these, case.log, case.robot), case.undriven),
+                zeros=these,
             )
-    return tuple(sorted(out, key=lambda one: not one.earned))
+            for these, case in zip(zeros, state.declared, strict=True)
+        ]
+        problem = replace(problem, cases=cases)
+        metric = _metric(problem, effects, None, state.error)
+        state = replace(state, problem=problem, metric=metric)
+    return state
+
+
+def _metric(
+    problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
+) -> Metric:
+    """Metric at these effects; derivatives of an evidence `before` may be reused."""
+    before = None if problem.by_windows else before
+    known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
+    known = without_sticking(problem, effects, known)
+    return metric_of(problem.cases, known, error, problem.use, problem.per_run)
+
+
+def without_sticking(problem: Problem, effects: Sequence[Effect], known: Evidence) -> Evidence:
+    """The evidence without the entries in which a joint of a fixed base may stick at effects, over
+    windows if the problem is.
+    """
+    still = sticks(problem.cases, [*problem.declared, *effects], known.layout)
+    known = replace(known, table=np.where(still, np.nan, known.table))
+    return at_middles(known) if problem.by_windows else known
+
+
+def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) -> np.ndarray:
+    """The table (M, W) with effects compensated, as of `without_sticking` at other effects."""
+    if problem.by_windows:
+        known = linearise(problem.cases, effects, (), evaluation_channels=False)
+        return without_sticking(problem, at, known).table
+    tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
+    still = sticks(problem.cases, [*problem.declared, *at], layout_for(problem.limbs))
+    return np.where(still, np.nan, np.concatenate(tables))
 
 
 def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Found, ...]:
@@ -942,21 +956,14 @@ def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Fo
 
 def _fitted_runs(state: _State) -> tuple[FittedRun, ...]:
     """Each log's own zeros, biases and clocks."""
-    problem, kinds = state.problem, known_effects()
-    keys = [
-        key
-        for key in problem.keys
-        if key[0] in problem.per_run and key[1] in kinds[key[0]].single_targets(problem.limbs)
-    ]
-    fits = state.metric.zeros(keys) if keys else [[] for _ in problem.cases]
-    runs = []
-    for case, fitted in zip(problem.cases, fits, strict=True):
+    problem, keys, runs = state.problem, state.problem.zero_keys, []
+    for case, fitted in zip(problem.cases, state.metric.zeros(keys), strict=True):
         known = {(e.name, e.target): e.value for e in case.zeros}
         found = []
         for key, (size, deviation) in zip(keys, fitted, strict=True):
-            one = with_clipped_size(effect(*key, 0.0), known.get(key, size), problem.machine)
+            one = problem.sized(key, known.get(key, size))
             half = 1.96 * deviation
-            if key in known or key[0] in ("gyro_bias", "accel_bias"):
+            if key in known or key[0] in LINEAR:
                 found.append(Found(one, (one.value - half, one.value + half)))
         runs.append(FittedRun(case, tuple(found), case.zeros))
     return tuple(runs)

@@ -6,7 +6,7 @@ nuisance parameters, whose covariance is C. Products a^T V^-1 b follow by the ma
 lemma.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -164,17 +164,17 @@ class Metric:
         """
         lost = np.isnan(table) & (self.root > 0.0)
         root = np.where(lost, 0.0, self.root)
-        used = self._in_noise(table, X, root)
+        used = np.zeros((1 + len(X), *table.shape))
+        used[0] = (np.where(np.isfinite(table), table, 0.0) - self.expected) * root
+        for place, one in enumerate(X, 1):
+            used[place][:, one.columns] = one.values * root[:, one.columns]
         kept = self._kept(without)
+        cross = self.data.products(used * root, self.columns, self.known.log)[:, self.places[kept]]
         total = np.zeros((1 + len(X), 1 + len(X)))
         total[0, 0] = float(np.sum(self.robust.weight[lost]))
         for run, inverse in enumerate(self._inverses_of(kept)):
-            own = self.known.log == run
-            cross = np.zeros((np.count_nonzero(kept), 1 + len(X)))
-            for c, rows, at, F in self._terms_of(run, kept, root):
-                cross[at] += F.T @ used[:, rows, c].T
-            flat = used[:, own][:, :, self.columns].reshape(1 + len(X), -1)
-            total += flat @ flat.T - cross.T @ inverse @ cross
+            flat = used[:, self.known.log == run][:, :, self.columns].reshape(1 + len(X), -1)
+            total += flat @ flat.T - cross[run].T @ inverse @ cross[run]
         return total
 
     def without_blocks(self, keys: Sequence[Key], precision: np.ndarray) -> np.ndarray:
@@ -200,14 +200,6 @@ class Metric:
             sizes.append(np.linalg.lstsq(S[1:, 1:] + prior, S[1:, 0], rcond=None)[0])
         return np.array(sizes)
 
-    def _in_noise(self, table: np.ndarray, X: Sequence[Regressor], root: np.ndarray) -> np.ndarray:
-        """A table and its regressors (1 + k, M, W) in units of the noise."""
-        used = np.zeros((1 + len(X), *table.shape))
-        used[0] = (np.where(np.isfinite(table), table, 0.0) - self.expected) * root
-        for place, one in enumerate(X, 1):
-            used[place][:, one.columns] = one.values * root[:, one.columns]
-        return used
-
     def _kept(self, without: Collection[Key] | None) -> np.ndarray:
         """Which columns of F remain without some candidates (f,); None: without all terms."""
         if without is None:
@@ -220,20 +212,6 @@ class Metric:
             return self._inverses
         at = np.ix_(1 + self.places[kept], 1 + self.places[kept])
         return [scaled_inverse(G[at] + self.precision[np.ix_(kept, kept)]) for G in self.grams]
-
-    def _terms_of(
-        self, run: int, kept: np.ndarray, root: np.ndarray
-    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-        """For each column of the table in a log: column, rows (n,), places (p,) among the kept
-        columns of F, and their values (n, p) in units of the noise.
-        """
-        row = np.full(self.data.size, -1)
-        row[self.places[kept]] = np.arange(np.count_nonzero(kept))
-        for c in self.columns:
-            rows = self.data.rows[c]
-            mine = self.known.log[rows] == run
-            rows, at = rows[mine], row[self.data.which[c]]
-            yield c, rows, at[at >= 0], self.data.X[c][mine][:, at >= 0] * root[rows, c][:, None]
 
 
 def metric_of(
@@ -258,7 +236,7 @@ def metric_of(
     floor = noise_of(error, layout)
     unknown, floor = np.isnan(floor), np.nan_to_num(floor, nan=1e-12)
     own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
-    robust = robust_weights(_with_own(data, own), floor)
+    robust = robust_weights(_with_own(known, own), floor)
     if not robust_to_outliers:
         robust = replace(robust, weight=data.there.astype(float), sigma=floor)
     # What exceeds the floor is no white noise.
@@ -304,26 +282,23 @@ def metric_of(
     )
 
 
-def _with_own(data: Design, own: Sequence[int]) -> Design:
+def _with_own(known: Evidence, own: Sequence[int]) -> Evidence:
     """The same, where these candidates are also nuisance parameters of each log by itself."""
     if not own:
-        return data
-    known, limbs = data.evidence, data.evidence.layout.limbs
+        return known
     more = [
         (
             Regressor(one.columns, one.values * (known.log == log)[:, None]),
-            plausible_size(*key, limbs),
+            plausible_size(*key, known.layout.limbs) / 1.96,
         )
         for key, one in ((known.keys[i], known.X[i]) for i in own)
         for log in range(known.log.max(initial=0) + 1)
     ]
-    return design(
-        replace(
-            known,
-            Z=(*known.Z, *(one for one, _ in more)),
-            deviations=np.append(known.deviations, [size / 1.96 for _, size in more]),
-            bias_of=(*known.bias_of, *(None,) * len(more)),
-        )
+    return replace(
+        known,
+        Z=(*known.Z, *(one for one, _ in more)),
+        deviations=np.append(known.deviations, [deviation for _, deviation in more]),
+        bias_of=(*known.bias_of, *(None,) * len(more)),
     )
 
 

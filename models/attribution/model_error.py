@@ -16,22 +16,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import block_diag
 
 from surefoot.models.attribution.design import design, nuisance_precision, scaled_inverse
 from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import (
+    Changes,
     Evidence,
     Key,
     LogUnderModel,
     all_keys,
     linearise,
-    with_changes,
 )
-from surefoot.models.attribution.sensor_noise import data_sheet_noise
 from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.binning import BIN
-from surefoot.models.residuals.jacobians import Regressor
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import Limbs
@@ -98,9 +97,8 @@ class RunSums:
         nuisance: precision of the nuisance parameters (B,).
         rates: joint -> largest difference between the slope of its angle and its rate, averaged
             over a window [rad/s]; of a machine on a fixed base.
-        per_run: names of the effects that every run has at a size of its own.
-        no_terms: names of the effects that are no error of the model.
-        least: lower bound of each group's noise (G,), None without.
+        simulated: whether it is a walk of the model, whose sensors and clocks are as declared.
+        least: lower bound of each group's noise (G,).
     """
 
     keys: tuple[Key, ...]
@@ -109,9 +107,13 @@ class RunSums:
     count: np.ndarray
     nuisance: np.ndarray
     rates: dict[str, float]
-    per_run: frozenset[str] = PER_RUN
-    no_terms: frozenset[str] = NO_TERMS
-    least: np.ndarray | None = None
+    simulated: bool = False
+    least: np.ndarray | float = 0.0
+
+    @property
+    def zeros(self) -> list[Key]:
+        """The candidates that every run has at a size of its own."""
+        return [] if self.simulated else [key for key in self.keys if key[0] in PER_RUN]
 
     def whitened(self, noise: np.ndarray) -> np.ndarray:
         """Gram matrix of all rows in units of each group's noise (G,)."""
@@ -143,36 +145,6 @@ class ModelError:
     rates: dict[str, float]
 
 
-@dataclass(frozen=True)
-class RunEvidence:
-    """Evidence of one run, with the weights of its entries; on a fixed base averaged over windows.
-
-    Attributes:
-        case: the run under the declared model.
-        known: its evidence.
-        weight: (M, W).
-        rates: as of `RunSums`.
-    """
-
-    case: LogUnderModel
-    known: Evidence
-    weight: np.ndarray
-    rates: dict[str, float]
-
-    def only(self, keys: Sequence[Key]) -> "RunEvidence":
-        """The evidence restricted to these candidates."""
-        return replace(self, known=self.known.only(keys))
-
-
-def run_evidence(case: LogUnderModel, effects: Sequence[Effect] = ()) -> RunEvidence:
-    """Evidence of one run with `effects` compensated, and all candidates."""
-    known, (rates,) = evidence_of([case], effects)
-    if case.fixed:
-        return RunEvidence(case, known, np.isfinite(known.table).astype(float), rates)
-    least = data_sheet_noise(case.log.rate, known.layout)
-    return RunEvidence(case, known, robust_weights(design(known), least).weight, rates)
-
-
 def evidence_of(
     cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
 ) -> tuple[Evidence, list[dict[str, float]]]:
@@ -180,13 +152,15 @@ def evidence_of(
     windows and with `angle_errors`; and the `rates` of each run (`RunSums`).
     """
     first = cases[0]
-    known = linearise(cases, effects, all_keys(first), evaluation_channels=False)
+    errs = first.fixed and first.log.has("dq") and first.log.has("tau")
+
+    def changes(log: Log) -> Changes:
+        return angle_errors(log, first.undriven) if errs else {}
+
+    known = linearise(cases, effects, all_keys(first), evaluation_channels=False, changes=changes)
     if not first.fixed:
         return known, [{} for _ in cases]
-    if first.log.has("dq") and first.log.has("tau"):
-        undriven = first.undriven
-        known = with_changes(known, cases, effects, lambda log: angle_errors(log, undriven))
-    known = window_averaged(known, windows(known))
+    known = at_middles(known)
     of_rates, rates = known.layout.of("joint_rate"), []
     for run in range(len(cases)):
         table = known.table[known.log == run][:, of_rates]
@@ -196,122 +170,87 @@ def evidence_of(
     return known, rates
 
 
-def run_sums(
-    run: RunEvidence,
-    per_run: frozenset[str] = PER_RUN,
-    no_terms: frozenset[str] = NO_TERMS,
+def run_sums(case: LogUnderModel, effects: Sequence[Effect] = ()) -> RunSums:
+    """Sums of one run with `effects` compensated, and all candidates."""
+    known, (rates,) = evidence_of([case], effects)
+    if case.fixed:
+        return sums_of(case, known, np.isfinite(known.table).astype(float), rates)
+    least = known.layout.noise(case.log.rate)
+    return sums_of(case, known, robust_weights(known, least).weight, rates)
+
+
+def sums_of(
+    case: LogUnderModel,
+    known: Evidence,
+    weight: np.ndarray,
+    rates: dict[str, float],
+    simulated: bool = False,
 ) -> RunSums:
-    """Sums of one run over each group of columns; `per_run` and `no_terms` as of `RunSums`.
+    """Sums of one run over each group of columns.
 
     Of a machine on a fixed base these are its torques; of a walk all but the command's.
+
+    Args:
+        case: the run.
+        known: its evidence.
+        weight: of the entries (M, W).
+        rates: as of `RunSums`.
+        simulated: whether it is a walk of the model.
     """
-    known, layout = run.known, run.known.layout
-    table = design(known)
-    used = layout.of("joint_torque") if run.case.fixed else layout.fitted
+    table, layout = design(known), known.layout
+    used = layout.of("joint_torque") if case.fixed else layout.fitted
+    least = 0.0 if case.fixed else LEAST_NOISE * layout.noise(case.log.rate)
+    floor = np.broadcast_to(least, layout.width)
+    every = np.zeros(len(weight), int)
     groups, sums, count, kept = [], [], [], []
-    sheet = data_sheet_noise(run.case.log.rate, layout)
     for columns in layout.alike:
-        own = np.zeros_like(run.weight)
         here = [c for c in columns if c in used]
-        own[:, here] = run.weight[:, here]
-        if own.any():
-            kept.append(here)
+        if weight[:, here].any():
             groups.append(layout.kinds[here[0]])
-            every = np.zeros(len(own), int)
-            sums.append(table.grams(table.y, np.sqrt(own), here, every)[0])
-            count.append(np.count_nonzero(own))
+            sums.append(table.grams(table.y, np.sqrt(weight), here, every)[0])
+            count.append(np.count_nonzero(weight[:, here]))
+            kept.append(floor[here].min())
     return RunSums(
         keys=known.keys,
         groups=tuple(groups),
         sums=np.array(sums),
         count=np.array(count, float),
         nuisance=nuisance_precision(known),
-        rates=run.rates,
-        per_run=per_run,
-        no_terms=no_terms,
-        least=None
-        if run.case.fixed
-        else np.array([LEAST_NOISE * min(sheet[c] for c in columns) for columns in kept]),
-    )
-
-
-def windows(known: Evidence) -> list[np.ndarray]:
-    """Windows (N, M) over the bins of each log (`window_weights`)."""
-    return [window_weights(known.t[known.log == i]) for i in range(known.log.max(initial=0) + 1)]
-
-
-def window_averaged(known: Evidence, weights: Sequence[np.ndarray]) -> Evidence:
-    """An evidence whose rows are means over windows (`windows`), of each column over its values."""
-    log = known.log
-    table = known.table
-    mean = [_means(w, table[log == i]) for i, w in enumerate(weights)]
-
-    def of(one: Regressor) -> Regressor:
-        parts = [
-            np.column_stack(
-                [each[c] @ one.values[log == i][:, n] for n, c in enumerate(one.columns)]
-            )
-            if len(one.columns)
-            else np.zeros((len(weights[i]), 0))
-            for i, each in enumerate(mean)
-        ]
-        return Regressor(one.columns, np.concatenate(parts))
-
-    return replace(
-        known,
-        t=np.concatenate([w @ known.t[log == i] for i, w in enumerate(weights)]),
-        log=np.repeat(np.arange(len(weights)), [len(w) for w in weights]),
-        table=window_means(weights, log, table),
-        X=tuple(of(one) for one in known.X),
-        Z=tuple(of(one) for one in known.Z),
+        rates=rates,
+        simulated=simulated,
+        least=np.array(kept),
     )
 
 
 def at_middles(known: Evidence) -> Evidence:
-    """An evidence with the means over windows (`windows`) in the bins at their middles, and nothing
-    in all others.
-    """
-    mean, place = window_averaged(known, windows(known)), []
-    for run in range(known.log.max(initial=0) + 1):
-        own = np.flatnonzero(known.log == run)
-        place.append(own[np.searchsorted(known.t[own], mean.t[mean.log == run])])
-    at = np.concatenate(place)
+    """An evidence with means over windows (`window_weights`) in the bins at their middles, and
+    nothing in all others.
 
-    def placed(values: np.ndarray, nothing: float) -> np.ndarray:
-        out = np.full((len(known.t), values.shape[1]), nothing)
-        out[at] = values
+    A mean is over the values of a column, which has some for half of the window at least.
+    """
+    logs = [np.flatnonzero(known.log == log) for log in range(known.log.max(initial=0) + 1)]
+    weights = [window_weights(known.t[own]) for own in logs]
+    middles = [
+        own[np.searchsorted(known.t[own], w @ known.t[own])]
+        for own, w in zip(logs, weights, strict=True)
+    ]
+    at, w = np.concatenate(middles), sparse.block_diag(list(map(sparse.csr_array, weights)), "csr")
+    there = np.isfinite(known.table)
+    share = w @ there.astype(float)
+
+    def means(values: np.ndarray, columns: np.ndarray, nothing: float) -> np.ndarray:
+        out = np.full(values.shape, nothing)
+        whole = np.where(there[:, columns], values, 0.0)
+        out[at] = w @ whole / np.maximum(share[:, columns], 1e-12)
         return out
 
+    table = means(known.table, np.arange(known.layout.width), np.nan)
+    table[at] = np.where(share >= 0.5, table[at], np.nan)
     X, Z = (
-        tuple(replace(one, values=placed(one.values, 0.0)) for one in columns)
-        for columns in (mean.X, mean.Z)
+        tuple(replace(one, values=means(one.values, one.columns, 0.0)) for one in regressors)
+        for regressors in (known.X, known.Z)
     )
-    return replace(known, table=placed(mean.table, np.nan), X=X, Z=Z)
-
-
-def window_means(weights: Sequence[np.ndarray], log: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Means of the columns of a table (M, W) over the windows of each log; NaN where a column has
-    values for less than half of a window.
-    """
-    out = []
-    for i, w in enumerate(weights):
-        own = table[log == i]
-        columns = [each @ np.nan_to_num(x) for each, x in zip(_means(w, own), own.T, strict=True)]
-        there = np.array([w @ np.isfinite(x) >= 0.5 for x in own.T]).T
-        out.append(
-            np.where(there.reshape(len(w), -1), np.array(columns).T.reshape(len(w), -1), np.nan)
-        )
-    return np.concatenate(out)
-
-
-def _means(weights: np.ndarray, table: np.ndarray) -> list[np.ndarray]:
-    """For each column of a table (M, W), weights (N, M) of the mean over its values."""
-    out = []
-    for column in table.T:
-        there = np.isfinite(column)
-        own = weights if there.all() else weights * there
-        out.append(own if there.all() else own / np.maximum(own.sum(axis=1, keepdims=True), 1e-12))
-    return out
+    return replace(known, table=table, X=X, Z=Z)
 
 
 def window_weights(t: np.ndarray) -> np.ndarray:
@@ -329,7 +268,7 @@ def window_weights(t: np.ndarray) -> np.ndarray:
     return w[whole] / total[whole, None]
 
 
-def angle_errors(log: Log, undriven: Sequence[str]) -> dict[Key, Mapping[str, np.ndarray]]:
+def angle_errors(log: Log, undriven: Sequence[str]) -> Changes:
     """What may be added to the angle and the rate of a joint without a drive, apart from a zero: a
     drift, and shares of all angles.
 
@@ -349,40 +288,35 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
     """Estimate the error of a model from runs of the unchanged machine; None for too few runs, for
     runs with different readings, and without torques on a fixed base.
     """
-    alike = len({(one.keys, one.groups) for one in runs}) == 1
-    if len(runs) < FEWEST_RUNS or not alike or not runs[0].groups:
+    first = runs[0]
+    alike = all((one.keys, one.groups) == (first.keys, first.groups) for one in runs)
+    if len(runs) < FEWEST_RUNS or not alike or not first.groups:
         return None
-    keys = runs[0].keys
     sums, count = (np.sum([getattr(r, x) for r in runs], axis=0) for x in ("sums", "count"))
     scale = np.sqrt(sums[:, 0, 0] / count)
     # Mean square of the residual, relative to its own, that one unit of each size makes.
-    strength = np.diag(np.tensordot(scale**-2.0, sums, 1))[1 : 1 + len(keys)] / count.sum()
-    terms = [
-        key
-        for key, one in zip(keys, strength, strict=True)
-        if _is_term(key, runs[0].no_terms | runs[0].per_run, limbs) and one > NOTHING
-    ]
-    D = 1.0 / strength[[keys.index(key) for key in terms]]
-    simulated = runs[0].no_terms == EXACT
-    if simulated:
+    strength = np.diag(np.tensordot(scale**-2.0, sums, 1))[1 : 1 + len(first.keys)] / count.sum()
+    shown = zip(first.keys, strength, strict=True)
+    terms = [key for key, one in shown if _is_term(key, first, limbs) and one > NOTHING]
+    D = 1.0 / strength[[first.keys.index(key) for key in terms]]
+    most_a, settled = np.inf, _SETTLED
+    if first.simulated:
         # Nothing that a walk of the model seems to lack is larger than what machines lack.
         most = np.array([plausible_size(*key, limbs) / 1.96 for key in terms])
         D = 1.0 / (1.0 / D + most**-2.0)
+        most_a, settled = 1.0, _NEARLY
     parts = [_Part.of(run, terms, limbs) for run in runs]
     a, b, noise = _START[0], _START[1], _START[2] * scale
     before, posterior = np.inf, None
     for round_ in range(_ROUNDS):
         posterior = _posterior(parts, (a, b, noise), D)
-        new_a = min(posterior.a, 1.0) if simulated else posterior.a
-        step = np.log([new_a / a, posterior.b / b])
-        settled = np.abs(step).max() < (_NEARLY if simulated else _SETTLED) and round_ >= _FEWEST
-        a = min(posterior.a, 1.0) if simulated else posterior.a
+        step = np.log([min(posterior.a, most_a) / a, posterior.b / b])
+        a = min(posterior.a, most_a)
         slow = 0.5 < step[1] / before < 1.5
-        b, noise = b * np.exp((_AHEAD if slow else 1.0) * step[1]), posterior.noise
+        b *= np.exp((_AHEAD if slow else 1.0) * step[1])
+        noise = np.maximum(posterior.noise, first.least)
         before = step[1]
-        if runs[0].least is not None:
-            noise = np.maximum(noise, runs[0].least)
-        if settled:
+        if np.abs(step).max() < settled and round_ >= _FEWEST:
             break
     assert posterior is not None
     covariance = 0.5 * (posterior.covariance + posterior.covariance.T)
@@ -391,8 +325,8 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         keys=tuple(terms),
         mean=posterior.mean,
         covariance=covariance + np.diag(b**2 * D),
-        noise=dict(zip(runs[0].groups, noise.tolist(), strict=True)),
-        rates={joint: max(run.rates[joint] for run in runs) for joint in runs[0].rates},
+        noise=dict(zip(first.groups, noise.tolist(), strict=True)),
+        rates={joint: max(run.rates[joint] for run in runs) for joint in first.rates},
     )
     return _with_spread(runs, found, limbs)
 
@@ -472,49 +406,36 @@ def _posterior(
 
 def own_places(run: RunSums) -> list[int]:
     """Rows in the sums of what belongs to the run: zeros, biases and other nuisance parameters."""
-    zeros = [key for key in run.keys if key[0] in run.per_run]
     first = 1 + len(run.keys)
-    return [*run.places(zeros), *range(first, first + len(run.nuisance))]
+    return [*run.places(run.zeros), *range(first, first + len(run.nuisance))]
 
 
 def own_precision(run: RunSums, limbs: Limbs) -> np.ndarray:
     """Prior precision of each of `own_places`."""
-    zeros = [key for key in run.keys if key[0] in run.per_run]
-    return np.append([(plausible_size(*key, limbs) / 1.96) ** -2.0 for key in zeros], run.nuisance)
+    of_zeros = [(plausible_size(*key, limbs) / 1.96) ** -2.0 for key in run.zeros]
+    return np.append(of_zeros, run.nuisance)
 
 
 def against_unchanged(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarray:
     """a' V^-1 b (1 + P, 1 + P) of the residual less its mean and of all candidates, V the
     covariance of a run of the unchanged machine.
     """
-    G, first = _about_mean(run, known), 1 + len(run.keys)
-    use = [*run.places(known.keys), *own_places(run)]
-    inner = G[np.ix_(use, use)] + _unchanged_precision(run, known, limbs)
-    cross = G[use, :first]
-    return G[:first, :first] - cross.T @ np.linalg.solve(inner, cross)
-
-
-def _about_mean(run: RunSums, known: ModelError) -> np.ndarray:
-    """Whitened Gram matrix of a run whose residual is less the mean error of the model."""
     G = run.whitened(np.array([known.noise[group] for group in run.groups]))
+    # The residual less the mean error of the model.
     turned = np.eye(len(G))
     turned[run.places(known.keys), 0] = -known.mean
-    return turned.T @ G @ turned
-
-
-def _unchanged_precision(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarray:
-    """Prior precision of the terms about their mean and of what belongs to the run."""
-    own = np.diag(own_precision(run, limbs))
-    return np.asarray(block_diag(np.linalg.inv(known.covariance), own))
+    G = turned.T @ G @ turned
+    use, first = [*run.places(known.keys), *own_places(run)], 1 + len(run.keys)
+    prior = block_diag(np.linalg.inv(known.covariance), np.diag(own_precision(run, limbs)))
+    cross = G[use, :first]
+    return G[:first, :first] - cross.T @ np.linalg.solve(G[np.ix_(use, use)] + prior, cross)
 
 
 def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> ModelError:
     """The error with the variance by which each effect's apparent size differs between runs beyond
     its error, such as that of a delay, which is no term.
     """
-    other = {ANGLE_ERROR, *runs[0].per_run}
-    if runs[0].no_terms == EXACT:
-        other |= EXACT
+    other = {ANGLE_ERROR, *(EXACT if runs[0].simulated else PER_RUN)}
     keys = [key for key in runs[0].keys if key[0] not in other]
     place, square = runs[0].places(keys), np.zeros(len(keys))
     for run in runs:
@@ -534,9 +455,10 @@ def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> Mo
     )
 
 
-def _is_term(key: Key, no_terms: frozenset[str], limbs: Limbs) -> bool:
+def _is_term(key: Key, run: RunSums, limbs: Limbs) -> bool:
+    """Whether an effect is an error of the model, and no sum of others."""
     name, target = key
-    if name in no_terms or name == ANGLE_ERROR:
+    if name in (EXACT if run.simulated else NO_TERMS) or key in run.zeros or name == ANGLE_ERROR:
         return False
     return target in known_effects()[name].single_targets(limbs)
 

@@ -27,25 +27,16 @@ from surefoot.models.attribution.evidence import (
     log_under_model,
 )
 from surefoot.models.attribution.metric import noise_of
-from surefoot.models.attribution.model_error import (
-    EXACT,
-    ModelError,
-    RunEvidence,
-    RunSums,
-    model_error,
-    run_sums,
-)
+from surefoot.models.attribution.model_error import ModelError, RunSums, model_error, sums_of
 from surefoot.models.attribution.sensor_noise import (
     ReferenceSampling,
     apparent_sizes,
-    data_sheet_noise,
     reading_noise,
     reference_sampling,
     resample_reference,
 )
 from surefoot.models.attribution.weights import RobustWeights, robust_weights
 from surefoot.models.residuals.binning import inner_bins
-from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.motion import with_dead_reckoning
 from surefoot.models.residuals.torques import declared
@@ -123,9 +114,9 @@ class FloorWalk:
         """Of its residual and all candidates."""
         keys = all_keys(self.case)
         known = linearise([self.case], self.effects, keys, evaluation_channels=False)
-        weights = robust_weights(design(known), _least_noise(known.layout))
+        weights = robust_weights(known, known.layout.least_noise)
         weight = weights.weight * inner_bins(known.t)[:, None]
-        return run_sums(RunEvidence(self.case, known, weight, {}), frozenset(), EXACT)
+        return sums_of(self.case, known, weight, {}, simulated=True)
 
     def apparent_sizes(
         self, keys: Sequence[Key], sigma: np.ndarray
@@ -268,7 +259,7 @@ def noise_floor(
     if walks := _floor_walks(plan):
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
         return _floor_of_walks(walks, error, plan)
-    sigma = data_sheet_noise(first.log.rate, layout, plan.evenness)
+    sigma = layout.noise(first.log.rate, plan.evenness)
     source = "data sheets of the declared sensors"
     return NoiseFloor(sigma, (), source, _no_error(sigma, layout))
 
@@ -346,7 +337,7 @@ def _floor_of_walks(walks: tuple[FloorWalk, ...], error: ModelError, plan: Floor
 def _noise_of(walks: Sequence[FloorWalk]) -> np.ndarray:
     """Noise (W,) of the columns in walks of the declared model."""
     sigma = np.sqrt(np.mean([one.weights.sigma**2 for one in walks], axis=0))
-    return np.maximum(sigma, _least_noise(layout_for(walks[0].case.robot.limbs)))
+    return np.maximum(sigma, layout_for(walks[0].case.robot.limbs).least_noise)
 
 
 @lru_cache(maxsize=16)
@@ -365,7 +356,7 @@ def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
 def _floor_of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> NoiseFloor:
     """The floor by the noise of the readings, with the effects compensated."""
     layout = layout_for(cases[0].robot.limbs)
-    sigma = np.maximum(reading_noise(cases, effects), _least_noise(layout))
+    sigma = np.maximum(reading_noise(cases, effects), layout.least_noise)
     heights = layout.of("foot_height")
     sigma[heights] = np.hypot(sigma[heights], ground_evenness(cases))
     error, read = _no_error(sigma, layout), tuple(cases)
@@ -393,11 +384,6 @@ def _seen_evenness(cases: Sequence[LogUnderModel]) -> float:
     millimetre.
     """
     return round(max(case.motion.unevenness for case in cases) / SEEN_UNEVENNESS, 3)
-
-
-def _least_noise(layout: Layout) -> np.ndarray:
-    """Smallest noise (W,) that columns may have."""
-    return np.array([channels()[name].least_noise for name in layout.channel_of])
 
 
 def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
@@ -451,7 +437,7 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         case = log_under_model(log, robot)
         known = linearise([case], plan.effects, ())
         # The same minimum noise as for the log, so that channels have the same relative weight.
-        weights = robust_weights(design(known), _least_noise(known.layout))
+        weights = robust_weights(known, known.layout.least_noise)
         t, used = known.t, inner_bins(known.t)
         left = without_nuisance(known, weights.sigma, weights.weight, used)
         if t[-1] - t[0] > 2.0 * SETTLING:

@@ -1,4 +1,4 @@
-"""Noise of the readings: by data sheets, by the readings themselves, and that of a reference.
+"""Noise of the readings, by the readings themselves, and that of a reference.
 
 The reference in a log is interpolated between the samples of the motion capture, which
 `sim.log.reference` recovers; the noise of their poses and time stamps is estimated from the IMU
@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.models.alignment.alignment import align
 from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, linearise, table_of
-from surefoot.models.residuals.channels import channels
-from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
@@ -37,12 +35,6 @@ _LATE, _FAR = 1e-3, 0.02
 """Clock offset [s] and distance of the tracked point [m] below which a trace hardly differs."""
 CONSTANT_STEPS = 1.5
 """Quantisation steps: a signal that changes by less over a bin may keep its error throughout."""
-
-
-def data_sheet_noise(rate: float, layout: Layout, evenness: float = 0.0) -> np.ndarray:
-    """Standard deviation (W,) of a bin's residual from the sensors' noise and uneven ground."""
-    every, sensors = channels(), Sensors()
-    return np.array([every[name].noise(sensors, rate, evenness) for name in layout.channel_of])
 
 
 def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()) -> np.ndarray:

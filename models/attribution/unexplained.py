@@ -9,7 +9,7 @@ line, so an effect found at a joint is checked against Legendre polynomials of t
 Whatever else is left is regressed on a library of simple regressors.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.polynomial import Legendre
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.models.attribution.design import design
-from surefoot.models.attribution.evidence import Key, LogUnderModel, with_changes
+from surefoot.models.attribution.evidence import Changes, LogUnderModel, linearise
 from surefoot.models.attribution.explain import Explanation
 from surefoot.models.attribution.metric import Metric
 from surefoot.models.attribution.weights import RobustWeights
@@ -79,13 +79,15 @@ def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[
     if not at or cases[0].fixed:
         return ()
     joints = [joint for joint in kind if kind[joint] in {kind[one] for one in at}]
-    known = with_changes(
-        result.metric.known,
+    curves = linearise(
         cases,
         found,
-        lambda log: {k: x for joint in joints for k, x in angle_curves(log, joint).items()},
+        (),
+        evaluation_channels=False,
+        changes=lambda log: {k: x for joint in joints for k, x in angle_curves(log, joint).items()},
     )
-    more = len(known.keys) - len(result.metric.known.keys)
+    known, more = result.metric.known, len(curves.keys)
+    known = replace(known, keys=(*known.keys, *curves.keys), X=(*known.X, *curves.X))
     places = result.metric.places + more * (result.metric.places >= len(known.keys) - more)
     metric = replace(result.metric, data=design(known), places=places)
     gains = {joint: _gain(metric, joint, found) for joint in joints}
@@ -128,7 +130,7 @@ def _curve(joint: str) -> str:
     return f"curve {joint}"
 
 
-def angle_curves(log: Log, joint: str) -> dict[Key, Mapping[str, np.ndarray]]:
+def angle_curves(log: Log, joint: str) -> Changes:
     """Basis of the error of a joint's measured angle [rad] and rate [rad/s], each (N,).
 
     Legendre polynomials of the angle, alone and, where the log has it, times the torque.
@@ -138,7 +140,7 @@ def angle_curves(log: Log, joint: str) -> dict[Key, Mapping[str, np.ndarray]]:
     if f"tau_{joint}" in log.frame:
         rows = max(1, round(_TORQUE_WINDOW * log.rate))
         weights.append((uniform_filter1d(log.columns[f"tau_{joint}"], rows), LOADED_DEGREES))
-    changes: dict[Key, Mapping[str, np.ndarray]] = {}
+    changes = {}
     for weight, degrees in weights:
         for degree in degrees:
             added = weight * Legendre.basis(degree, domain=[q.min(), q.max()])(q)

@@ -13,8 +13,7 @@ import numpy as np
 
 from surefoot.models.attribution.design import (
     FREE,
-    Design,
-    add_block,
+    design,
     nuisance_precision,
     scaled_inverse,
 )
@@ -71,9 +70,19 @@ class RobustWeights:
     alike: np.ndarray
 
 
-def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
+def robust_weights(evidence: Evidence, floor: np.ndarray) -> RobustWeights:
     """Compute robust weights of an evidence with noise floor `floor` (W,)."""
-    layout, there = data.evidence.layout, data.there
+    # Groups of candidates are sums of others.
+    data = design(evidence.only([key for key in evidence.keys if key not in evidence.groups]))
+    prior, layout, there = _prior_precision(data.evidence), evidence.layout, data.there
+
+    def left_of(sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """What all candidates and nuisance parameters together do not explain (M, W)."""
+        root, every = np.sqrt(weight) / sigma, np.zeros(len(weight), int)
+        G = data.grams(data.y, root, layout.fitted, every)[0]
+        sizes = scaled_inverse(G[1:, 1:] + prior) @ G[1:, 0]
+        return np.where(there, data.y - data.explained(sizes), np.nan)
+
     feet = layout.by_leg("leg_velocity")
     legged = len(feet) > 0
     masked = np.zeros((len(there), len(feet)), dtype=bool)
@@ -87,11 +96,11 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
         sigma, weight = _noise_and_weights(layout, left, floor, there)
     for last in (False, True) if legged else (True,):
         for _ in range(ROUNDS):
-            left = np.where(there, data.y - _explained(data, sigma, weight), np.nan)
+            left = left_of(sigma, weight)
             sigma, weight = _noise_and_weights(layout, left, floor, there & ~spoiled)
         if not last:
-            slid, elsewhere = slips(data, left)
-            masked, spoiled = slid | elsewhere, _invalidated(layout, slid, elsewhere)
+            sliding, elsewhere = slips(evidence, left)
+            masked, spoiled = sliding | elsewhere, _invalidated(layout, sliding, elsewhere)
     standing = there[:, feet[:, 0]].sum() if legged else 0
     share = float(masked.sum() / max(standing, 1))
     z = np.clip(left / sigma, -OUTLIER, OUTLIER)
@@ -103,6 +112,20 @@ def robust_weights(data: Design, floor: np.ndarray) -> RobustWeights:
     columns = columns[sigma[columns] > FAR_ABOVE * floor[columns]]
     alike[columns] = np.count_nonzero(weight[:, columns], axis=0).clip(1)
     return RobustWeights(sigma, weight, masked, share, alike)
+
+
+def _prior_precision(known: Evidence) -> np.ndarray:
+    """Prior precision (C + B, C + B) of candidates and nuisance parameters.
+
+    Without a prior, sizes that no machine has explain anything: a torque scale of -1 and a robot
+    without masses.
+    """
+    kinds, limbs = known_effects(), known.layout.limbs
+    of_sizes = [
+        (plausible_size(*key, limbs) / 1.96) ** -2.0 if key[0] in kinds else FREE
+        for key in known.keys
+    ]
+    return np.diag(np.append(of_sizes, nuisance_precision(known)))
 
 
 def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:
@@ -125,14 +148,14 @@ def correlated_entries(layout: Layout, z: np.ndarray) -> np.ndarray:
     return worth
 
 
-def _invalidated(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:
+def _invalidated(layout: Layout, sliding: np.ndarray, elsewhere: np.ndarray) -> np.ndarray:
     """Mask (M, W) of the entries affected by feet (M, legs) that slid or stood elsewhere.
 
     A foot affects its own columns and those that belong to no foot, of the channels that declare
     the cause.
     """
-    spoiled = np.zeros((len(slid), layout.width), dtype=bool)
-    flags = {"slid": slid, "elsewhere": elsewhere}
+    spoiled = np.zeros((len(sliding), layout.width), dtype=bool)
+    flags = {"slid": sliding, "elsewhere": elsewhere}
     for c, (column, causes) in enumerate(zip(layout.columns, layout.masked_by, strict=True)):
         for cause in causes:
             flag = flags[cause]
@@ -140,7 +163,7 @@ def _invalidated(layout: Layout, slid: np.ndarray, elsewhere: np.ndarray) -> np.
     return spoiled
 
 
-def slips(data: Design, left: np.ndarray) -> np.ndarray:
+def slips(known: Evidence, left: np.ndarray) -> np.ndarray:
     """Foot bins (2, M, legs) of the stances that stand out from their foot's others, by speed and
     by height.
 
@@ -148,12 +171,12 @@ def slips(data: Design, left: np.ndarray) -> np.ndarray:
     fastest bin, since a sliding foot sticks again before the stance is over and a mean would miss
     every second slip; and by its height, since a foot on an edge does not slide.
     """
-    layout = data.evidence.layout
+    layout = known.layout
     velocity, heights = layout.by_leg("leg_velocity"), layout.by_leg("foot_height")
     masked = np.zeros((2, len(left), len(velocity)), dtype=bool)
     for leg in range(len(velocity)):
         speed = np.sqrt(np.sum(left[:, velocity[leg]] ** 2, axis=1))
-        stances = _stances(data.evidence, np.isfinite(speed))
+        stances = _stances(known, np.isfinite(speed))
         if len(stances) < FEWEST_STANCES:
             continue
         fastest = np.array([speed[bins].max() for bins in stances])
@@ -176,31 +199,6 @@ def _stances(known: Evidence, there: np.ndarray) -> list[np.ndarray]:
     rows = np.flatnonzero(there)
     apart = (np.diff(known.t[rows]) > 1.5 * BIN) | (np.diff(known.log[rows]) != 0)
     return np.split(rows, np.flatnonzero(apart) + 1)
-
-
-def _explained(data: Design, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Joint fit (M, W) of all candidates and nuisance parameters, in the table's unit."""
-    size, single = data.size, data.evidence.single
-    normal, right = np.zeros((size, size)), np.zeros(size)
-    for column in data.evidence.layout.fitted:
-        rows, (X, which) = data.rows[column], data.singles[column]
-        if not len(which) or not len(rows):
-            continue
-        root = np.sqrt(weight[rows, column]) / sigma[column]
-        A = X * root[:, None]
-        add_block(normal, which, A.T @ A)
-        right[which] += A.T @ (root * data.y[rows, column])
-    # Without a prior, sizes that no machine has explain anything: a torque scale of -1 and a robot
-    # without masses.
-    known, kinds = data.evidence, known_effects()
-    of_sizes = [
-        (plausible_size(*key, known.layout.limbs) / 1.96) ** -2.0 if key[0] in kinds else FREE
-        for key in known.keys
-    ]
-    normal += np.diag(np.append(of_sizes, nuisance_precision(known)))
-    sizes = np.zeros(size)
-    sizes[single] = scaled_inverse(normal[np.ix_(single, single)]) @ right[single]
-    return data.explained(sizes)
 
 
 def _noise_and_weights(

@@ -12,6 +12,7 @@ from surefoot.models.residuals.channels import channels
 from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
+from surefoot.sim.sensors.streams import Sensors
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,18 @@ class Layout:
     def fitted(self) -> np.ndarray:
         """Columns that effects are fitted to, without channels that are only evaluated."""
         return self.of(*(name for name in self.channels if not channels()[name].evaluation_only))
+
+    def noise(self, rate: float, evenness: float = 0.0) -> np.ndarray:
+        """Standard deviation (W,) of a bin's residual from the sensors' noise by their data sheets
+        at a rate [Hz], and from uneven ground (`evenness` [m]).
+        """
+        every, sensors = channels(), Sensors()
+        return np.array([every[name].noise(sensors, rate, evenness) for name in self.channel_of])
+
+    @cached_property
+    def least_noise(self) -> np.ndarray:
+        """Smallest noise (W,) that columns may have."""
+        return np.array([channels()[name].least_noise for name in self.channel_of])
 
     def of(self, *names: str) -> np.ndarray:
         """Columns of those of these channels that the layout has."""

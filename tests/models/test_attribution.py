@@ -8,7 +8,6 @@ import pytest
 from known_evidence import BINS, NOISE, WIDTH, evidence
 
 from surefoot.models.attribution.data import dead_contacts
-from surefoot.models.attribution.design import design
 from surefoot.models.attribution.weights import robust_weights, slips
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.sim.log import Log, Meta
@@ -20,16 +19,16 @@ def test_a_slipping_stance_is_masked_and_a_systematic_error_is_not():
     standing = np.isfinite(table[:, 9])
     first = np.flatnonzero(standing)[60:72]
     table[first, 9] += 0.2
-    masked = robust_weights(design(replace(one, table=table)), NOISE).masked
+    masked = robust_weights(replace(one, table=table), NOISE).masked
     assert masked[first, 1].all()
     assert masked.sum() == len(first)
     brief = one.table.copy()
     brief[first[5:7], 9] += 0.05
-    slid = design(replace(one, table=brief))
-    assert robust_weights(slid, NOISE).masked[first, 1].all(), "a slide of 40 ms in a longer stance"
+    sliding = replace(one, table=brief)
+    assert robust_weights(sliding, NOISE).masked[first, 1].all(), "a slide within a longer stance"
     biased = one.table.copy()
     biased[:, 9] += 0.2
-    assert not robust_weights(design(replace(one, table=biased)), NOISE).masked.any()
+    assert not robust_weights(replace(one, table=biased), NOISE).masked.any()
 
 
 def test_a_stance_on_something_else_than_the_others_is_masked_by_its_height():
@@ -40,20 +39,20 @@ def test_a_stance_on_something_else_than_the_others_is_masked_by_its_height():
     table[:, heights] = np.where(standing, rng.normal(0.0, 1e-4, standing.shape), np.nan)
     first = np.flatnonzero(standing[:, 1])[:12]
     table[first, heights[1]] += 0.003
-    assert not robust_weights(design(replace(one, table=one.table)), NOISE).masked.any()
-    masked = robust_weights(design(replace(one, table=table)), NOISE).masked
+    assert not robust_weights(replace(one, table=one.table), NOISE).masked.any()
+    masked = robust_weights(replace(one, table=table), NOISE).masked
     assert masked[first, 1].all()
     assert masked.sum() == len(first)
     uneven = table + 0.003 * np.sin(np.arange(BINS) // 12)[:, None] * (np.arange(WIDTH) >= 18)
-    assert not robust_weights(design(replace(one, table=uneven)), NOISE).masked.any()
+    assert not robust_weights(replace(one, table=uneven), NOISE).masked.any()
 
 
 def test_few_stances_are_no_bulk_to_stand_out_from():
-    data = design(evidence())
-    left = np.full_like(data.evidence.table, np.nan)
-    left[:60] = data.evidence.table[:60]
+    known = evidence()
+    left = np.full_like(known.table, np.nan)
+    left[:60] = known.table[:60]
     left[:12, 6] = 1.0
-    assert not slips(data, left).any()
+    assert not slips(known, left).any()
 
 
 def test_the_block_bootstrap_has_the_spread_of_block_sums():

@@ -11,7 +11,7 @@ from surefoot.models.attribution.change import CONTRADICTION, NAMED, find_change
 from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose
 from surefoot.models.attribution.effect_sizes import interior_bounds, with_deviation
 from surefoot.models.attribution.evidence import log_under_model
-from surefoot.models.attribution.model_error import model_error, run_evidence, run_sums
+from surefoot.models.attribution.model_error import model_error, run_sums
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.log import LogError
 from surefoot.sim.robot.machine import load_machine
@@ -28,7 +28,7 @@ def case(seed, zero=0.0, **hidden):
 @pytest.fixture(scope="module")
 def known():
     runs = [case(seed, armature=x) for seed, x in enumerate((0.010, 0.014, 0.012, 0.011))]
-    found = model_error([run_sums(run_evidence(one)) for one in runs], PENDULUM.limbs)
+    found = model_error([run_sums(one) for one in runs], PENDULUM.limbs)
     assert found is not None
     return found
 

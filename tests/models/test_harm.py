@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.models.attribution.data import split_of
-from surefoot.models.attribution.design import design, without_nuisance
+from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.diagnose import are_needed, find_harmful_effect
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.explain import problem_of
@@ -64,7 +64,7 @@ def test_what_is_there_is_needed_and_what_is_not_there_is_not(case, floor):
 def test_bins_that_were_not_there_before_do_no_harm(case, floor):
     """Undone late touch-downs leave whole stances, which the log as it is has not."""
     known = linearise([case], (), ())
-    weights = robust_weights(design(known), floor.sigma)
+    weights = robust_weights(known, floor.sigma)
     everywhere = np.ones(len(known.t), dtype=bool)
     before = without_nuisance(known, weights.sigma, weights.weight, everywhere)
     first = slice(None, len(before) // 2), known.layout.of("leg_velocity")

@@ -15,15 +15,13 @@ from surefoot.models.attribution.model_error import (
     RunSums,
     against_unchanged,
     at_middles,
+    evidence_of,
     model_error,
     model_error_as_dict,
     model_error_from_dict,
     own_precision,
-    run_evidence,
     run_sums,
-    window_averaged,
     window_weights,
-    windows,
 )
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
@@ -142,13 +140,13 @@ def test_means_over_windows_hardly_depend_on_noise_of_the_angles():
         case = log_under_model(log, PENDULUM)
         table = linearise([case], (), ()).table
         bins.append(table[:, layout_for(LIMBS).of("joint_torque")[0]])
-        windows.append(run_evidence(case).known.table[:, layout_for(LIMBS).of("joint_torque")[0]])
+        windows.append(evidence_of([case])[0].table[:, layout_for(LIMBS).of("joint_torque")[0]])
     of_bins, of_windows = (np.nanstd(b - a) for a, b in (bins, windows))
     assert of_windows < 0.1 * of_bins
 
 
 def test_a_runs_sums_have_the_rows_of_its_torques_alone():
-    run = run_sums(run_evidence(log_under_model(swung(seed=1, seconds=8.0), PENDULUM)))
+    run = run_sums(log_under_model(swung(seed=1, seconds=8.0), PENDULUM))
     assert {channel for channel, _ in run.groups} == {"joint_torque"}
     assert run.rates["shoulder"] < 0.1
     assert run.sums.shape == (len(run.groups), *((1 + len(run.keys)),) * 2)
@@ -162,22 +160,30 @@ def test_a_joint_without_a_drive_has_no_torque_that_errs_and_may_have_friction()
         (case,) = logs_under_model([passive], PENDULUM, declared)
         assert case.undriven == ("shoulder",)
         assert ("torque_bias", "shoulder") not in all_keys(case)
-        assert ("angle_error", "shoulder drift") in run_evidence(case).known.keys
+        assert ("angle_error", "shoulder drift") in evidence_of([case])[0].keys
     (driven,) = logs_under_model([log], PENDULUM, ())
     assert ("torque_bias", "shoulder") in all_keys(driven)
 
 
 def test_means_over_windows_stand_at_their_middles():
+    """Of each log, over the values that a column has."""
     cases = [log_under_model(swung(seed=k, seconds=3.0), PENDULUM) for k in range(2)]
     known = linearise(cases, (), KEYS)
-    placed, mean = at_middles(known), window_averaged(known, windows(known))
-    there = np.isfinite(placed.table).any(axis=1)
-    np.testing.assert_array_equal(placed.table[there], mean.table)
-    np.testing.assert_array_equal(placed.log[there], mean.log)
-    assert np.abs(placed.t[there] - mean.t).max() < 0.021
-    for one, other in zip(placed.X, mean.X, strict=True):
-        np.testing.assert_array_equal(one.values[there], other.values)
-        assert not one.values[~there].any()
+    known.table[20:25, 0] = np.nan
+    placed = at_middles(known)
+    for log in range(2):
+        own = known.log == log
+        weights = window_weights(known.t[own])
+        here = np.flatnonzero(own & np.isfinite(placed.table).any(axis=1))
+        assert np.abs(known.t[here] - weights @ known.t[own]).max() < 0.021
+        values = [known.table[own, 0], *(one.values[own, 0] for one in known.X)]
+        means = [placed.table[here, 0], *(one.values[here, 0] for one in placed.X)]
+        there = np.isfinite(values[0])
+        for x, mean in zip(values, means, strict=True):
+            each = [np.average(x[there], weights=w[there]) for w in weights]
+            np.testing.assert_allclose(mean, each, rtol=1e-12)
+        for one in placed.X:
+            assert not np.delete(one.values[own], here - np.flatnonzero(own)[0], axis=0).any()
 
 
 def test_runs_without_torques_tell_no_error():
@@ -185,5 +191,5 @@ def test_runs_without_torques_tell_no_error():
     for k in range(3):
         log = swung(seed=k, seconds=3.0)
         frame = log.frame.drop(columns="tau_shoulder")
-        runs.append(run_sums(run_evidence(log_under_model(replace(log, frame=frame), PENDULUM))))
+        runs.append(run_sums(log_under_model(replace(log, frame=frame), PENDULUM)))
     assert model_error(runs, LIMBS) is None

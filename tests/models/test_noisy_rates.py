@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 from pendulum import swung
 
-from surefoot.models.attribution.design import design
 from surefoot.models.attribution.evidence import (
     _Linear,
     all_keys,
@@ -77,7 +76,7 @@ def test_pushes_have_no_weight_though_all_sizes_together_could_explain_them():
     pushes = (1.0, 3.5, 6.0, 8.5)
     case = log_under_model(swung(scale=1.1, pushes=pushes), PENDULUM)
     known = at_middles(linearise([case], (), all_keys(case), evaluation_channels=False))
-    weights = robust_weights(design(known), OF_MEAN * reading_noise([case]))
+    weights = robust_weights(known, OF_MEAN * reading_noise([case]))
     weight = weights.weight[:, known.layout.of("joint_torque")[0]]
     weight, t = weight[weight > 0.0], known.t[weight > 0.0]
     nearest = [weight[np.argmin(np.abs(t - one - 0.075))] for one in pushes]
