@@ -23,7 +23,7 @@ from surefoot.models.attribution.evidence import (
     LogUnderModel,
     linearise,
     log_under_model,
-    passive_joints,
+    with_compensated,
 )
 from surefoot.models.attribution.explain import (
     Candidate,
@@ -66,7 +66,7 @@ from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.binning import BIN, inner_bins
 from surefoot.sim.common.errors import check_seed
-from surefoot.sim.effects import Effect, compensate_all, in_order
+from surefoot.sim.effects import Effect, in_order
 from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
 
@@ -592,9 +592,7 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
     effects = tuple(one.effect for one in lags)
     return tuple(
         FittedRun(
-            log_under_model(
-                *compensate_all(effects, run.case.log, run.case.robot), run.case.undriven
-            ),
+            with_compensated(run.case, effects),
             (*run.zeros, *lags),
             (*run.compensated, *effects),
         )
@@ -651,9 +649,7 @@ def logs_under_model(
     """The logs' readings with the declared effects compensated, each with its model."""
     robot = _with_declared(robot, declared)
     read = [readings(log, robot.limbs.feet_alone) for log in logs]
-    return [
-        log_under_model(*compensate_all(declared, log, robot), passive_joints(log)) for log in read
-    ]
+    return [log_under_model(log, robot, declared) for log in read]
 
 
 def _with_declared(robot: Machine, declared: Sequence[Effect]) -> Machine:

@@ -108,6 +108,8 @@ class LogUnderModel:
         fixed: whether the base cannot move.
         zeros: effects of the log's own, such as encoder zeros, that it has compensated.
         undriven: joints without a drive (`passive_joints`); of a fixed base.
+        springs: those of the declared effects that are unseen by some channels.
+        unsprung: the readings without these compensated; None where there are none.
     """
 
     log: Log
@@ -116,6 +118,8 @@ class LogUnderModel:
     fixed: bool = False
     zeros: tuple[Effect, ...] = ()
     undriven: tuple[str, ...] = ()
+    springs: tuple[Effect, ...] = ()
+    unsprung: Log | None = None
 
     @property
     def by_feet(self) -> bool:
@@ -124,14 +128,30 @@ class LogUnderModel:
 
 
 def log_under_model(
-    log: Log, robot: Machine, undriven: tuple[str, ...] | None = None
+    log: Log,
+    robot: Machine,
+    declared: Sequence[Effect] = (),
+    undriven: tuple[str, ...] | None = None,
 ) -> LogUnderModel:
-    """Prepare a log for comparison with a robot model.
+    """Prepare a log for comparison with a robot model and declared effects.
 
     Without a reference, the base is assumed to be fixed if the log shows neither ground contact nor
-    rotation of the body. undriven: joints without a drive, by default of the log; compensated
-    friction would hide them.
+    rotation of the body.
+
+    Args:
+        log: the readings.
+        robot: the model.
+        declared: effects to compensate.
+        undriven: joints without a drive, by default of the log as it is: compensated friction would
+            hide them.
     """
+    read, springs = log, tuple(one for one in declared if one.traced.unseen_by)
+    if springs:
+        others = [one for one in declared if one not in springs]
+        unsprung = compensate_all(others, log, robot)[0]
+    else:
+        unsprung = None
+    log, robot = compensate_all(declared, log, robot)
     stands = log.has("contact") and log.contact.any()
     turns = log.has("imu") and np.sqrt(np.mean(np.square(log.gyro))) > FIXED_BASE_RATE
     hung = not log.has("reference") and not (stands or turns) and log.has("q")
@@ -141,9 +161,18 @@ def log_under_model(
     if fixed and log.has("tau") and angles_are_quieter(log, motion):
         motion = replace(motion, rates_of_angles=True)
     if undriven is None:
-        undriven = passive_joints(log) if fixed else ()
+        undriven = passive_joints(read) if fixed else ()
     motion = with_ground(motion, log, robot)
-    return LogUnderModel(log, robot, motion, fixed, undriven=undriven)
+    return LogUnderModel(log, robot, motion, fixed, (), undriven, springs, unsprung)
+
+
+def with_compensated(case: LogUnderModel, effects: Sequence[Effect]) -> LogUnderModel:
+    """A log with more effects compensated, such as its zeros."""
+    more = log_under_model(case.log, case.robot, effects, case.undriven)
+    if case.unsprung is None:
+        return more
+    unsprung = compensate_all(effects, case.unsprung, case.robot)[0]
+    return replace(more, springs=case.springs, unsprung=unsprung)
 
 
 def channels_of(case: LogUnderModel) -> tuple[str, ...]:
@@ -331,17 +360,27 @@ class _Linear:
         """The table with other sizes of the chosen effects, and the residuals of those of the
         channels `names` that see all of them.
         """
-        seeing: dict[tuple[Effect, ...], list[str]] = {tuple(effects): []}
+        springs = self.case.springs
+        seeing: dict[tuple[Sequence[Effect], ...], list[str]] = {(springs, tuple(effects)): []}
         for name in names:
-            seen = tuple(one for one in effects if name not in one.traced.unseen_by)
-            seeing.setdefault(seen, []).append(name)
+            seen = (
+                tuple(one for one in every if name not in one.traced.unseen_by)
+                for every in (springs, effects)
+            )
+            seeing.setdefault(tuple(seen), []).append(name)
         log, robot = self._compensated(effects)
         motion = self._motion(self.case.log, log, robot, self.case.motion)
-        direct = residual(log, robot, motion, seeing.pop(tuple(effects)))
+        direct = residual(log, robot, motion, seeing.pop((springs, tuple(effects))))
         table = direct.table.copy()
-        for seen, of_these in seeing.items():
+        for (declared, seen), of_these in seeing.items():
             columns = self.layout.of(*of_these)
-            others = residual(*self._compensated(seen), motion, of_these)
+            if declared == springs:
+                log, robot = self._compensated(seen)
+            else:
+                assert self.case.unsprung is not None
+                both = in_order([*declared, *seen])
+                log, robot = compensate_all(both, self.case.unsprung, self.case.robot)
+            others = residual(log, robot, motion, of_these)
             table[:, columns] = others.table[:, columns]
         return table * _reading_scale(self.layout, effects), direct
 

@@ -28,8 +28,8 @@ from surefoot.models.attribution.evidence import (
     LogUnderModel,
     all_keys,
     linearise,
-    log_under_model,
     table_of,
+    with_compensated,
 )
 from surefoot.models.attribution.metric import Metric, metric_of
 from surefoot.models.attribution.model_error import OF_MEAN, ModelError, at_middles
@@ -42,7 +42,7 @@ from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
 from surefoot.models.residuals.layout import layout_for
-from surefoot.sim.effects import Effect, compensate_all, effect, in_order, known_effects
+from surefoot.sim.effects import Effect, effect, in_order, known_effects
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 
@@ -888,10 +888,7 @@ def _with_zeros(state: _State, effects: Sequence[Effect], moved: float = ZERO_MO
         if zeros == [case.zeros for case in problem.cases]:
             break
         cases = [
-            replace(
-                log_under_model(*compensate_all(these, case.log, case.robot), case.undriven),
-                zeros=these,
-            )
+            replace(with_compensated(case, these), zeros=these)
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)

@@ -13,7 +13,7 @@ import numpy as np
 from studies.loads.plan import PLAN, LoadCase, TiedLoad, errors_of, errors_of_run, link, machine_of
 from studies.loads.runs import draw_pushes, run_of
 from surefoot import Log, Robot, Trace, TraceOptions, load_machine, trace
-from surefoot.extend import Effect, Modelled, compensate_all, read_toml
+from surefoot.extend import Effect, Modelled, read_toml
 from surefoot.models.attribution.evidence import log_under_model, table_of
 from surefoot.models.attribution.metric import metric_of
 from surefoot.models.attribution.model_error import PER_RUN, ModelError, evidence_of
@@ -119,7 +119,7 @@ def over_least(
     """
     assert isinstance(load, TiedLoad)
     machine = machine_of(log.meta.robot)
-    case = log_under_model(*compensate_all(declared, log, machine))
+    case = log_under_model(log, machine, declared)
     known, _ = evidence_of([case])
     every = np.ones(len(known.t), dtype=bool)
     S = metric_of([case], known, since, every, PER_RUN, not case.fixed).S
