@@ -309,9 +309,11 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
     a, b, noise = _START[0], _START[1], _START[2] * scale
     before, posterior = np.inf, None
     for round_ in range(_ROUNDS):
-        posterior = _posterior(parts, (a, b, noise), D)
-        step = np.log([min(posterior.a, most_a) / a, posterior.b / b])
-        a = min(posterior.a, most_a)
+        posterior = _posterior(parts, a**2 * D, b**2 * D, noise)
+        next_a = np.sqrt(np.mean((posterior.mean**2 + np.diag(posterior.covariance)) / D))
+        next_b = np.sqrt(np.mean(posterior.differences / D))
+        step = np.log([min(next_a, most_a) / a, next_b / b])
+        a = float(min(next_a, most_a))
         slow = 0.5 < step[1] / before < 1.5
         b *= np.exp((_AHEAD if slow else 1.0) * step[1])
         noise = np.maximum(posterior.noise, first.least)
@@ -328,7 +330,7 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         noise=dict(zip(first.groups, noise.tolist(), strict=True)),
         rates={joint: max(run.rates[joint] for run in runs) for joint in first.rates},
     )
-    return _with_spread(runs, found, limbs)
+    return _with_spread(runs, found, a**2 * D, b**2 * D, limbs)
 
 
 @dataclass(frozen=True)
@@ -359,22 +361,34 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Posterior:
-    """Common sizes given a, b and the noise, and the next a, b and noise."""
+    """Common sizes given their variances and the noise.
+
+    Attributes:
+        mean: (C,).
+        covariance: (C, C).
+        differences: mean square of what each run has beyond them (C,).
+        noise: that the sizes leave (G,).
+    """
 
     mean: np.ndarray
     covariance: np.ndarray
-    a: float
-    b: float
+    differences: np.ndarray
     noise: np.ndarray
 
 
 def _posterior(
-    runs: Sequence[_Part], known: tuple[float, float, np.ndarray], D: np.ndarray
+    runs: Sequence[_Part], common: np.ndarray, per_run: np.ndarray, noise: np.ndarray
 ) -> _Posterior:
-    """One round of expectation maximisation from a, b and the noise (G,) in `known`."""
-    a, b, noise = known
-    C, weak, information = len(D), (b**2 * D) ** -1.0, noise**-2.0
-    precision, score, solved = np.diag((a**2 * D) ** -1.0), np.zeros(C), []
+    """One round of expectation maximisation.
+
+    Args:
+        runs: the sums.
+        common: prior variances of the common sizes (C,).
+        per_run: variances of what runs have beyond them (C,).
+        noise: (G,).
+    """
+    C, weak, information = len(common), 1.0 / per_run, noise**-2.0
+    precision, score, solved = np.diag(1.0 / common), np.zeros(C), []
     for run in runs:
         n = run.right.shape[1]
         G, right = (information @ run.gram).reshape(n, n), information @ run.right
@@ -385,21 +399,20 @@ def _posterior(
         solved.append((inverse, right))
     covariance = scaled_inverse(precision)
     mean = covariance @ score
-    between, square, total = 0.0, np.zeros(len(noise)), sum(run.square for run in runs)
+    between, square, total = np.zeros(C), np.zeros(len(noise)), sum(run.square for run in runs)
     for run, (inverse, right) in zip(runs, solved, strict=True):
         # Sizes of the run given the common ones, and their derivative with respect to these.
         pull = inverse[:, :C] * weak
         sizes, spread = inverse @ right + pull @ mean, inverse + pull @ covariance @ pull.T
         more = pull[:C] - np.eye(C)
         vary = np.diag(inverse)[:C] + np.sum(more @ covariance * more, axis=1)
-        between += float(np.sum(((sizes[:C] - mean) ** 2 + vary) / D))
+        between += (sizes[:C] - mean) ** 2 + vary
         second = (np.outer(sizes, sizes) + spread).ravel()
         square += run.square - 2.0 * run.right @ sizes + run.gram @ second
     return _Posterior(
         mean=mean,
         covariance=covariance,
-        a=float(np.sqrt(np.mean((mean**2 + np.diag(covariance)) / D))),
-        b=float(np.sqrt(between / (C * len(runs)))),
+        differences=between / len(runs),
         noise=np.sqrt(np.maximum(square, _LEAST * total) / sum(run.count for run in runs)),
     )
 
@@ -431,9 +444,22 @@ def against_unchanged(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarr
     return G[:first, :first] - cross.T @ np.linalg.solve(G[np.ix_(use, use)] + prior, cross)
 
 
-def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> ModelError:
+def _with_spread(
+    runs: Sequence[RunSums],
+    known: ModelError,
+    common: np.ndarray,
+    per_run: np.ndarray,
+    limbs: Limbs,
+) -> ModelError:
     """The error with the variance by which each effect's apparent size differs between runs beyond
-    its error, such as that of a delay, which is no term.
+    its error, such as that of a delay, which is no term; and the common sizes beside these.
+
+    Args:
+        runs: their sums.
+        known: the error by the terms alone.
+        common: prior variances of the terms (C,).
+        per_run: variances of what runs have beyond the common sizes (C,).
+        limbs: of the machine.
     """
     other = {ANGLE_ERROR, *(EXACT if runs[0].simulated else PER_RUN)}
     keys = [key for key in runs[0].keys if key[0] not in other]
@@ -445,14 +471,14 @@ def _with_spread(runs: Sequence[RunSums], known: ModelError, limbs: Limbs) -> Mo
     # Seen by the fit, a run is nearer to the common sizes than a new one.
     spread = dict(zip(keys, square / (len(runs) - 1), strict=True))
     more = [key for key in keys if key not in known.keys and spread[key] > 0.0]
-    own = np.maximum([spread[key] for key in known.keys], 0.0)
-    added = [spread[key] for key in more]
-    return replace(
-        known,
-        keys=(*known.keys, *more),
-        mean=np.append(known.mean, np.zeros(len(more))),
-        covariance=block_diag(known.covariance + np.diag(own), np.diag(added)),
-    )
+    added = np.array([spread[key] for key in more])
+    per_run = np.append(per_run + np.maximum([spread[key] for key in known.keys], 0.0), added)
+    every = (*known.keys, *more)
+    noise = np.array([known.noise[group] for group in runs[0].groups])
+    parts = [_Part.of(run, every, limbs) for run in runs]
+    beside = _posterior(parts, np.append(common, added), per_run, noise)
+    covariance = 0.5 * (beside.covariance + beside.covariance.T) + np.diag(per_run)
+    return replace(known, keys=every, mean=beside.mean, covariance=covariance)
 
 
 def _is_term(key: Key, run: RunSums, limbs: Limbs) -> bool:
