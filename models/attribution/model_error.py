@@ -439,7 +439,8 @@ def against_unchanged(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarr
     turned[run.places(known.keys), 0] = -known.mean
     G = turned.T @ G @ turned
     use, first = [*run.places(known.keys), *own_places(run)], 1 + len(run.keys)
-    prior = block_diag(np.linalg.inv(known.covariance), np.diag(own_precision(run, limbs)))
+    own = np.diag(own_precision(run, limbs))
+    prior = np.asarray(block_diag(np.linalg.inv(known.covariance), own))
     cross = G[use, :first]
     return G[:first, :first] - cross.T @ np.linalg.solve(G[np.ix_(use, use)] + prior, cross)
 
