@@ -74,6 +74,12 @@ def kernel(function: Any = None, **options: Any) -> Any:
 class _Locator(UserProvidedCacheLocator):
     """The cache folder, whether or not it can be written to; numba would use the package's."""
 
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        # numba would add the path of the sources. The folder's name stands for their contents, so
+        # that checkouts and installations of the same code share it.
+        return ""
+
     def ensure_cache_path(self) -> None:
         with suppress(OSError):
             super().ensure_cache_path()

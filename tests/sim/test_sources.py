@@ -1,5 +1,6 @@
 """What a module is made of: every source that it imports in turn, however it imports it."""
 
+import shutil
 import subprocess
 import sys
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -237,15 +238,17 @@ def value():
 
 
 def test_a_kernel_follows_the_kernels_that_it_calls(tmp_path):
-    """Loaded from the cache when nothing changed; compiled anew when a called one did."""
+    """Loaded from the cache when nothing changed, also elsewhere; compiled anew when a called one
+    did.
+    """
     package = tmp_path / "yard"
     package.mkdir()
     (package / "__init__.py").write_text("")
     (package / "caller.py").write_text(CALLER)
 
-    def run():
+    def run(folder=tmp_path):
         environment = {
-            "PYTHONPATH": str(tmp_path),
+            "PYTHONPATH": str(folder),
             "SUREFOOT_CACHE": str(tmp_path / "cache"),
             "PATH": "",
         }
@@ -260,6 +263,8 @@ def test_a_kernel_follows_the_kernels_that_it_calls(tmp_path):
     assert run() == ["2", "1"]
     (package / "called.py").write_text(CALLED.format(number=5))
     assert run() == ["10", "0"]
+    shutil.copytree(package, tmp_path / "other" / "yard")
+    assert run(tmp_path / "other") == ["10", "1"]
     assert not list(package.glob("__pycache__/*.nb?"))
 
 
