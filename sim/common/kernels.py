@@ -80,6 +80,10 @@ class _Locator(UserProvidedCacheLocator):
         # that checkouts and installations of the same code share it.
         return ""
 
+    def get_source_stamp(self) -> int:
+        # Nor does the time at which the sources were written matter.
+        return 0
+
     def ensure_cache_path(self) -> None:
         with suppress(OSError):
             super().ensure_cache_path()

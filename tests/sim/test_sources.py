@@ -263,7 +263,7 @@ def test_a_kernel_follows_the_kernels_that_it_calls(tmp_path):
     assert run() == ["2", "1"]
     (package / "called.py").write_text(CALLED.format(number=5))
     assert run() == ["10", "0"]
-    shutil.copytree(package, tmp_path / "other" / "yard")
+    shutil.copytree(package, tmp_path / "other" / "yard", copy_function=shutil.copy)
     assert run(tmp_path / "other") == ["10", "1"]
     assert not list(package.glob("__pycache__/*.nb?"))
 
