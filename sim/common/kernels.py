@@ -80,9 +80,9 @@ class _Locator(UserProvidedCacheLocator):
         # that checkouts and installations of the same code share it.
         return ""
 
-    def get_source_stamp(self) -> int:
+    def get_source_stamp(self) -> bytes:
         # Nor does the time at which the sources were written matter.
-        return 0
+        return b""
 
     def ensure_cache_path(self) -> None:
         with suppress(OSError):
