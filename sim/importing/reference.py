@@ -41,12 +41,11 @@ def poses_of(
         q = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(scalar_first=True)
         return Poses(table["t"], p, q), []
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
-    known = q.any(axis=1)
-    if known.all() or not known.any():
-        known[:], notes = True, []
-    else:
-        lost = np.count_nonzero(~known)
-        notes = [f"{path}: left out: {lost} samples without an attitude (0, 0, 0, 0)"]
+    known, notes = np.ones(len(q), dtype=bool), []
+    lost = np.flatnonzero(np.all(q == 0.0, axis=1))
+    if 0 < len(lost) < len(q):
+        known[lost] = False
+        notes.append(f"{path}: left out: {len(lost)} samples without an attitude (0, 0, 0, 0)")
     q = unit_quaternions(path, q[known], unit, None if rows is None else rows[known])
     return Poses(table["t"][known], p[known], q), notes
 
