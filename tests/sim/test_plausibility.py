@@ -535,7 +535,7 @@ CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "an axis frozen": (frozen("gyro_y"), "frozen", "gyro_y: a sensor that hangs"),
     "a joint frozen": (frozen("q_FL_calf"), "frozen", "q_FL_calf"),
     "a joint and its rate frozen": (frozen("q_FL_calf", "dq_FL_calf"), "frozen", "dq_FL_calf"),
-    "reference frozen": (frozen("ref_"), "frozen", "ref_p_x to ref_q_z"),
+    "reference frozen": (frozen("ref_"), "frozen", "ref_p_x to ref_v_z"),
     "gyro saturated": (clipped("gyro_x"), "saturated", "gyro_x"),
     "accelerometer saturated": (clipped("accel_z"), "saturated", "accel_z"),
     "a second lost": (dropped(slice(1000, 1500)), "rows", "500 rows missing"),
