@@ -212,7 +212,8 @@ class Effect:
         """The bounds on a machine with these limbs, and for this target where the machine may have
         less than was declared; `bounds` if it is not known.
         """
-        low, high = (limbs and limbs.legs and cls.traced.bounds_on_legs) or cls.bounds
+        on_legs = cls.traced.bounds_on_legs if limbs and limbs.legs else None
+        low, high = on_legs or cls.bounds
         if cls.may_lessen and limbs and limbs.declared and target:
             sizes, members = dict(limbs.declared), cls.members_of(target, limbs)
             low -= _ESTIMATED * max(0.0, min(sizes.get((cls.name, one), 0.0) for one in members))

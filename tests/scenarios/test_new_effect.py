@@ -81,7 +81,7 @@ def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
         targets = AXES
 
     refused("Nameless: lacks name", add, Nameless)
-    refused("GyroWarming: must be a class, is GyroWarming(", add, GyroWarming("x", 0.01))
+    refused("GyroWarming: must be a class, is GyroWarming", add, GyroWarming("x", 0.01))
 
     class Taken(GyroWarming):
         name = "gyro_bias"
