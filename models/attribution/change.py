@@ -196,7 +196,7 @@ class _NewRuns:
             column = f"q_{key[1]}"
             logs = [c.log.with_columns({column: c.log.columns[column] - size}) for c in cases]
             cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
-        evidence = linearise(cases, chosen, [key], evaluation_channels=False)
+        evidence = linearise(cases, chosen, [key], evaluation_channels=False, nuisance=False)
         if cases[0].fixed:
             evidence = at_middles(evidence)
         return self.metric.products(evidence.table, evidence.X)

@@ -226,6 +226,7 @@ def linearise(
     keys: Sequence[Key],
     before: Evidence | None = None,
     evaluation_channels: bool = True,
+    nuisance: bool = True,
     changes: Callable[[Log], Changes] = lambda log: {},
 ) -> Evidence:
     """Compute residuals with `chosen` compensated, and their derivatives with respect to `keys`.
@@ -240,6 +241,7 @@ def linearise(
         keys: of the candidates.
         before: an evidence whose derivatives may be reused.
         evaluation_channels: whether to compute the channels that are never fitted.
+        nuisance: whether to compute the nuisance parameters.
         changes: of a log, further candidates that are no effects.
     """
     logs = [_Linear(case, chosen, evaluation_channels) for case in cases]
@@ -262,7 +264,11 @@ def linearise(
         return replace(before, table=table, X=X)
     added = [{key: one.by_columns(x) for key, x in changes(one.log).items()} for one in logs]
     further = [joined_regressor([one[key] for one in added], starts) for key in added[0]]
-    of_logs = [(i, *one) for i, log in enumerate(logs) for one in log.nuisance_regressors()]
+    of_logs = [
+        (i, *one)
+        for i, log in enumerate(logs if nuisance else ())
+        for one in log.nuisance_regressors()
+    ]
     return Evidence(
         layout=logs[0].layout,
         t=np.concatenate([case.motion.t for case in cases]),

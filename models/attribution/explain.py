@@ -28,7 +28,6 @@ from surefoot.models.attribution.evidence import (
     LogUnderModel,
     all_keys,
     linearise,
-    table_of,
     with_compensated,
 )
 from surefoot.models.attribution.metric import Metric, metric_of
@@ -41,7 +40,6 @@ from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channels import channels
 from surefoot.models.residuals.jacobians import Regressor
-from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import Effect, effect, in_order, known_effects
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
@@ -826,16 +824,11 @@ def _refined(state: _State, start: Sequence[Effect]) -> Chosen:
             for key, one in zip(keys, effects, strict=True)
             if key not in derived or abs(derived[key][0] - one.value) > MOVED * abs(one.value)
         ]
-        if stale or best is None:
-            evidence = linearise(problem.cases, effects, stale, evaluation_channels=False)
-            evidence = without_sticking(problem, state.effects, evidence)
-            table, new = evidence.table, dict(zip(stale, evidence.X, strict=True))
-            derived |= {
-                key: (e.value, new[key]) for key, e in zip(keys, effects, strict=True) if key in new
-            }
-        else:
-            table = _table(problem, effects, state.effects)
-        X, sizes = tuple(derived[key][1] for key in keys), np.array([e.value for e in effects])
+        sizes = np.array([one.value for one in effects])
+        seen = _observed(problem, effects, stale, state.effects)
+        for key, one in zip(stale, seen.X, strict=True):
+            derived[key] = sizes[keys.index(key)], one
+        table, X = seen.table, tuple(derived[key][1] for key in keys)
         S = metric.products(table, X, keys)
         A, scale = S[1:, 1:] + np.diag(precision), np.sqrt(precision)
         volume = np.linalg.slogdet(A / scale / scale[:, None])[1]
@@ -861,7 +854,7 @@ def _explained_by_body(state: _State, chosen: Chosen) -> np.ndarray:
     exact = [one for one in chosen.effects if not is_compensated_approximately(one)]
     if len(exact) == len(chosen.effects):
         return np.zeros(1)
-    without = _table(state.problem, exact, exact)
+    without = _observed(state.problem, exact, (), exact).table
     square = state.metric.squares
     return np.maximum(square(without) - square(chosen.table), 0.0)
 
@@ -916,14 +909,14 @@ def without_sticking(problem: Problem, effects: Sequence[Effect], known: Evidenc
     return at_middles(known) if problem.by_windows else known
 
 
-def _table(problem: Problem, effects: Sequence[Effect], at: Sequence[Effect]) -> np.ndarray:
-    """The table (M, W) with effects compensated, as of `without_sticking` at other effects."""
-    if problem.by_windows:
-        known = linearise(problem.cases, effects, (), evaluation_channels=False)
-        return without_sticking(problem, at, known).table
-    tables = [table_of(case, effects, evaluation_channels=False) for case in problem.cases]
-    still = sticks(problem.cases, [*problem.declared, *at], layout_for(problem.limbs))
-    return np.where(still, np.nan, np.concatenate(tables))
+def _observed(
+    problem: Problem, effects: Sequence[Effect], keys: Sequence[Key], at: Sequence[Effect]
+) -> Evidence:
+    """Residual with effects compensated and its derivatives with respect to `keys`, as of
+    `without_sticking` at other effects.
+    """
+    known = linearise(problem.cases, effects, keys, evaluation_channels=False, nuisance=False)
+    return without_sticking(problem, at, known)
 
 
 def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Found, ...]:

@@ -68,7 +68,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
     rng = np.random.default_rng(_SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]
-    before, after = linearise(cases, (), keys), linearise(noisy, (), keys)
+    before, after = (linearise(one, (), keys, nuisance=False) for one in (cases, noisy))
     change = np.nan_to_num(after.table - before.table) / sigma
     sizes = {}
     for key, old, new in zip(keys, before.X, after.X, strict=True):

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from surefoot.models.residuals.binning import Bins
 from surefoot.models.residuals.channel import ResidualInputs
 from surefoot.models.residuals.channels import BUNDLED_CHANNELS
 from surefoot.models.residuals.feet import between_feet, foot_heights, leg_velocities, stance_means
@@ -24,6 +25,7 @@ from surefoot.models.residuals.torques import (
 )
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.feet import Feet
 from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Machine
 
@@ -71,45 +73,59 @@ class ResidualJacobians:
     parts: ResidualTable
 
     @cached_property
+    def turning(self) -> np.ndarray:
+        """Of the leg velocities by the rate of the IMU (M, L, 3, 3)."""
+        bins = self.parts.inputs.bins
+        out = np.zeros((*bins.standing.shape, 3, 3))
+        if self._feet is not None:
+            for axis, along in enumerate(DIFFERENCE_STEP * np.eye(3)):
+                out[..., axis] = self._faster(replace(bins, omega=bins.omega + along), self._feet)
+        return out
+
+    @cached_property
     def legs(self) -> dict[str, np.ndarray]:
-        """Of the leg velocities by the rate of the IMU, "omega" (M, L, 3, 3), and by the leg's own
-        joint angles and rates, "q" and "dq" (M, L, 3, P); of the foot heights by the leg's own
-        angles, "height" (M, L, P).
+        """Of the leg velocities by the leg's own joint angles and rates, "q" and "dq" (M, L, 3, P);
+        of the foot heights by the leg's own angles, "height" (M, L, P).
         """
-        layout, inputs = self.parts.layout, self.parts.inputs
-        bins, feet, chains = inputs.bins, inputs.robot.feet, layout.limbs.chains
-        (m, joints), legs = bins.q.shape, len(layout.limbs.legs)
+        layout, bins, feet = self.parts.layout, self.parts.inputs.bins, self._feet
+        chains = layout.limbs.chains
         per = max(map(len, chains), default=0)
-        columns = {"omega": (3, 3), "q": (3, per), "dq": (3, per), "height": (per,)}
-        out = {name: np.zeros((m, legs, *shape)) for name, shape in columns.items()}
-        if feet is None or not np.isfinite(self.parts.table[:, layout.of("leg_velocity")]).any():
+        columns = {"q": (3, per), "dq": (3, per), "height": (per,)}
+        out = {name: np.zeros((*bins.standing.shape, *each)) for name, each in columns.items()}
+        if feet is None:
             return out
         place, rate = bins.feet
-        # Of each foot alone: contrasts between feet are taken in `wrt_readings`.
-        velocities, heights = (
-            leg_velocities(bins, feet),
-            self.parts.table[:, layout.of("foot_height")],
-        )
-
-        def by(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-            return np.nan_to_num(after - before).reshape(m, legs, -1) / DIFFERENCE_STEP
-
-        for axis, along in enumerate(np.eye(3)):
-            turned = replace(bins, omega=bins.omega + DIFFERENCE_STEP * along)
-            out["omega"][..., axis] = by(velocities, leg_velocities(turned, feet))
+        heights = self.parts.table[:, layout.of("foot_height")]
         for j in range(per):
             # Perturb one joint of every leg at once, since a leg's columns depend on its own joints
             # only.
-            step = np.zeros(joints)
+            step = np.zeros(bins.q.shape[1])
             step[[chain[j] for chain in chains if j < len(chain)]] = DIFFERENCE_STEP
-            moved, faster = (
-                replace(bins, feet=one) for one in ((place + step, rate), (place, rate + step))
-            )
-            out["q"][..., j] = by(velocities, leg_velocities(moved, feet))
-            out["dq"][..., j] = by(velocities, leg_velocities(faster, feet))
+            moved = replace(bins, feet=(place + step, rate))
+            out["q"][..., j] = self._faster(moved, feet)
+            out["dq"][..., j] = self._faster(replace(bins, feet=(place, rate + step)), feet)
             if np.isfinite(heights).any():
-                out["height"][..., j] = by(heights, foot_heights(moved, feet))[..., 0]
+                higher = foot_heights(moved, feet) - heights
+                out["height"][..., j] = np.nan_to_num(higher) / DIFFERENCE_STEP
         return out
+
+    @cached_property
+    def _feet(self) -> Feet | None:
+        """The feet, where any of them has a velocity."""
+        velocity = self.parts.table[:, self.parts.layout.of("leg_velocity")]
+        return self.parts.inputs.robot.feet if np.isfinite(velocity).any() else None
+
+    @cached_property
+    def _velocities(self) -> np.ndarray:
+        """Velocities of each foot alone: contrasts between feet are taken in `wrt_readings`."""
+        inputs = self.parts.inputs
+        assert inputs.robot.feet is not None  # as `_feet`
+        return leg_velocities(inputs.bins, inputs.robot.feet)
+
+    def _faster(self, moved: Bins, feet: Feet) -> np.ndarray:
+        """Change of the leg velocities (M, L, 3) with other bins, per unit of DIFFERENCE_STEP."""
+        change = np.nan_to_num(leg_velocities(moved, feet) - self._velocities)
+        return change.reshape(*moved.standing.shape, 3) / DIFFERENCE_STEP
 
     @cached_property
     def dynamics(self) -> np.ndarray:
@@ -148,7 +164,7 @@ class ResidualJacobians:
             for axis, x in change.get(stream, {}).items():
                 out[:, layout.of(f"imu_{stream}")[axis]] += x
         for axis, x in change.get("omega", {}).items():
-            out[:, velocity] += self.legs["omega"][..., axis] * x[:, None, None]
+            out[:, velocity] += self.turning[..., axis] * x[:, None, None]
         for stream in ("q", "dq"):
             for joint, x in change.get(stream, {}).items():
                 leg = limbs.leg_of[joint]

@@ -145,11 +145,11 @@ def test_a_joint_that_turns_faster_moves_the_body_by_the_lever_of_its_foot():
     motion = reference_motion(log, robot.limbs)
     motion = replace(motion, standing=np.ones_like(motion.standing))
     parts = residual(log, robot, motion, ["leg_velocity"])
-    found, bins = ResidualJacobians(parts).legs, parts.inputs.bins
-    assert_allclose(found["dq"], -robot.feet_jacobian_I(bins.q), atol=1e-6)
+    found, bins = ResidualJacobians(parts), parts.inputs.bins
+    assert_allclose(found.legs["dq"], -robot.feet_jacobian_I(bins.q), atol=1e-6)
     arm = robot.feet_I(bins.q)
     for axis, along in enumerate(np.eye(3)):
-        assert_allclose(found["omega"][..., axis], -np.cross(along, arm), atol=1e-6)
+        assert_allclose(found.turning[..., axis], -np.cross(along, arm), atol=1e-6)
 
 
 def test_a_share_explained_does_not_depend_on_the_columns_units():
