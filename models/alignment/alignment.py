@@ -322,6 +322,15 @@ def _accelerometer(
 def _faults(
     missed: float, others: np.ndarray, halves: np.ndarray, sign: np.ndarray, shift: np.ndarray
 ) -> tuple[str, ...]:
+    """Reasons to doubt an alignment, in words.
+
+    Args:
+        missed: share of the rotation that the tracked body does not have.
+        others: other clock offsets that fit as well (K,) [s].
+        halves: offsets by each half of the log (2,) [s].
+        sign: of the accelerometer's axes (3,).
+        shift: of the same (3,) [m/s^2].
+    """
     found = []
     if len(others):
         found.append(

@@ -16,6 +16,7 @@ import numpy as np
 from surefoot.models.attribution.effect_sizes import (
     Found,
     interior_bounds,
+    is_sampling_lag,
     plausible_size,
     with_clipped_size,
     with_deviation,
@@ -271,7 +272,9 @@ def _best(
     best = min(inside, key=lambda one: (len(one.part), len(one.keys)))
     if best.evidence <= first[0].evidence - AS_LIKELY:
         as_good = [one for one in first if abs(one.evidence - best.evidence) < AS_LIKELY]
-    if best.evidence < NAMED or best.excess < least_excess(known):
+    named = best.evidence >= NAMED and best.excess >= least_excess(known)
+    rate = min(case.log.rate for case in cases)
+    if not named or _is_sampling_lag(best, new.machine, rate):
         return Change("unchanged", (), (), (), least), new
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
@@ -349,6 +352,15 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hy
     evidence = float(pull @ sizes - np.linalg.slogdet(inner)[1])
     deviations = np.sqrt(np.diag(covariance))
     return Hypothesis(keys, part, prior * sizes, deviations, evidence, float(alone @ b))
+
+
+def _is_sampling_lag(one: Hypothesis, machine: Machine, rate: float) -> bool:
+    """Whether an explanation is a lag within a row, by which runs differ and machines do not."""
+    key, *others = one.keys
+    if others or key[0] not in known_effects():
+        return False
+    lag = with_clipped_size(effect(*key, 0.0), float(one.sizes[0]), machine)
+    return is_sampling_lag(lag, rate)
 
 
 def _is_lost_zero(keys: tuple[Key, ...]) -> bool:

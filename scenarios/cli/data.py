@@ -14,8 +14,8 @@ from surefoot.scenarios.settings import (
     OutputSettings,
     SimulateSettings,
 )
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.scenario_catalog import bundled_scenarios
+from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
 if TYPE_CHECKING:
     from surefoot.sim.log import Log
@@ -235,17 +235,27 @@ class View(OutputSettings):
     def run(self) -> None:
         from tempfile import TemporaryDirectory
 
+        from surefoot.sim.common.files import is_there
+
+        path = Path(self.file)
+        if path.suffix in (".rrd", ".parquet"):
+            file_there(path)
+        elif path.suffix == ".toml":
+            scenario_file(path)
+        elif not is_there(path) and self.file not in bundled_scenarios():
+            hint = did_you_mean(self.file, bundled_scenarios())
+            what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
+            raise SurefootError(f"{self.file}: no such file or scenario; view opens {what}{hint}")
         from surefoot.scenarios.viewer.preview import write_preview
         from surefoot.scenarios.viewer.view import view
 
-        path = Path(self.file)
-        if path.suffix == ".rrd" and self.out:
-            raise SurefootError(f"-o: {self.file} is a recording already")
         with TemporaryDirectory(prefix="surefoot_") as folder:
             shown = path
-            if path.suffix != ".rrd":
+            if path.suffix in (".parquet", ".toml") or not is_there(path):
                 shown = self.out or Path(folder) / f"{path.stem}.rrd"
                 write_preview(self.file, shown, self.robot, self.seed, self.force)
+            elif self.out:
+                raise SurefootError(f"-o: {self.file} is a recording already")
             print(shown) if self.out else view(shown, self.web)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import JOINTS
@@ -37,9 +37,7 @@ def write_preview(
         write_recording(path, RecordedWalk(log, Robot.for_log(log, robot), {}), force)
         return
     if source not in bundled_scenarios() and Path(source).suffix != ".toml":
-        hint = did_you_mean(source, bundled_scenarios())
-        what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
-        raise SurefootError(f"{source}: no such file or scenario; view opens {what}{hint}")
+        raise SurefootError(f"{source}: view opens recordings (.rrd), logs and scenarios (.toml)")
     scenario = Scenario.load(source)
     name = robot or scenario.robot
     if not name:

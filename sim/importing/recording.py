@@ -171,8 +171,16 @@ def _streams(
 def _rows(
     table: RecordedTable, column: MapColumn, source: Source, times: np.ndarray, sparse: bool
 ) -> _Rows:
-    """Rows and values of a column in SI; raises SurefootError where there are more than times, or
-    fewer, unless it is sparse.
+    """Rows and values of a column in SI.
+
+    Raises SurefootError where there are more than times, or fewer, unless it is sparse.
+
+    Args:
+        table: of the file.
+        column: of the map.
+        source: of the map.
+        times: of the rows [s].
+        sparse: whether rows may be missing.
     """
     rows, values = column_readings(table, column.theirs, source, column.word)
     count = rows[-1] + 1 if len(rows) else 0

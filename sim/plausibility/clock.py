@@ -8,7 +8,7 @@ from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import legs_moving, set_forward
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.plausibility.axes import LIKELY, SCALED
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.view import RESTS, LogView
 
 STEP_OFF = 0.02
@@ -43,7 +43,7 @@ _AT_ONCE = 0.4
 """Share of joints, or of the reference's columns, that jump at one row."""
 
 
-@rule("rows")
+@plausibility_rule("rows")
 def stamps(view: LogView) -> Iterator[Finding]:
     """Check that rows come at the stated rate, without gaps.
 
@@ -88,7 +88,7 @@ def _leaps_from_row_to_row(view: LogView) -> bool:
     return bool(step.size) and float(np.median(step)) > LEAPS
 
 
-@rule("single rows", "t", finds="note")
+@plausibility_rule("single rows", "t", finds="note")
 def single_rows(view: LogView) -> Iterator[Finding]:
     """Find single missing rows, which can be interpolated.
 
@@ -118,7 +118,7 @@ def _lost(view: LogView) -> tuple[str, bool]:
     return f"{seen} {1e3 * longest:.0f} ms after {after:.2f} s", gap
 
 
-@rule("speed of time", "t", when="comparable")
+@plausibility_rule("speed of time", "t", when="comparable")
 def speed(view: LogView) -> Iterator[Finding]:
     """Check that logged rates agree with numerical derivatives in all streams; else the stamps are
     wrong.
@@ -154,7 +154,7 @@ def speed(view: LogView) -> Iterator[Finding]:
         yield Finding(("t",), seen, cause)
 
 
-@rule("jumps", beside="t q foot", when="comparable")
+@plausibility_rule("jumps", beside="t q foot", when="comparable")
 def leaps(view: LogView) -> Iterator[Finding]:
     """Check that joints and body do not jump between two rows.
 

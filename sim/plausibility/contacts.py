@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.streams import still_sections
 from surefoot.sim.plausibility.view import LogView
 
@@ -54,7 +54,7 @@ stairs and slopes too, since heights are relative to the body.
 """
 
 
-@rule("flickering", "t contact", when="comparable")
+@plausibility_rule("flickering", "t contact", when="comparable")
 def flickering(view: LogView) -> Iterator[Finding]:
     """Check that a foot does not touch down and lift off too often.
 
@@ -71,7 +71,7 @@ def flickering(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, "noise about the threshold: on, off and debounce of [contact]")
 
 
-@rule("contacts", "contact")
+@plausibility_rule("contacts", "contact")
 def dead(view: LogView) -> Iterator[Finding]:
     """Check that each foot of a walking robot touches down and lifts off as often as the others.
 
@@ -167,7 +167,7 @@ def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 
-@rule("contact heights", "contact", beside="q foot accel", finds="symptom")
+@plausibility_rule("contact heights", "contact", beside="q foot accel", finds="symptom")
 def inverted(view: LogView) -> Iterator[Finding]:
     """Check that feet in contact are lower than lifted ones.
 

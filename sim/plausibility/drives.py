@@ -12,7 +12,7 @@ import numpy as np
 from surefoot.sim.importing.advice import entries, scaled
 from surefoot.sim.plausibility.axes import HARDLY, LIKELY, correlation, sign_change
 from surefoot.sim.plausibility.causes import of_changing_sign
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.streams import LIMITED, still_sections
 from surefoot.sim.plausibility.view import LogView
 
@@ -83,7 +83,7 @@ class _Explained:
         return ""
 
 
-@rule("torques of a fixed base", "t q tau", when="comparable")
+@plausibility_rule("torques of a fixed base", "t q tau", when="comparable")
 def driving(view: LogView) -> Iterator[Finding]:
     """Check that the torques of drives on a fixed base explain its motion.
 
@@ -114,7 +114,7 @@ def driving(view: LogView) -> Iterator[Finding]:
             yield from _faults(view, one, "what the model asks for", cause)
 
 
-@rule("commands of a fixed base", "t q q_des", when="comparable")
+@plausibility_rule("commands of a fixed base", "t q q_des", when="comparable")
 def followed(view: LogView) -> Iterator[Finding]:
     """Check that the joints of a machine on a fixed base follow their commands.
 

@@ -100,11 +100,15 @@ class Rule:
         return dict(zip(parts[::2], texts, strict=True))
 
 
-def rule(
+def plausibility_rule(
     name: str, needs: str = "", beside: str = "", when: _When = None, finds: _Finds = "cause"
 ) -> Callable[[Callable[[LogView], Iterator[Finding]]], Rule]:
-    """Make a function that finds violations in a log a `Rule`; `needs` and `beside` are one text
-    each.
+    """Make a function that finds violations in a log a `Rule`.
+
+    Args:
+        name: of the rule.
+        needs, beside: as of `Rule`, each in one text.
+        when, finds: as of `Rule`.
     """
     return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, finds)
 

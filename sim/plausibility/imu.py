@@ -25,7 +25,7 @@ from surefoot.sim.plausibility.axes import (
     number_words,
 )
 from surefoot.sim.plausibility.causes import axes_put_right, in_another_unit, in_other_axes
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.place import SPEEDING, other_point, speed_changes
 from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, STEP, LogView
 
@@ -79,7 +79,7 @@ _BLOCK = 2.0
 """Averaging time of a gyro's bias [s], four strides."""
 
 
-@rule("gravity", "accel", when="comparable")
+@plausibility_rule("gravity", "accel", when="comparable")
 def gravity(view: LogView) -> Iterator[Finding]:
     """Check that the mean specific force of a body that stays near the ground is gravity,
     upwards.
@@ -146,7 +146,7 @@ def _up(view: LogView) -> tuple[np.ndarray | None, str]:
     return None, ""
 
 
-@rule("accelerometer", "t accel gyro ref", when="trusts_reference")
+@plausibility_rule("accelerometer", "t accel gyro ref", when="trusts_reference")
 def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference.
 
@@ -210,7 +210,7 @@ def _constant_force(missed: np.ndarray, R_GI: Rotation) -> Iterator[Finding]:
         yield Finding((ACCEL[i],), seen, "a bias, or a leaning mount")
 
 
-@rule("IMU's rows", "t accel gyro ref", when="trusts_reference")
+@plausibility_rule("IMU's rows", "t accel gyro ref", when="trusts_reference")
 def averaged(view: LogView) -> Iterator[Finding]:
     """Check that an IMU's rows are averages: summed over time they give the change of velocity.
 
@@ -245,7 +245,7 @@ def _shakes(view: LogView, match: AxesMatch) -> bool:
     return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
 
 
-@rule("gyro's unit", "gyro", when="comparable")
+@plausibility_rule("gyro's unit", "gyro", when="comparable")
 def gyro_unit(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures something, in rad/s.
 
@@ -272,7 +272,7 @@ def gyro_unit(view: LogView) -> Iterator[Finding]:
         yield Finding(GYRO, seen, *in_another_unit("gyro", GYRO, factor, "scaled"))
 
 
-@rule("gyro", "t gyro ref", when="compares_turning")
+@plausibility_rule("gyro", "t gyro ref", when="compares_turning")
 def gyro(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures the rotation of the reference.
 
@@ -377,7 +377,7 @@ def _in_body(view: LogView, axes: np.ndarray) -> bool:
     return view.stance.turning_fits(gyro @ axes) > view.stance.turning_fits(gyro)
 
 
-@rule("gyro and legs", "t gyro contact", beside="q foot")
+@plausibility_rule("gyro and legs", "t gyro contact", beside="q foot")
 def turning_of_legs(view: LogView) -> Iterator[Finding]:
     """Check a gyro without a reference, by the rotation of lines between standing feet.
 

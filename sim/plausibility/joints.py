@@ -9,7 +9,7 @@ from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
 from surefoot.sim.plausibility.axes import HARDLY, LIKELY, SCALED, SURELY, match_axes, sign_change
 from surefoot.sim.plausibility.causes import in_another_unit, of_changing_sign
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.view import LogView
 
 BEYOND = 0.1
@@ -39,7 +39,7 @@ a filter inverts: a moving average passes 0.22 of it at most.
 """
 
 
-@rule("joint rates", "t q dq", when="comparable")
+@plausibility_rule("joint rates", "t q dq", when="comparable")
 def rates(view: LogView) -> Iterator[Finding]:
     """Check that a joint's rate is the derivative of its angle.
 
@@ -123,7 +123,7 @@ def _rates_scaled(names: list[str], slope: np.ndarray, error: np.ndarray) -> Ite
         yield Finding((column,), seen, "scaled, or its angle is", scaled(column, too_large))
 
 
-@rule("joints' unit", "q")
+@plausibility_rule("joints' unit", "q")
 def units(view: LogView) -> Iterator[Finding]:
     """Check that angles of legs are in radians, and rates that are their change.
 
@@ -151,7 +151,7 @@ def units(view: LogView) -> Iterator[Finding]:
         yield Finding(tuple(units), seen, cause, {"columns": units})
 
 
-@rule("joint range", "q", finds="symptom")
+@plausibility_rule("joint range", "q", finds="symptom")
 def stops(view: LogView) -> Iterator[Finding]:
     """Check that angles are within the limits of the robot's joints.
 
@@ -184,7 +184,7 @@ def stops(view: LogView) -> Iterator[Finding]:
     yield Finding(tuple(f"q_{name}" for name in names), seen, cause, changes)
 
 
-@rule("torque", "tau")
+@plausibility_rule("torque", "tau")
 def torques(view: LogView) -> Iterator[Finding]:
     """Check that torques are within the limits of the robot's drives.
 
@@ -208,7 +208,7 @@ def torques(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, changes)
 
 
-@rule("magnitudes", "tau")
+@plausibility_rule("magnitudes", "tau")
 def magnitudes(view: LogView) -> Iterator[Finding]:
     """Check that torques have both signs.
 
@@ -226,7 +226,7 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, "magnitudes, without their sign")
 
 
-@rule("zeros", "q", when="comparable", finds="symptom")
+@plausibility_rule("zeros", "q", when="comparable", finds="symptom")
 def zeros(view: LogView) -> Iterator[Finding]:
     """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
@@ -260,7 +260,7 @@ def zeros(view: LogView) -> Iterator[Finding]:
                 yield Finding((f"q_{left}", f"q_{right}"), seen, cause)
 
 
-@rule("commands", "q q_des")
+@plausibility_rule("commands", "q q_des")
 def commands(view: LogView) -> Iterator[Finding]:
     """Check that commanded angles are in the unit of the measured ones.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import MENDED
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.loads import leaning
 from surefoot.sim.plausibility.stance import Stance
 from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, LATEST_STREAM, STEP, LogView
@@ -58,8 +58,8 @@ _TRIED = 600
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Motion that legs are compared with.
+class ComparedMotion:
+    """ComparedMotion that legs are compared with.
 
     Attributes:
         gyro: (K, 3) [rad/s].
@@ -72,12 +72,12 @@ class Motion:
     truth: np.ndarray | None
     used: np.ndarray
 
-    def rows(self, some: np.ndarray) -> "Motion":
+    def rows(self, some: np.ndarray) -> "ComparedMotion":
         """Select some of the K times."""
         truth = None if self.truth is None else self.truth[some]
-        return Motion(self.gyro[some], truth, self.used[some])
+        return ComparedMotion(self.gyro[some], truth, self.used[some])
 
-    def where_turning(self) -> "Motion":
+    def where_turning(self) -> "ComparedMotion":
         """Use only the times at which the body turns most: there legs differ."""
         rate = np.linalg.norm(self.gyro, axis=1)
         return replace(self, used=self.used & (rate > np.quantile(rate, _TURNING)))
@@ -110,7 +110,7 @@ class Motion:
         return np.array([self.misfit(u[:, [i]], contact[:, [i]]) for i in range(u.shape[1])])
 
 
-@rule("legs", "t gyro contact", beside="q ref foot")
+@plausibility_rule("legs", "t gyro contact", beside="q ref foot")
 def kinematics(view: LogView) -> Iterator[Finding]:
     """Check that all legs in contact and the reference agree on the body's velocity.
 
@@ -145,14 +145,14 @@ def kinematics(view: LogView) -> Iterator[Finding]:
     yield from found
 
 
-def _motion(view: LogView, legs: Stance) -> Motion:
+def _motion(view: LogView, legs: Stance) -> ComparedMotion:
     """The motion that legs are compared with."""
     gyro = view.gyro[legs.which]
     used = view.ok[legs.which] if view.log.has("reference") else np.ones(len(gyro), bool)
-    return Motion(gyro, view.v_I[legs.which] if view.trusts_reference else None, used)
+    return ComparedMotion(gyro, view.v_I[legs.which] if view.trusts_reference else None, used)
 
 
-def _late(view: LogView, legs: Stance, motion: Motion) -> list[Finding]:
+def _late(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
     """Find a delay of joints and contacts together relative to gyro and reference."""
 
     def left(seconds: float) -> list[float]:
@@ -169,7 +169,7 @@ def _late(view: LogView, legs: Stance, motion: Motion) -> list[Finding]:
     return [Finding(("q", "contact"), seen, "another clock, or lost rows")]
 
 
-def _late_parts(view: LogView, legs: Stance, motion: Motion) -> list[Finding]:
+def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
     """Find a delay of contacts relative to joints, of all or of one, and of single legs relative to
     the others.
     """
@@ -209,10 +209,10 @@ def _moved(late: float) -> str:
     return f"if taken {abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
 
 
-def _earlier(view: LogView, legs: Stance, motion: Motion, late: float) -> Motion:
+def _earlier(view: LogView, legs: Stance, motion: ComparedMotion, late: float) -> ComparedMotion:
     """The motion to compare with legs that are late by some seconds."""
     then = np.clip(legs.which - round(late / STEP), 0, len(view.at) - 1)
-    return Motion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
+    return ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
 
 
 def _lags(
@@ -233,7 +233,7 @@ def _lags(
     return np.where(found, tried[best], 0.0), np.where(found, share, 1.0)
 
 
-def _put_right(view: LogView, legs: Stance, motion: Motion, base: float) -> list[Finding]:
+def _put_right(view: LogView, legs: Stance, motion: ComparedMotion, base: float) -> list[Finding]:
     """Find the correction with the smallest misfit: other legs, or other signs and orders of
     joints.
     """
@@ -249,7 +249,7 @@ def _chains(view: LogView) -> np.ndarray | None:
 
 
 def _swapped(
-    view: LogView, legs: Stance, motion: Motion, base: float
+    view: LogView, legs: Stance, motion: ComparedMotion, base: float
 ) -> tuple[float, list[Finding]]:
     """Find swapped legs, by joints, contacts or both, or inverted contacts.
 
@@ -312,7 +312,7 @@ def _by_each_leg(
     return out
 
 
-def _misread(view: LogView, legs: Stance, motion: Motion) -> tuple[float, list[Finding]]:
+def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float, list[Finding]]:
     """Find joints that are swapped within a leg, or have the opposite sign.
 
     Also returns the reduction of the squared misfit when corrected.
@@ -363,7 +363,7 @@ def opposite_angles(view: LogView) -> set[str]:
     return {column for one in found if one.cause == "wrong sign" for column in one.streams}
 
 
-def _few(legs: Stance, motion: Motion) -> tuple[Stance, Motion]:
+def _few(legs: Stance, motion: ComparedMotion) -> tuple[Stance, ComparedMotion]:
     """Feet and motion at some of the times, at which alternatives are tried."""
     used = np.flatnonzero(motion.used)
     some = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(int))]
@@ -371,7 +371,7 @@ def _few(legs: Stance, motion: Motion) -> tuple[Stance, Motion]:
 
 
 def _of_another_robot(
-    u: np.ndarray, contact: np.ndarray, motion: Motion, base: float
+    u: np.ndarray, contact: np.ndarray, motion: ComparedMotion, base: float
 ) -> list[Finding]:
     """Find legs of another length, or that have nothing to do with the body's motion.
 
@@ -408,7 +408,7 @@ def _climbing(view: LogView, legs: Stance) -> list[Finding]:
     return [Finding(("ref_p_z",), seen, "an estimate that drifts, or a world that is not level")]
 
 
-def _zeros(view: LogView, legs: Stance, motion: Motion) -> list[Finding]:
+def _zeros(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
     """Find joints of most legs whose angles count from elsewhere than the model's.
 
     `joints.zeros` finds that of a single joint.

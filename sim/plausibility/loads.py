@@ -7,7 +7,7 @@ import numpy as np
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.plausibility.axes import LIKELY
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.stance import Stance
 from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, LATEST_STREAM, MIDDLE, LogView
 from surefoot.sim.robot.robot import Robot
@@ -18,7 +18,7 @@ add a third, single legs of a stride carry twice.
 """
 
 
-@rule("support", "q contact tau accel", beside="foot", finds="symptom")
+@plausibility_rule("support", "q contact tau accel", beside="foot", finds="symptom")
 def weight_carried(view: LogView) -> Iterator[Finding]:
     """Check that torques of standing legs carry the robot's weight.
 
@@ -44,7 +44,7 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     yield Finding(columns, seen, cause, changes)
 
 
-@rule("late torques", "t q contact tau accel", beside="foot")
+@plausibility_rule("late torques", "t q contact tau accel", beside="foot")
 def late_torques(view: LogView) -> Iterator[Finding]:
     """Check that torques load the legs while they stand.
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.view import LogView
 
 NOISE = {"gyro": 0.2, "accel": 2.0, "q": 0.03, "dq": 1.5, "ref_p": 0.01, "foot": 0.005}
@@ -18,7 +18,7 @@ count of 12 bits in a row of 1 ms. References: motion capture without a rigid bo
 """
 
 
-@rule("noise", beside="t gyro accel dq", when="comparable")
+@plausibility_rule("noise", beside="t gyro accel dq", when="comparable")
 def noisy(view: LogView) -> Iterator[Finding]:
     """Check the noise of gyro, accelerometer and joint rates.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.plausibility.axes import MENDED, REF_P, SCALED, SURELY
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.stance import feet_at
 from surefoot.sim.plausibility.view import FEWEST, MIDDLE, STEP, LogView
 
@@ -30,7 +30,7 @@ _WALKS = 0.05
 """Speed below which there is nothing to compare [m/s]."""
 
 
-@rule("reference's point", "t accel gyro ref", when="trusts_reference")
+@plausibility_rule("reference's point", "t accel gyro ref", when="trusts_reference")
 def point(view: LogView) -> Iterator[Finding]:
     """Check that the reference tracks the IMU: other points accelerate as the body rotates.
 
@@ -81,7 +81,7 @@ def speed_changes(view: LogView) -> tuple[np.ndarray, np.ndarray]:
     return by_imu, by_reference
 
 
-@rule("reference's motion", "t accel gyro ref", when="trusts_reference")
+@plausibility_rule("reference's motion", "t accel gyro ref", when="trusts_reference")
 def motion(view: LogView) -> Iterator[Finding]:
     """Check that the reference's horizontal changes of velocity agree with the accelerometer.
 
@@ -109,7 +109,7 @@ def motion(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, "scaled: the tracker's calibration, or another unit")
 
 
-@rule("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
+@plausibility_rule("reference from legs", "t gyro contact ref", beside="q foot", when="comparable")
 def from_legs(view: LogView) -> Iterator[Finding]:
     """Check that the reference is not leg odometry; real feet roll and slip.
 

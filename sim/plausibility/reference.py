@@ -11,7 +11,7 @@ from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.plausibility.attitude import LATE, LATEST
 from surefoot.sim.plausibility.axes import GYRO, REF_P, REF_V, SCALED, SURELY, match_axes
 from surefoot.sim.plausibility.causes import in_another_unit, in_other_axes
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.view import LogView
 
 FASTEST_LEGS = 12.0
@@ -19,7 +19,7 @@ FASTEST_LEGS = 12.0
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
 
 
-@rule("reference's samples", "t ref", finds="note")
+@plausibility_rule("reference's samples", "t ref", finds="note")
 def even_samples(view: LogView) -> Iterator[Finding]:
     """Check that a reference's samples are evenly spaced and continuous.
 
@@ -35,7 +35,7 @@ def even_samples(view: LogView) -> Iterator[Finding]:
         yield Finding((*REF_P, *_Q), seen, cause)
 
 
-@rule("reference's attitude", "t gyro ref")
+@plausibility_rule("reference's attitude", "t gyro ref")
 def attitude(view: LogView) -> Iterator[Finding]:
     """Check that the reference rotates with the gyro, without a delay, and that gravity points
     down.
@@ -65,7 +65,7 @@ def attitude(view: LogView) -> Iterator[Finding]:
     yield Finding((*REF_P, *_Q), fault.evidence, fault.cause, changes)
 
 
-@rule("reference's unit", "t ref", when="comparable")
+@plausibility_rule("reference's unit", "t ref", when="comparable")
 def position(view: LogView) -> Iterator[Finding]:
     """Check that positions are in metres, by the speed.
 
@@ -83,7 +83,7 @@ def position(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_P, seen, f"in {unit}, not m", entries(REF_P, unit=unit))
 
 
-@rule("reference's velocity", "t ref ref_v", when="comparable")
+@plausibility_rule("reference's velocity", "t ref ref_v", when="comparable")
 def velocity(view: LogView) -> Iterator[Finding]:
     """Check that the reference's velocity is the derivative of its positions, in the world.
 

@@ -15,7 +15,7 @@ from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.plausibility.attitude import LATE
 from surefoot.sim.plausibility.axes import MENDED, REF_V, delay_between
-from surefoot.sim.plausibility.finding import Finding, rule
+from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.noise import NOISE
 from surefoot.sim.plausibility.view import RESTS, LogView
 
@@ -84,7 +84,7 @@ _LEAST_DISTINCT = 20
 """Number of distinct values below which a column is a state or a command, not a reading."""
 
 
-@rule("frozen")
+@plausibility_rule("frozen")
 def frozen(view: LogView) -> Iterator[Finding]:
     """Check that a sensor changes while related ones do.
 
@@ -209,7 +209,7 @@ def _moves(x: np.ndarray, rows: slice) -> bool:
     return bool(high > low) and float(least) > _ALIVE * float(high - low)
 
 
-@rule("held", beside="t", finds="note")
+@plausibility_rule("held", beside="t", finds="note")
 def held(view: LogView) -> Iterator[Finding]:
     """Find columns that are sampled more slowly than the rows.
 
@@ -234,7 +234,7 @@ def held(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, {"even": {"held": tuple(kinds)}})
 
 
-@rule("interpolated", beside="t", finds="note")
+@plausibility_rule("interpolated", beside="t", finds="note")
 def interpolated(view: LogView) -> Iterator[Finding]:
     """Find readings on straight lines between samples, which have been interpolated.
 
@@ -256,7 +256,7 @@ def interpolated(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule("late", beside="t ref", finds="symptom")
+@plausibility_rule("late", beside="t ref", finds="symptom")
 def late(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
@@ -299,7 +299,7 @@ def _delays(view: LogView) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.nda
         yield REF_V, log.ref_v, moved, delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
 
 
-@rule("coarse", beside="gyro accel q", finds="note")
+@plausibility_rule("coarse", beside="gyro accel q", finds="note")
 def coarse(view: LogView) -> Iterator[Finding]:
     """Check that readings resolve what they measure.
 
@@ -318,7 +318,7 @@ def coarse(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@rule("overflow")
+@plausibility_rule("overflow")
 def overflows(view: LogView) -> Iterator[Finding]:
     """Check that readings do not wrap around at the ends of their range.
 
@@ -342,7 +342,7 @@ def overflows(view: LogView) -> Iterator[Finding]:
             yield Finding((name,), seen, cause, entries((name,), wrap=_WHOLE_TURN) if turns else {})
 
 
-@rule("saturated", finds="note")
+@plausibility_rule("saturated", finds="note")
 def saturated(view: LogView) -> Iterator[Finding]:
     """Check that readings do not accumulate at their largest value.
 
@@ -368,7 +368,7 @@ def saturated(view: LogView) -> Iterator[Finding]:
                 yield Finding((name,), seen, "the sensor's range, or a clip")
 
 
-@rule("spikes", beside="t q dq")
+@plausibility_rule("spikes", beside="t q dq")
 def spikes(view: LogView) -> Iterator[Finding]:
     """Check that no stream jumps for a row and back.
 
@@ -430,7 +430,7 @@ def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> n
     return np.abs(beside - frame[name].to_numpy()[rows]).min(axis=0) < within
 
 
-@rule("copied")
+@plausibility_rule("copied")
 def copies(view: LogView) -> Iterator[Finding]:
     """Check that no two sensors read exactly the same.
 
@@ -450,7 +450,7 @@ def copies(view: LogView) -> Iterator[Finding]:
                 yield Finding((a, b), seen, f"one of two {kind} columns was read twice")
 
 
-@rule("derived", when="comparable", finds="note")
+@plausibility_rule("derived", when="comparable", finds="note")
 def derived(view: LogView) -> Iterator[Finding]:
     """Find columns that follow exactly from others and are no measurement.
 

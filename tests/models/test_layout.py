@@ -96,7 +96,7 @@ def test_a_channel_of_ones_own_is_a_subclass_that_has_its_name():
     CHANNELS.check_member("warmth", Warmth)
     for name, kind, words in (
         ("cold", Warmth, "calls itself warmth"),
-        ("warmth", Warmth(), "must be a subclass of Channel"),
+        ("warmth", Warmth(), "must be a class"),
         ("warmth", object, "lacks name, unit, needs"),
     ):
         with pytest.raises(SurefootError, match=words):

@@ -5,7 +5,7 @@ import pytest
 from machines import ARM, GANTRY, machine, moved
 
 from surefoot.models.attribution.diagnose import logs_under_model
-from surefoot.models.attribution.effect_sizes import is_sampling_lag, plausible_size, priors
+from surefoot.models.attribution.effect_sizes import is_sampling_lag, plausible_size
 from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noise
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary
@@ -102,7 +102,7 @@ def test_sizes_are_plausible_for_the_machine_and_for_legs_as_published(tmp_path)
     assert plausible_size("link_mass", "z", gantry) == pytest.approx(0.4 * 26.0)
     assert plausible_size("armature", "all", gantry) == pytest.approx(26.0)
     for name, target in (("link_mass", "FL_calf"), ("armature", "all")):
-        assert plausible_size(name, target, legs) == priors()[name].within
+        assert plausible_size(name, target, legs) == known_effects()[name].size_prior().within
     kind = known_effects()["link_mass"]
     assert kind.bounds_on(legs) == (-0.5, 5.0)
     assert kind.bounds_on(gantry) == kind.bounds
