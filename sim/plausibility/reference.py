@@ -19,6 +19,24 @@ FASTEST_LEGS = 12.0
 _Q = tuple(f"ref_q_{a}" for a in "wxyz")
 
 
+@plausibility_rule("reference's unit", "t ref", when="comparable")
+def position(view: LogView) -> Iterator[Finding]:
+    """Check that positions are in metres, by the speed.
+
+    Compares: the median speed of ref_p.
+    Threshold: {FASTEST_LEGS:g} m/s.
+    Reason: the fastest robot on legs ran at 8.9 m/s (WildCat, Boston Dynamics, 2013).
+    Remedy: unit = "mm".
+    """
+    if not view.ok.any():
+        return
+    speed = float(np.median(np.linalg.norm(view.ref_v[view.ok], axis=1)))
+    if speed > FASTEST_LEGS:
+        unit = "mm" if speed > 90.0 else "cm"  # walks have 0.1 to 3 m/s
+        seen = f"median speed {speed:.4g} m/s"
+        yield Finding(REF_P, seen, f"in {unit}, not m", entries(REF_P, unit=unit))
+
+
 @plausibility_rule("reference's samples", "t ref", finds="note")
 def even_samples(view: LogView) -> Iterator[Finding]:
     """Check that a reference's samples are evenly spaced and continuous.
@@ -63,24 +81,6 @@ def attitude(view: LogView) -> Iterator[Finding]:
     offset = view.log.meta.model.get(REFERENCE_OFFSET, 0.0) - fault.late
     changes = {"reference": {**fault.changes.get("reference", {}), "offset": round(offset, 3)}}
     yield Finding((*REF_P, *_Q), fault.evidence, fault.cause, changes)
-
-
-@plausibility_rule("reference's unit", "t ref", when="comparable")
-def position(view: LogView) -> Iterator[Finding]:
-    """Check that positions are in metres, by the speed.
-
-    Compares: the median speed of ref_p.
-    Threshold: {FASTEST_LEGS:g} m/s.
-    Reason: the fastest robot on legs ran at 8.9 m/s (WildCat, Boston Dynamics, 2013).
-    Remedy: unit = "mm".
-    """
-    if not view.ok.any():
-        return
-    speed = float(np.median(np.linalg.norm(view.ref_v[view.ok], axis=1)))
-    if speed > FASTEST_LEGS:
-        unit = "mm" if speed > 90.0 else "cm"  # walks have 0.1 to 3 m/s
-        seen = f"median speed {speed:.4g} m/s"
-        yield Finding(REF_P, seen, f"in {unit}, not m", entries(REF_P, unit=unit))
 
 
 @plausibility_rule("reference's velocity", "t ref ref_v", when="comparable")
