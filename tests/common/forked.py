@@ -29,10 +29,11 @@ class Outcome:
 
     @property
     def refused(self) -> bool:
-        """Whether it ended with exactly one line, after warnings of a log that was read before, and
+        """Whether it ended with exactly one line, after warnings and notes on a log, and
         changed nothing.
         """
-        lines = [line for line in self.err.splitlines() if not line.startswith("warning: ")]
+        said = ("warning: ", "note: ")
+        lines = [line for line in self.err.splitlines() if not line.startswith(said)]
         one = len(lines) == 1 and lines[0].startswith("surefoot: ")
         return one and self.code in (1, 2) and not self.changed
 
