@@ -158,7 +158,8 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     """
     if not view.resolves:
         return
-    accel, felt, R_GI = view.accel[view.ok], view.felt[view.ok], view.R_GI[view.ok]
+    accel, felt = view.accel[view.ok], view.felt[view.ok]
+    R_GI = view.attitudes(0.0, view.ok)
     in_body = match_axes(accel, felt)
     # Motion is periodic: half a stride later, a swaying axis is its own negative.
     in_world = match_axes(view.ref_a[view.ok], R_GI.apply(accel) + GRAVITY_G)
