@@ -179,7 +179,7 @@ def align(
         raise SurefootError(f"{log.name}: the reference moves at {speed:.3g} m/s: {unit}")
     # Wrong strides converge slowly: those that leave clearly more after some steps are left out.
     every: list[_Fitted] = []
-    for steps in (FIRST_STEPS, MOST_STEPS):
+    for steps in (FIRST_STEPS, MOST_STEPS) if len(starts) > 1 else (MOST_STEPS,):
         every = [one for start in starts if (one := _fitted(readings, start, seed, steps))]
         if not every:
             raise too_little
