@@ -34,6 +34,7 @@ from surefoot.models.attribution.model_error import (
     at_middles,
     evidence_of,
 )
+from surefoot.models.residuals.channels import channels
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
 from surefoot.sim.robot.limbs import Limbs
@@ -141,13 +142,14 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
     evidence, rates = evidence_of(cases)
     there = np.flatnonzero(np.isfinite(evidence.table).any(axis=0))
     shown = {evidence.layout.kinds[c] for c in there}
-    lacking = {*known.noise} - shown
+    lacking = {g for g in known.noise if g not in shown and not channels()[g[0]].on_level_ground}
     if lacking or {*known.keys} - {*evidence.keys}:
         names = ", ".join(dict.fromkeys(channel for channel, _ in lacking)) or "other effects"
         raise LogError(
             f"{cases[0].log.name}: its readings differ from those of the runs that the declared "
             f"effects were found in ({names})"
         )
+    known = replace(known, noise={g: x for g, x in known.noise.items() if g in shown})
     found, new = _best(cases, evidence, rates, known)
     return replace(found, channels=_levels(new, found.found), zeros=_zeros(new, found.found))
 

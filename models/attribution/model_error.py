@@ -115,6 +115,14 @@ class RunSums:
         """The candidates that every run has at a size of its own."""
         return [] if self.simulated else [key for key in self.keys if key[0] in PER_RUN]
 
+    def of_groups(self, groups: Sequence[tuple[str, str]]) -> "RunSums":
+        """The sums of these groups alone."""
+        at = [self.groups.index(group) for group in groups]
+        least = np.broadcast_to(self.least, len(self.groups))[at]
+        return replace(
+            self, groups=tuple(groups), sums=self.sums[at], count=self.count[at], least=least
+        )
+
     def whitened(self, noise: np.ndarray) -> np.ndarray:
         """Gram matrix of all rows in units of each group's noise (G,)."""
         return np.tensordot(noise**-2.0, self.sums, 1)
@@ -285,13 +293,16 @@ def angle_errors(log: Log, undriven: Sequence[str]) -> Changes:
 
 
 def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
-    """Estimate the error of a model from runs of the unchanged machine; None for too few runs, for
-    runs with different readings, and without torques on a fixed base.
+    """Estimate the error of a model from runs of the unchanged machine, by the groups of columns
+    that all of them have; None for too few runs, for different candidates, and without torques on
+    a fixed base.
     """
-    first = runs[0]
-    alike = all((one.keys, one.groups) == (first.keys, first.groups) for one in runs)
-    if len(runs) < FEWEST_RUNS or not alike or not first.groups:
+    groups = [group for group in runs[0].groups if all(group in one.groups for one in runs)]
+    alike = all(one.keys == runs[0].keys for one in runs)
+    if len(runs) < FEWEST_RUNS or not alike or not groups:
         return None
+    runs = [one.of_groups(groups) for one in runs]
+    first = runs[0]
     sums, count = (np.sum([getattr(r, x) for r in runs], axis=0) for x in ("sums", "count"))
     scale = np.sqrt(sums[:, 0, 0] / count)
     # Mean square of the residual, relative to its own, that one unit of each size makes.

@@ -144,6 +144,7 @@ class FloorPlan:
         file: the robot's model.
         courses: commanded velocities, one course for each walk.
         groups: groups of columns that the logs have.
+        level: whether the ground of any log counts as level.
         evenness: standard deviation of the ground's height from a plane [m].
         slippery: friction of places in which feet slide; None where there are none.
         sampling: sampling and noise of the reference, if measured.
@@ -155,6 +156,7 @@ class FloorPlan:
     file: Path
     courses: tuple[Twists, ...]
     groups: tuple[str, ...]
+    level: bool
     evenness: float
     slippery: float | None
     sampling: ReferenceSampling | None
@@ -248,6 +250,7 @@ def noise_floor(
         file=first.robot.file,
         courses=tuple(_courses(cases)) if first.robot.limbs == QUADRUPED else (),
         groups=tuple(g for g in _GROUPS if all(case.log.has(g) for case in cases)),
+        level=any(case.motion.level for case in cases),
         evenness=max(ground_evenness(cases), _seen_evenness(cases)),
         slippery=slippery,
         sampling=reference_sampling(first.log),
@@ -435,6 +438,7 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         if plan.sampling:
             log = resample_reference(log, plan.sampling, np.random.default_rng(seed))
         case = log_under_model(log, robot)
+        case = replace(case, motion=replace(case.motion, level=plan.level))
         known = linearise([case], plan.effects, ())
         # The same minimum noise as for the log, so that channels have the same relative weight.
         weights = robust_weights(known, known.layout.least_noise)

@@ -97,10 +97,22 @@ def test_sizes_of_a_new_run_are_as_uncertain_as_said(known):
     assert np.mean(np.square(z), axis=0) == pytest.approx([1.0, 1.0], abs=0.25)
 
 
-def test_few_runs_and_different_readings_have_no_error_of_the_model(drawn):
+def test_few_runs_and_different_candidates_have_no_error_of_the_model(drawn):
     runs = [sums_of(rows) for rows in drawn[:4]]
     assert model_error(runs[:2], LIMBS) is None
-    assert model_error([*runs[:3], replace(runs[3], groups=GROUPS[::-1])], LIMBS) is None
+    assert model_error([*runs[:3], replace(runs[3], keys=KEYS[::-1])], LIMBS) is None
+    assert model_error([*runs[:3], runs[3].of_groups(())], LIMBS) is None
+
+
+def test_runs_are_compared_by_the_columns_that_all_of_them_have(drawn):
+    """One of several runs may lack a column: the heights of feet on a walk that was not level."""
+    runs = [sums_of(rows) for rows in drawn[:6]]
+    lacking = [*runs[:5], runs[5].of_groups(GROUPS[1:])]
+    reduced = model_error([one.of_groups(GROUPS[1:]) for one in runs], LIMBS)
+    assert model_error(lacking, LIMBS).noise == reduced.noise
+    np.testing.assert_array_equal(model_error(lacking, LIMBS).mean, reduced.mean)
+    turned = [*runs[:5], runs[5].of_groups(GROUPS[::-1])]
+    np.testing.assert_array_equal(model_error(turned, LIMBS).mean, model_error(runs, LIMBS).mean)
 
 
 def test_it_is_the_same_after_json(known):

@@ -27,11 +27,6 @@ def found():
 
 
 @pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    reason="on one walk, rolling feet and compliant legs are nearly collinear: about half the "
-    "radius is found",
-)
 def test_the_feet_roll_about_as_far_as_drawn(found):
     (rolls,) = [one.value for one in found.effects if one.name == "foot_rolling"]
     assert rolls == pytest.approx(Robot.load("go1").foot_radius.mean(), abs=0.01)
