@@ -42,9 +42,9 @@ def rows_of(rng, deviation, noise, rows=40):
     return np.concatenate([y[..., None], X], axis=2)
 
 
-def sums_of(rows):
+def sums_of(rows, keys=KEYS):
     return RunSums(
-        keys=KEYS,
+        keys=keys,
         groups=GROUPS,
         sums=np.stack([A.T @ A for A in rows]),
         count=np.array([len(A) for A in rows], float),
@@ -95,6 +95,16 @@ def test_sizes_of_a_new_run_are_as_uncertain_as_said(known):
         z.append(S[0, 1:3] / np.sqrt(np.diag(S)[1:3]))
     # 300 draws of unit variance have one within 0.82 to 1.18 with 95 %.
     assert np.mean(np.square(z), axis=0) == pytest.approx([1.0, 1.0], abs=0.25)
+
+
+@pytest.mark.parametrize("name", ["clock_scale", "reference_delay"])
+def test_a_run_has_clocks_of_its_own_as_it_has_zeros(drawn, known, name):
+    """They differ from run to run, and are neither an error of the model nor a change."""
+    keys = (*KEYS[:2], (name, "imu"))
+    found = model_error([sums_of(rows, keys) for rows in drawn], LIMBS)
+    assert found is not None
+    assert found.keys == known.keys
+    assert found.mean == pytest.approx(known.mean, abs=0.02)
 
 
 def test_few_runs_and_different_candidates_have_no_error_of_the_model(drawn):
