@@ -23,7 +23,7 @@ def test_nothing_is_missed_on_a_straight_walk_of_the_declared_robot(speed):
 
 @pytest.mark.long
 def test_what_bumps_seem_to_be_is_known_from_the_walks_though_some_count_as_level():
-    """On rough ground the torques seem to lack rotor inertia, in the log as in the floor's walks."""
+    """On rough ground the torques seem to lack rotor inertia, as in the walks of the floor."""
     course = (Segment(8.0, 0.3), Segment(6.0, 0.4))
     rough = Scenario("rough", course, ground_of(course, 0.01, 0.8), stand=0.5)
     case = log_under_model(walk(rough, GO1, 3), GO1)
