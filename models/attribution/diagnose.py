@@ -62,6 +62,7 @@ from surefoot.models.attribution.noise_floor import (
 )
 from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
 from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
+from surefoot.models.attribution.way_lost import way_lost
 from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights
 from surefoot.models.bootstrap import block_bootstrap_counts
 from surefoot.models.residuals.binning import BIN, inner_bins
@@ -277,7 +278,8 @@ def diagnose(
             result, floors = explained(slides)
         slip = slides
     lags = _sampling_lags(result.found, cases)
-    found = (*(f for f in result.found if f not in lags), *slip)
+    way = way_lost([run.case for run in result.runs], unseen)
+    found = (*(f for f in result.found if f not in lags), *slip, *way.found)
     effects = in_order([one.effect for one in found])
     runs = _with_lags(result.runs, lags)
     # Residuals before and after, and where outside forces act, which is left out of the verdict.
@@ -345,6 +347,7 @@ def diagnose(
             *(f"excluded from the verdict: {words}" for words in excluded),
             *_result_notes(found, channels),
             *_lag_notes(lags),
+            *way.notes,
         ),
         unexplained=unexplained,
         model_error=_error_of(cases, effects) if several else None,

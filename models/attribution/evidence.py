@@ -1,6 +1,6 @@
 """Evidence of a trace: residuals of logs and their derivatives with respect to each effect."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, takewhile
@@ -190,6 +190,8 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that can be compensated and has a channel in the log."""
     there, legged, limbs, keys = {*channels_of(case)}, case.robot.legged, case.robot.limbs, []
     for kind in known_effects().usable()[0].values():
+        if not kind.traced.by_search:
+            continue
         lacks = case.fixed and "reference" in kind.traced.needs
         if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
             continue
@@ -228,6 +230,7 @@ def linearise(
     evaluation_channels: bool = True,
     nuisance: bool = True,
     changes: Callable[[Log], Changes] = lambda log: {},
+    moved: Collection[Key] = (),
 ) -> Evidence:
     """Compute residuals with `chosen` compensated, and their derivatives with respect to `keys`.
 
@@ -243,6 +246,7 @@ def linearise(
         evaluation_channels: whether to compute the channels that are never fitted.
         nuisance: whether to compute the nuisance parameters.
         changes: of a log, further candidates that are no effects.
+        moved: candidates of which the cases have other sizes than those of the evidence `before`.
     """
     logs = [_Linear(case, chosen, evaluation_channels) for case in cases]
     starts, table = (
@@ -255,7 +259,7 @@ def linearise(
         return joined_regressor([one.regressor(key) for one in logs], starts)
 
     if before is not None and before.reading_scale == scale and _same_bins(before, table):
-        stale = {(e.name, e.target) for e in chosen}
+        stale = {(e.name, e.target) for e in chosen} | {*moved}
         if any(one.contacts_differ for one in logs):
             # The same bins may be in stance and yet a different set of feet share the load.
             stale |= {key for key in before.keys if known_effects()[key[0]].traced.uses_loads}

@@ -885,17 +885,25 @@ def _with_zeros(state: _State, effects: Sequence[Effect], moved: float = ZERO_MO
             for these, case in zip(zeros, state.declared, strict=True)
         ]
         problem = replace(problem, cases=cases)
-        metric = _metric(problem, effects, None, state.error)
+        metric = _metric(problem, effects, state.metric.known, state.error, moved=keys)
         state = replace(state, problem=problem, metric=metric)
     return state
 
 
 def _metric(
-    problem: Problem, effects: Sequence[Effect], before: Evidence | None, error: ModelError
+    problem: Problem,
+    effects: Sequence[Effect],
+    before: Evidence | None,
+    error: ModelError,
+    moved: Sequence[Key] = (),
 ) -> Metric:
-    """Metric at these effects; derivatives of an evidence `before` may be reused."""
+    """Metric at these effects; derivatives of an evidence `before` may be reused but for those
+    `moved`, which the logs have at other sizes.
+    """
     before = None if problem.by_windows else before
-    known = linearise(problem.cases, effects, problem.keys, before, evaluation_channels=False)
+    known = linearise(
+        problem.cases, effects, problem.keys, before, evaluation_channels=False, moved=moved
+    )
     known = without_sticking(problem, effects, known)
     return metric_of(problem.cases, known, error, problem.use, problem.per_run)
 

@@ -68,6 +68,8 @@ CATALOGUE = Registry(
         "torque_delay": "surefoot.sim.effects.timing:TorqueDelay",
         "payload": "surefoot.sim.effects.body:Payload",
         "com_offset": "surefoot.sim.effects.body:ComOffset",
+        "foot_creep": "surefoot.sim.effects.creep:FootCreep",
+        "foot_scrub": "surefoot.sim.effects.creep:FootScrub",
         "foot_slip": "surefoot.sim.effects.contact:FootSlip",
         "soft_ground": "surefoot.sim.effects.contact:SoftGround",
         "contact_delay": "surefoot.sim.effects.timing:ContactDelay",

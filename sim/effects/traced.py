@@ -53,6 +53,8 @@ class Traced:
             angles.
         on_given_feet: whether `compensate` also works for a machine that is known by its feet alone
             (`sim.robot.given_feet`), by changing the readings or `extras` only.
+        by_search: whether the search over residuals fits the size; False where it has an estimate
+            of its own.
         spread: relative spread of the size between parts of one kind, at 95 %, of an effect that
             machines have by construction; None if it may be on any part alone.
         scales_with: what a size measured on one robot is multiplied by for another: what its unit
@@ -72,6 +74,7 @@ class Traced:
     uses_loads: bool = False
     unseen_by: tuple[str, ...] = ()
     on_given_feet: bool = False
+    by_search: bool = True
     spread: float | None = None
     scales_with: Literal["unit", "foot_radius"] = "unit"
 

@@ -1,0 +1,102 @@
+"""Effects of standing feet that move over the ground, on a machine that is known by its feet.
+
+The body then goes less far than its legs, or further if round feet roll. A foot that slides in one
+direction has less grip in all others, since dry friction opposes the whole velocity: a body that
+turns its standing feet over the ground loses way in proportion to the angle.
+
+Their sizes follow from displacements (`models.attribution.way_lost`).
+"""
+
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from surefoot.sim.effects.base import Effect
+from surefoot.sim.effects.traced import Prior, Traced
+from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.sensors.stances import stances
+from surefoot.sim.sensors.way import Way, way_by_feet
+
+STANCES = 10.0
+"""Stances, as a standard deviation, over which the way lost by turning is averaged: some strides,
+through which a robot walks alike.
+"""
+_way = partial(
+    Traced,
+    channels=("leg_velocity",),
+    step=1e-3,
+    needs=("imu", "foot", "contact"),
+    motion="walk with more and with less turning of the standing feet",
+    on_given_feet=True,
+    by_search=False,
+)
+
+
+class FootCreep(Effect):
+    """The body goes less far than its standing feet say, by this share of the way; further, if the
+    size is negative, as on round feet that are taken for points.
+    """
+
+    name = "foot_creep"
+    unit = "ratio"
+    bounds = (-0.5, 0.8)
+    targets = ("all",)
+    traced = _way(
+        prior=Prior(0.1, "feet with a radius of 2 to 4 cm on legs of 30 to 50 cm: 4 to 13 %")
+    )
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        way = way_by_feet(log)
+        share = share_lost(self.name, self.value, way.length, way.turned)
+        return without_way(log, way, share), robot
+
+    @classmethod
+    def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
+        return ("all",) if limbs.feet_alone else ()
+
+
+class FootScrub(FootCreep):
+    """The body goes less far than its standing feet say, by this way for each radian that they turn
+    over the ground, which gyro and feet show.
+    """
+
+    name = "foot_scrub"
+    unit = "m/rad"
+    bounds = (0.0, 1.0)
+    traced = _way(prior=Prior(1.0, "no figure found: as far as a foot is from the body's middle"))
+
+
+def share_lost(name: str, size: float, length: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """Share (S,) of the way that the body loses in each stance, by an effect of this name and size;
+    length and turned as of `Way`. No stance loses more than all.
+    """
+    if name == FootCreep.name:
+        return np.full(len(length), size)
+    # The angle of a single stance is noisy; without way, as of a robot at rest, none is lost.
+    lost = gaussian_filter1d(np.minimum(size * turned, length), STANCES)
+    return np.minimum(lost / np.maximum(gaussian_filter1d(length, STANCES), 1e-9), 1.0)
+
+
+def without_way(log: Log, way: Way, share: np.ndarray) -> Log:
+    """The log with its standing feet moved so that the body goes less far, by a share (S,) of the
+    way in each stance.
+
+    A foot lands where the log says, and returns to where the log says while it swings.
+    """
+    columns, lost_I = {}, share[way.stance, None] * way.step_I
+    rows = np.arange(len(log.t))
+    for i, leg in enumerate(log.legs):
+        stands = log.contact[:, i]
+        held = stands & np.append(False, stands[:-1])
+        moved = np.cumsum(np.where(held[:, None], lost_I, 0.0), axis=0)
+        lands, ends = stances(stands)
+        if not len(lands):
+            continue
+        knots, before = np.stack([lands, ends - 1], axis=1).ravel(), np.repeat(moved[lands], 2, 0)
+        for axis, name in enumerate("xyz"):
+            back = np.interp(rows, knots, before[:, axis])
+            columns[f"foot_{leg}_{name}"] = log.foot_I[:, i, axis] + moved[:, axis] - back
+    return log.with_columns(columns)
