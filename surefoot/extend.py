@@ -72,11 +72,12 @@ if TYPE_CHECKING:
     from surefoot.sim.robot.inertia import LinkChange
     from surefoot.sim.robot.legs import JOINTS
     from surefoot.sim.robot.limbs import Limbs
-    from surefoot.sim.robot.machine import Modelled
+    from surefoot.sim.robot.machine import Modelled, machine_for_log
     from surefoot.sim.scenario import Ranges, Scenario, Segment
     from surefoot.sim.scenario_catalog import bundled_scenarios
     from surefoot.sim.sensors.stances import stance_phase
     from surefoot.sim.sensors.streams import Motion, Sensors, Streams
+    from surefoot.sim.sensors.way import Way, way_by_feet
     from surefoot.sim.walking.dm_environment import WalkingEnvironment
 
 __getattr__, __dir__ = lazy_names(globals())

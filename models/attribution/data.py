@@ -235,7 +235,8 @@ def _notes_by_feet(cases: Sequence[LogUnderModel], of_joints: Sequence[str]) -> 
     needing = "since they need joint angles and a robot model"
     notes = [
         "the legs are known by the positions of their feet, which are taken for points: each may "
-        "roll or creep by a share of its way, which is fitted and not reported",
+        "roll or creep by a share of its way, which every fit includes; foot_creep and foot_scrub "
+        "are what all of them together lose",
         f"channels not used, {needing}: {', '.join(of_joints)}",
         f"effects not tried, {needing}: {', '.join(effects)}",
     ]

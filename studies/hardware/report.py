@@ -128,23 +128,18 @@ def _of_go1(tables: Tables, verdict: str) -> list[str]:
 
 def _of_scaler(tables: Tables, verdict: str) -> list[str]:
     rows = {r["feet"]: r for r in tables["end_errors"]}
-    mean = "mean of unseen walks [%]"
-
-    def span(word: str) -> str:
-        found = [float(r[mean]) for name, r in rows.items() if word in name]
-        return f"{min(found):.1f} to {max(found):.1f} %"
-
-    pairs = tables["stances"]
+    mean, worst = "mean of unseen walks [%]", "worst of unseen walks [%]"
+    plain = rows["contacts by the gait"]
+    with_effect = [row for name, row in rows.items() if name.startswith("and ")]
     way = [float(r["lost of the way [%]"]) for r in tables["lost_way"]]
+    pairs = tables["stances"]
     slopes = [f"{r['lost for each radian [mm]']} mm/rad ({r['standing']})" for r in pairs]
+    means, most = ([float(r[x]) for r in with_effect] for x in (mean, worst))
     return [
-        "The leg filter ends "
-        f"{rows['contacts by the gait'][mean]} % of the way off; with way lost in proportion to "
-        "the turning of standing feet, fitted on the walks of one day, "
-        f"{span('radian')} on those of the other days.",
+        f"The leg filter ends {plain[mean]} % of the way off; with the effect that `trace` finds "
+        f"on the walks of one day, {min(means):.1f} to {max(means):.1f} % on those of the other "
+        f"days, {max(most):.1f} % at worst.",
         f"The body goes {min(way):.1f} to {max(way):.1f} % less far than its legs.",
-        f"One share of the way for all walks, fitted on one day, leaves {span('less way')} on the "
-        "other days.",
         f"With the contacts that the robot logged, the mean error is "
         f"{rows['contacts as logged'][mean]} %.",
         f"From stance to stance, the way lost grows by {' and '.join(slopes)}.",

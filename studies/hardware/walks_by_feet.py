@@ -12,12 +12,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from studies.hardware.creeping_feet import (
-    lost_by_turning,
-    travel_share,
-    turning_of_feet,
-    with_share,
-)
 from surefoot import (
     Alignment,
     FilterSettings,
@@ -30,7 +24,7 @@ from surefoot import (
     check_log,
     run_filter,
 )
-from surefoot.extend import Trajectory, reference
+from surefoot.extend import Effect, Trajectory, compensate_all, machine_for_log, reference
 from surefoot.scenarios.reporting import AFTER, BEFORE, INK, legend_below, new_figure, set_title
 
 PATH_STEP = 0.5
@@ -115,7 +109,9 @@ def findings_table(logs: Sequence[Log]) -> pd.DataFrame:
 
 
 def end_errors_table(
-    walks: Mapping[str, AlignedWalk], logged: Mapping[str, Log], days: Mapping[str, Sequence[str]]
+    walks: Mapping[str, AlignedWalk],
+    logged: Mapping[str, Log],
+    found: Mapping[str, tuple[Sequence[str], Effect]],
 ) -> pd.DataFrame:
     """One row for each model of the feet: the leg filter's end error [% of the path] on each walk,
     and on those to which the model was not fitted.
@@ -123,45 +119,35 @@ def end_errors_table(
     Args:
         walks: by name.
         logged: the same with the robot's own contacts.
-        days: names of the walks of each recording day.
+        found: words -> the walks that an effect of the feet was found in, and the effect.
     """
     aligned = {name: walk.log for name, walk in walks.items()}
-    turning = {name: turning_of_feet(log) for name, log in aligned.items()}
-    none = dict.fromkeys(walks, 0.0)
     rows = [
-        _errors_row("contacts as logged", logged, none, ()),
-        _errors_row("contacts by the gait", aligned, none, ()),
+        _errors_row("contacts as logged", logged, None, ()),
+        _errors_row("contacts by the gait", aligned, None, ()),
     ]
-    for day, names in days.items():
-        share = travel_share([aligned[name] for name in names])
-        words = f"and {100 * share:.1f} % less way, fitted on {day}"
-        rows.append(_errors_row(words, aligned, dict.fromkeys(walks, share), names))
-    for day, names in days.items():
-        size = lost_by_turning([aligned[name] for name in names])
-        words = f"and {1e3 * size:.0f} mm less for each radian of turning, fitted on {day}"
-        shares = {name: size * one for name, one in turning.items()}
-        rows.append(_errors_row(words, aligned, shares, names))
+    for words, (names, one) in found.items():
+        size = f"{one.name} of {one.value:.3f} {one.unit}, found on {words}"
+        rows.append(_errors_row(f"and {size}", aligned, one, names))
     return pd.DataFrame(rows)
 
 
-def paths_figure(walks: Mapping[str, AlignedWalk], size: float) -> Figure:
-    """Figure: each walk from above, with the reference and the leg filter without and with the
-    displacement `size` [m] lost per radian of rotation.
+def paths_figure(walks: Mapping[str, AlignedWalk], one: Effect) -> Figure:
+    """Figure: each walk from above, with the reference and the leg filter without and with an
+    effect of the feet.
     """
     drawn, axes = new_figure(1, len(walks), (2.4 * len(walks), 3.4))
     for ax, (name, walk) in zip(axes[0], walks.items(), strict=True):
         truth = reference(walk.log)
         forward = truth.p_GI[-1] - truth.p_GI[0]
         heading = np.arctan2(forward[1], forward[0])
-        paths = {"motion capture": (truth.p_GI, INK)}
-        for words, share, color in (
-            ("leg filter", 0.0, BEFORE),
-            ("leg filter, feet creep as they turn", size * turning_of_feet(walk.log), AFTER),
-        ):
-            log = with_share(walk.log, share)
-            paths[words] = run_filter("leg", log, None, None, SETTINGS).trajectory.p_GI, color
-        for words, (p, color) in paths.items():
-            x, y = (p - p[0])[:, :2].T
+        paths = {
+            "motion capture": (truth, INK),
+            "leg filter": (filtered(walk.log, None), BEFORE),
+            f"leg filter with {one.name}": (filtered(walk.log, one), AFTER),
+        }
+        for words, (path, color) in paths.items():
+            x, y = (path.p_GI - path.p_GI[0])[:, :2].T
             along = np.cos(heading) * x + np.sin(heading) * y
             aside = np.sin(heading) * x - np.cos(heading) * y
             style = "--" if color == BEFORE else "-"
@@ -174,13 +160,16 @@ def paths_figure(walks: Mapping[str, AlignedWalk], size: float) -> Figure:
     return drawn
 
 
+def filtered(log: Log, one: Effect | None) -> Trajectory:
+    """The leg filter's estimate of a log, with an effect compensated."""
+    log, _ = compensate_all([one] if one else [], log, machine_for_log(log))
+    return run_filter("leg", log, None, None, SETTINGS).trajectory
+
+
 def _errors_row(
-    words: str, logs: Mapping[str, Log], shares: Mapping[str, float], fitted: Sequence[str]
+    words: str, logs: Mapping[str, Log], one: Effect | None, fitted: Sequence[str]
 ) -> dict[str, str]:
-    errors = {}
-    for name, log in logs.items():
-        found = run_filter("leg", with_share(log, shares[name]), None, None, SETTINGS)
-        errors[name] = end_error(log, found.trajectory)
+    errors = {name: end_error(log, filtered(log, one)) for name, log in logs.items()}
     unseen = [error for name, error in errors.items() if name not in fitted]
     return {
         "feet": words,
