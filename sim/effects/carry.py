@@ -18,7 +18,7 @@ from surefoot.sim.robot import Robot
 
 DIMENSIONS = {
     **dict.fromkeys(("rad", "ratio", "rad/s", "m/s^2", "rad/s per m/s^2"), (0, 0, 0)),
-    "m": (0, 1, 0),
+    **dict.fromkeys(("m", "m/rad"), (0, 1, 0)),
     "s": (0, 0, 1),
     "kg": (1, 0, 0),
     "kg m^2": (1, 1, 2),

@@ -42,7 +42,7 @@ class FootCreep(Effect):
 
     name = "foot_creep"
     unit = "ratio"
-    bounds = (-0.5, 0.8)
+    bounds = (-0.5, 0.5)
     targets = ("all",)
     traced = _way(
         prior=Prior(0.1, "feet with a radius of 2 to 4 cm on legs of 30 to 50 cm: 4 to 13 %")

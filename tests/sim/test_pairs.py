@@ -23,7 +23,7 @@ def sized(name: str) -> Effect:
     return effect(name, kind.single_targets(SPOT.limbs)[-1], 0.1 * kind.bounds[1])
 
 
-EFFECTS = {name: sized(name) for name in CATALOGUE}
+EFFECTS = {n: sized(n) for n, kind in CATALOGUE.items() if kind.single_targets(SPOT.limbs)}
 BODILY = [n for n in EFFECTS if type(EFFECTS[n]).edit_spec is not Effect.edit_spec]
 
 
