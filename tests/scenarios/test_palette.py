@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, shown_at_first, traits
-from surefoot.scenarios.reporting.palette import estimator_color, rgba
+from surefoot.scenarios.reporting.palette import AFTER, BEFORE, TEST, TRAIN, estimator_color, rgba
 
 WHITE, VIEWER = 1.0, 0.005  # relative luminance of a page and of the viewer's background
 SEEN = {
@@ -16,8 +16,8 @@ SEEN = {
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 
 
-def linear(name: str) -> np.ndarray:
-    c = np.array(rgba(estimator_color(name))[:3]) / 255.0
+def linear(color: str) -> np.ndarray:
+    c = np.array(rgba(color)[:3]) / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
@@ -31,15 +31,24 @@ def test_colours_differ(vision):
     """A difference of 10 is seen at a glance; those that are shown together differ by 30."""
     names = [name for name in ESTIMATORS if traits(name).drawn]
     first = shown_at_first(names)
-    places = {name: lab(SEEN[vision] @ linear(name)) for name in names}
+    places = {name: lab(SEEN[vision] @ linear(estimator_color(name))) for name in names}
     for k, a in enumerate(names):
         for b in names[k + 1 :]:
             apart = np.linalg.norm(places[a] - places[b])
             assert apart > (30.0 if {a, b} <= set(first) else 10.0), (a, b, apart)
 
 
+@pytest.mark.parametrize("vision", SEEN)
+@pytest.mark.parametrize(
+    "pair", [(TRAIN, TEST), (BEFORE, AFTER)], ids=["train_test", "before_after"]
+)
+def test_what_is_compared_differs(vision, pair):
+    one, other = (lab(SEEN[vision] @ linear(color)) for color in pair)
+    assert np.linalg.norm(one - other) > 30.0
+
+
 @pytest.mark.parametrize("name", [name for name in ESTIMATORS if traits(name).color])
 def test_a_line_stands_out_from_a_page_and_from_the_viewer(name):
-    luminance = TO_XYZ[1] @ linear(name)
+    luminance = TO_XYZ[1] @ linear(estimator_color(name))
     assert (WHITE + 0.05) / (luminance + 0.05) > 1.9
     assert (luminance + 0.05) / (VIEWER + 0.05) > 2.3
