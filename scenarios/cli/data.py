@@ -99,7 +99,7 @@ class Import(CheckedSettings, OutputSettings):
             for one, followed in zip(findings, follow, strict=True)
         )
         try:
-            warnings = warned({log.name: findings}, self.strict).get(log.name, ())
+            (warnings,) = warned([(log.name, findings)], self.strict)
         finally:
             if lines:
                 print("for the import map, in place of its own, what these advise:")
@@ -154,8 +154,8 @@ class Info(CheckedSettings, options.JsonOption):
         from surefoot.scenarios.estimate.inputs import not_plausible, read_logs
 
         logs = read_logs(self.logs)
-        doubts = not_plausible(logs, self.robot, self.strict) if self.json else {}
         if self.json:
+            doubts = not_plausible(logs, self.robot, self.strict)
             options.print_json(
                 [
                     {
@@ -166,9 +166,9 @@ class Info(CheckedSettings, options.JsonOption):
                         "groups": _groups(log),
                         "meta": replace(log.meta, model={}),
                         "lines": _lines(log),
-                        "not_plausible": doubts.get(log.name, ()),
+                        "not_plausible": lines,
                     }
-                    for path, log in zip(self.logs, logs, strict=True)
+                    for path, log, lines in zip(self.logs, logs, doubts, strict=True)
                 ]
             )
             return

@@ -69,8 +69,8 @@ class TraceCommand(TraceSettings):
         # A trace must not depend on the names of its logs, so its notes number them.
         notes = tuple(
             f"log {k + 1}: {line}" if len(first) > 1 else line
-            for k, log in enumerate(first)
-            for line in warnings.get(log.name, ())
+            for k, lines in enumerate(warnings)
+            for line in lines
         )
         chosen = TraceOptions(
             seed=self.seed,

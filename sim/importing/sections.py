@@ -21,6 +21,8 @@ _FARTHEST = 100.0
 """Distance of a sensor or a tracked body from the robot's base beyond which a map is wrong [m]."""
 UpToOne = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
 """A radius of feet [m] or a duration of contacts [s]; a larger one is in another unit."""
+Quantity = Literal["force", "torque", "kinematics", "gait"]
+"""What a rule compares to detect contacts; see `ContactTable`."""
 OneCharacter = Annotated[str, msgspec.Meta(pattern=r"^[^\r\n\"]\Z")]
 """Within a line, and no quotation mark."""
 
@@ -167,7 +169,7 @@ class ContactTable:
     """Threshold above which a foot stands; a number, or a table by leg."""
     off: float | dict[str, float]
     """Threshold below which it no longer does."""
-    of: Literal["force", "torque", "kinematics", "gait"] = "force"
+    of: Quantity = "force"
     """Quantity that is compared: force_<leg>, in its own unit; the upward force [N] of the joints'
     torques on the foot; the foot's speed relative to the lowest one [m/s]; or, for legs that swing
     together like the diagonals of a trot, the height of their feet above the lowest others [m],
@@ -213,8 +215,9 @@ class EvenTable:
     are interpolated linearly.
     """
     late: dict[str, float] = field(default_factory=dict)
-    """Delay [s] of kinds of columns ("foot", "dq", ...), or of columns, which is removed. The times
-    of a further file have an offset instead.
+    """Delay [s] of kinds of columns ("foot", "dq", "contact", ...), or of columns, which is
+    removed; also of contacts that [contact] detects. The times of a further file have an offset
+    instead.
     """
 
     def __post_init__(self):
