@@ -37,11 +37,12 @@ def feet_that_stand(log: Log, rule: ContactTable) -> Log:
     return replace(log, meta=meta).with_columns(stands)
 
 
-def contact_loads(log: Log, of: Quantity) -> dict[str, np.ndarray]:
+def contact_loads(log: Log, of: Quantity, robot: Robot | None = None) -> dict[str, np.ndarray]:
     """By leg, what a rule of `ContactTable.of` compares (N,); speeds and heights are negative, so
     that it is the larger, the more a foot stands.
 
-    Raises SurefootError where the log lacks what the rule needs.
+    `robot` is the log's own by default. Raises SurefootError where the log lacks what the rule
+    needs.
     """
     if of == "force":
         log.require("force")
@@ -50,7 +51,7 @@ def contact_loads(log: Log, of: Quantity) -> dict[str, np.ndarray]:
     needed = ("q", "tau") if of == "torque" else ("foot" if given else "q",)
     with errors_in(f"[contact] of {of}"):
         log.require("imu", *needed)
-        robot = None if given else Robot.for_log(log)
+        robot = None if given else robot or Robot.for_log(log)
     legs = log.legs if robot is None else robot.limbs.legs
     feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
     up = up_in_imu(log.t, log.gyro, log.accel)
@@ -89,9 +90,21 @@ def speeds_beside_lowest(
         up: (N, 3) upward direction in I.
     """
     rows = np.arange(len(t))
-    v_I = _velocities(t, feet_I) + np.cross(gyro[:, None], feet_I)
+    v_I = _velocities_by_body(t, feet_I, gyro)
     lowest = np.einsum("nli,ni->nl", feet_I, up).argmin(axis=1)
     return np.linalg.norm(v_I - v_I[rows, lowest][:, None], axis=2)
+
+
+def foot_speeds(log: Log, v_I: np.ndarray) -> np.ndarray:
+    """Speed of each foot over the ground (N, L) [m/s], for a velocity of the IMU v_I (N, 3)."""
+    feet_I = log.foot_I if log.has("foot") else Robot.for_log(log).feet_I(log.q)
+    moves = _velocities_by_body(log.t, feet_I, log.gyro) + v_I[:, None]
+    return np.linalg.norm(moves, axis=2)
+
+
+def _velocities_by_body(t: np.ndarray, feet_I: np.ndarray, gyro: np.ndarray) -> np.ndarray:
+    """Velocities (N, L, 3) [m/s] of feet over the ground, less that of the IMU, in I."""
+    return _velocities(t, feet_I) + np.cross(gyro[:, None], feet_I)
 
 
 def _velocities(t: np.ndarray, feet_I: np.ndarray) -> np.ndarray:

@@ -180,11 +180,16 @@ class ContactTable:
     debounce: UpToOne = 0.0
     """Time above `on` before a foot stands [s]."""
 
+    @property
+    def sign(self) -> float:
+        """-1 for quantities of which a standing foot has less."""
+        return -1.0 if self.of in ("kinematics", "gait") else 1.0
+
     def by_leg(self, legs: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
         """Offset, on and off of each leg; negative for kinematics and gait, where slower or lower
         is loaded.
         """
-        sign, where = (-1.0, "below") if self.of in ("kinematics", "gait") else (1.0, "above")
+        sign, where = self.sign, "below" if self.sign < 0 else "above"
         offset, on, off = (
             by_name(f"contact.{key}", getattr(self, key), legs) for key in ("offset", "on", "off")
         )
