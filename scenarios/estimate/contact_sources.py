@@ -116,7 +116,7 @@ class ContactComparison:
         )
         each = (f"{_milli(one.error)} {unit} {_with(one.contacts.source)}" for one in self.tried)
         t = self.tried[0].contacts.log.t
-        first = f"contacts: leg filter on the first {min(TRIED, t[-1] - t[0]):.0f} s: {what}"
+        first = f"leg filter on the first {min(TRIED, t[-1] - t[0]):.0f} s: {what}"
         return f"{first} {', '.join(each)}", *self._motion()
 
     def _motion(self) -> Iterator[str]:
@@ -130,7 +130,7 @@ class ContactComparison:
         with suppress(SurefootError):
             begin, end = moving_in_contact(log.t, foot_speeds(log, v_I), log.contact)
             yield (
-                f"contacts: feet still move for {1e3 * begin:.0f} ms after flags begin, and move "
+                f"feet still move for {1e3 * begin:.0f} ms after flags begin, and move "
                 f"already for {1e3 * end:.0f} ms before they end (median)"
             )
 
@@ -144,12 +144,12 @@ def contact_lines(log: Log, progress: Callable[[float], None]) -> tuple[tuple[st
     found = compare_contacts(log, legged_robot_of(log), progress=progress)
     if found is None:
         return ("contacts: not compared, the leg filter does not run on this log",), {}
+    changes, said = {} if found.better is None else found.better.changes, found.lines
     if found.better is None:
-        return (*found.lines, "contacts: none is clearly better than as logged"), {}
-    changes, said = found.better.changes, found.lines
+        said += ("none is clearly better than as logged",)
     if "contact" in changes:
-        said += ("contacts: in the import map, [contact] replaces contact_<leg> in [columns]",)
-    return said, changes
+        said += ("in the import map, [contact] replaces contact_<leg> in [columns]",)
+    return tuple(f"contacts: {line}" for line in said), changes
 
 
 def better_contacts(log: Log, progress: Callable[[float], None]) -> tuple[str, ...]:
@@ -161,7 +161,8 @@ def better_contacts(log: Log, progress: Callable[[float], None]) -> tuple[str, .
     found = compare_contacts(log, robot, progress=progress)
     if found is None or found.better is None:
         return ()
-    return (f"{'; '.join(found.lines)}; in the map: {advice_words(found.better.changes)}",)
+    words = "; ".join((*found.lines, f"in the map: {advice_words(found.better.changes)}"))
+    return (f"contacts: {words}",)
 
 
 def legged_robot_of(log: Log) -> Robot | None:
