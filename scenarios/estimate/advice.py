@@ -123,8 +123,10 @@ def advice(
         return ""
     contact = parameters_of(estimator_named(name), robot, settings).get("contact")
     mending = [one for one in _trials(before, contact, tried) if _mends(before, one)]
-    if contact is not None and not mending:  # last, since it replaces what was measured
-        mending = [one for one in _by_rules(plain, robot, tried) if _mends(before, one)]
+    best = min(mending, key=lambda one: one.cost, default=None)
+    # Contacts are replaced only where else another filter would be.
+    if contact is not None and (best is None or best.remedy.filter != name):
+        mending += [one for one in _by_rules(plain, robot, tried) if _mends(before, one)]
     if not mending:
         return (
             "no single change of contact noise, source of contacts, times of joints and contacts "

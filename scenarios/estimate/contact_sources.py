@@ -141,15 +141,24 @@ def _milli(x: float) -> str:
 
 def contact_lines(log: Log, progress: Callable[[float], None]) -> tuple[tuple[str, ...], Changes]:
     """What to say on the contacts of a log, and changes of the import map that better ones need."""
-    found = compare_contacts(log, legged_robot_of(log), progress=progress)
+    robot = legged_robot_of(log)
+    found = compare_contacts(log, robot, progress=progress)
     if found is None:
-        return ("contacts: not compared, the leg filter does not run on this log",), {}
+        return (f"contacts: not compared: {_why_it_does_not_run(log, robot)}",), {}
     changes, said = {} if found.better is None else found.better.changes, found.lines
     if found.better is None:
         said += ("none is clearly better than as logged",)
     if "contact" in changes:
         said += ("in the import map, [contact] replaces contact_<leg> in [columns]",)
     return tuple(f"contacts: {line}" for line in said), changes
+
+
+def _why_it_does_not_run(log: Log, robot: Robot | None) -> str:
+    try:
+        run_filter("leg", log, robot)
+    except SurefootError as error:
+        return str(error)
+    return "the log is too short"
 
 
 def better_contacts(log: Log, progress: Callable[[float], None]) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ from surefoot.scenarios.trace.training_walks import (
     rates_as_of,
     simulate_training,
     style_that_walks,
-    with_share,
+    with_style_share,
 )
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import check_seed
@@ -135,7 +135,7 @@ def loop(
         choice = replace(choice, words=f"{choice.words} {walked.words}")
     worlds = []
     for name in [one for one in drawn if one not in walked.fallen]:
-        walks, (effects, _) = with_share(drawn[name], walked.share), planned[name]
+        walks, (effects, _) = with_style_share(drawn[name], walked.share), planned[name]
         learnt, simulated = _learnt(walks, log, out / name, seed, plan)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
         measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)

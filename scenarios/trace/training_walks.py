@@ -177,7 +177,7 @@ def style_that_walks(
         fallen = []
         for name in names:
             try:
-                simulate_training(with_share(walks[name], share), seed, plan, progress)
+                simulate_training(with_style_share(walks[name], share), seed, plan, progress)
             except FallsError:
                 fallen.append(name)
         return fallen
@@ -197,7 +197,7 @@ def style_that_walks(
     return WalkedStyle(low, tuple(fallen))
 
 
-def with_share(walks: TrainingWalks, share: float) -> TrainingWalks:
+def with_style_share(walks: TrainingWalks, share: float) -> TrainingWalks:
     """The walks with a share of the measured style."""
     if share == 1.0:
         return walks

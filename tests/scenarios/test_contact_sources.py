@@ -11,6 +11,7 @@ from surefoot.scenarios.estimate.contact_sources import (
     AS_LOGGED,
     better_contacts,
     compare_contacts,
+    contact_lines,
     moving_in_contact,
 )
 from surefoot.scenarios.estimate.run import run_filter
@@ -142,6 +143,14 @@ def test_a_log_without_contacts_is_told_where_to_take_them_from(walks):
     assert found is not None
     assert found.logged is None
     assert found.better is not None
+
+
+@pytest.mark.parametrize("lacks", ["gyro_", "q_"])
+def test_a_log_on_which_no_leg_filter_runs_says_what_it_lacks(walks, lacks):
+    (said,), changes = contact_lines(without(walks["v60_class"], lacks), lambda share: None)
+    assert "not compared" in said
+    assert lacks.rstrip("_") in said
+    assert changes == {}
 
 
 def test_feet_that_move_under_flags_are_timed():

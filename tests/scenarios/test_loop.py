@@ -32,7 +32,7 @@ from surefoot.scenarios.trace.training_walks import (
     simulate_training,
     simulated_robot,
     style_that_walks,
-    with_share,
+    with_style_share,
 )
 from surefoot.scenarios.training import kept_walks
 from surefoot.sim.common.files import bundled
@@ -116,7 +116,7 @@ def test_a_robot_that_falls_with_the_logs_style_walks_with_the_nearest(robot, lo
     assert f"{100 * found.share:.0f} % of the log's" in found.words
     walks = TrainingWalks(style, robot)
     for share, falls in ((found.share, False), (found.share + NEAREST, True)):
-        nearer = with_share(walks, share)
+        nearer = with_style_share(walks, share)
         expected = robot.q_home + share * (style.q_stance - robot.q_home)
         np.testing.assert_allclose(nearer.style.q_stance, expected)
         if falls:
@@ -144,7 +144,7 @@ def test_a_loop_on_a_style_that_falls_ends_with_a_table(robot, tmp_path, capsys)
     """Of a log whose hips read 0.4 rad too wide."""
     segments = (Segment(6.0, 0.6), Segment(6.0, 0.5, 0.0, 0.4), Segment(4.0, 0.5, 0.0, -0.4))
     log = walk(Scenario("measured", segments, Ground(0.8), "spot_class"), robot, 3)
-    hips = {f"q_{leg}_hip": log.frame[f"q_{leg}_hip"] + 0.4 for leg in log.legs}
+    hips = {f"q_{leg}_hip": log.columns[f"q_{leg}_hip"] + 0.4 for leg in log.legs}
     quick = TrainSettings(model="mlp", steps=150)
     plan = TrainingPlan(walks=2, seconds=12.0, calibration=60.0, training=quick)
     table, worlds = loop(log.with_columns(hips), robot, LoopSettings(tmp_path / "loop"), plan=plan)
