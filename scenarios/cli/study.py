@@ -1,6 +1,5 @@
 """Commands that run a whole workflow: the demo, traces and experiments."""
 
-from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -46,13 +45,14 @@ class TraceCommand(TraceSettings):
     """Seed of the bootstrap from which the intervals are computed."""
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.contact_sources import better_contacts
+        from surefoot.scenarios.estimate.contact_sources import contact_lines
         from surefoot.scenarios.estimate.inputs import not_plausible
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
         from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
+        from surefoot.sim.importing.advice import advice_words
         from surefoot.sim.robot.machine import machine_for_log
         from surefoot.sim.robot.model_of_log import of_robot
 
@@ -69,13 +69,16 @@ class TraceCommand(TraceSettings):
         robot, *_ = [machine_for_log(log, self.robot) for log in first]
         # The first block of a long log is checked, as `estimate` checks its first minutes.
         warnings = not_plausible(first, self.robot, self.strict)
+        for k, log in enumerate(first):
+            with percent_bar("contacts") as progress:
+                said, changes = contact_lines(of_robot(log, self.robot), progress, only_better=True)
+            if said:
+                warnings[k] += (f"{'; '.join(said)}: {advice_words(changes)}",)
         # A trace must not depend on the names of its logs, so its notes number them.
-        with percent_bar("contacts") as progress:
-            contacts = [better_contacts(of_robot(log, self.robot), progress) for log in first]
         notes = tuple(
             f"log {k + 1}: {line}" if len(first) > 1 else line
-            for k, lines in enumerate(zip(warnings, contacts, strict=True))
-            for line in chain(*lines)
+            for k, lines in enumerate(warnings)
+            for line in lines
         )
         chosen = TraceOptions(
             seed=self.seed,

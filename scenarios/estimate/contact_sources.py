@@ -19,7 +19,7 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import matched, relative_errors, segments
 from surefoot.scenarios.estimate.run import robot_of, run_filter
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.importing.advice import Changes, advice_words
+from surefoot.sim.importing.advice import Changes
 from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, foot_speeds
 from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
@@ -80,8 +80,8 @@ class TriedContacts:
 
 @dataclass(frozen=True)
 class ContactComparison:
-    """The best contacts of each source, in the order of the error; without flags, AS_LOGGED is
-    missing.
+    """The best contacts of each source, in the order of the error; AS_LOGGED is missing where the
+    log has no flags, or the filter diverges with them.
     """
 
     tried: tuple[TriedContacts, ...]
@@ -139,9 +139,24 @@ def _milli(x: float) -> str:
     return f"{1e3 * x:.0f}" if x > 0.1 else f"{1e3 * x:.2g}"
 
 
-def contact_lines(log: Log, progress: Callable[[float], None]) -> tuple[tuple[str, ...], Changes]:
-    """What to say on the contacts of a log, and changes of the import map that better ones need."""
-    robot = legged_robot_of(log)
+def contact_lines(
+    log: Log, progress: Callable[[float], None], only_better: bool = False
+) -> tuple[tuple[str, ...], Changes]:
+    """What to say on the contacts of a log, and changes of the import map that better ones need.
+
+    Args:
+        log: whose contacts are compared with those from other sources.
+        progress: called with the share done, 0 to 1.
+        only_better: whether to say nothing unless a first look finds better ones.
+    """
+    try:
+        robot = robot_of(log)
+    except SurefootError:  # its feet may be given
+        robot = None
+    if only_better:
+        first = compare_contacts(log, robot, USUAL_SHARE)
+        if first is None or first.better is None:
+            return (), {}
     found = compare_contacts(log, robot, progress=progress)
     if found is None:
         return (f"contacts: not compared: {_why_it_does_not_run(log, robot)}",), {}
@@ -159,27 +174,6 @@ def _why_it_does_not_run(log: Log, robot: Robot | None) -> str:
     except SurefootError as error:
         return str(error)
     return "the log is too short"
-
-
-def better_contacts(log: Log, progress: Callable[[float], None]) -> tuple[str, ...]:
-    """A line on contacts that are clearly better than those of a log, if a first look finds any."""
-    robot = legged_robot_of(log)
-    first = compare_contacts(log, robot, USUAL_SHARE)
-    if first is None or first.better is None:
-        return ()
-    found = compare_contacts(log, robot, progress=progress)
-    if found is None or found.better is None:
-        return ()
-    words = "; ".join((*found.lines, f"in the map: {advice_words(found.better.changes)}"))
-    return (f"contacts: {words}",)
-
-
-def legged_robot_of(log: Log) -> Robot | None:
-    """The robot of a log; None where it has none with legs, though its feet may be given."""
-    try:
-        return robot_of(log)
-    except SurefootError:
-        return None
 
 
 def _with(source: str) -> str:
@@ -249,6 +243,8 @@ def compare_contacts(
         try:
             found = run_filter("leg", contacts.log, robot).trajectory
         except SurefootError:
+            return None
+        if found.diverged:
             return None
         times, squares = (_by_segments if by_reference else _by_windows)(contacts.log, found)
         return TriedContacts(contacts, found, _in_blocks(log.t, times, squares))

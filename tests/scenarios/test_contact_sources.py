@@ -9,7 +9,6 @@ from synthetic import without
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contact_sources import (
     AS_LOGGED,
-    better_contacts,
     compare_contacts,
     contact_lines,
     moving_in_contact,
@@ -134,7 +133,7 @@ def test_true_contacts_are_left_as_they_are(walks):
         assert found is not None
         assert found.better is None
         assert found.by_reference is log.has("reference")
-        assert better_contacts(log, lambda share: None) == ()
+        assert contact_lines(log, lambda share: None, only_better=True) == ((), {})
 
 
 def test_a_log_without_contacts_is_told_where_to_take_them_from(walks):
