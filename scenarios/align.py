@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from surefoot.models.alignment.alignment import Alignment, align, aligned_log
+from surefoot.models.alignment.alignment import Alignment, align, aligned_log, noted_as_aligned
 from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, rates_of, smoothed
 from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_figure, set_title
@@ -15,6 +15,7 @@ from surefoot.scenarios.settings import AlignSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
 from surefoot.sim.common.quaternion import matrix_from_quaternion
+from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.importing.reference import REFERENCE_OFFSET, reference_offset, tracked_poses
 from surefoot.sim.log import Log
@@ -35,15 +36,20 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     out, robot = settings.out, settings.robot
     for name in _OUTPUTS:
         refuse_overwrite(out / name, settings.force)
-    log, poses, about, R_GW = _read(settings.file, settings.map)
+    recording = None if settings.map is None else read_recording(settings.file, settings.map)
+    log, poses, about, R_GW = _read(settings.file, recording)
     if len(poses.t) < 2 or min(np.ptp(log.t), np.ptp(poses.t)) < LEAST_OVERLAP:
         raise SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     at = Robot.for_log(log, robot) if robot else None
     found = align(log, poses, settings.most, about=about, R_GW=R_GW)
+    if recording is None or recording.poses is None:
+        aligned = aligned_log(log, found, poses)
+    else:
+        aligned = noted_as_aligned(recording.with_reference(found.map_values).log(), found)
     with whole_folder(out, settings.force) as folder:
         write_whole(folder / "alignment.json", json.dumps(found.as_dict(), indent=1) + "\n")
         save_figure(figure(log, poses, found), folder / "alignment.png")
-        aligned_log(log, found, poses).write(folder / "aligned.parquet")
+        aligned.write(folder / "aligned.parquet")
     said = list(found.lines)
     if at:
         x, y, z = 1e3 * (at.p_BI + at.R_BI @ found.p_IM)
@@ -87,12 +93,11 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
     return drawn
 
 
-def _read(file: Path, map: str | None) -> tuple[Log, Poses, float, np.ndarray]:
+def _read(file: Path, recording: RawRecording | None) -> tuple[Log, Poses, float, np.ndarray]:
     """The log, the poses of its reference, the clock offset that its map adds to theirs [s], and
     the rotation (3, 3) by which it turns their world.
     """
-    recording = read_recording(file, map) if map is not None else None
-    reference = recording.rules.sections.reference if recording is not None else None
+    reference = None if recording is None else recording.rules.sections.reference
     if recording is not None and recording.poses is not None and reference is not None:
         R_GW = matrix_from_quaternion(np.array(reference.q_GW))
         poses = tracked_poses(recording.poses, replace(reference, q_GW=(1.0, 0.0, 0.0, 0.0)))

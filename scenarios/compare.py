@@ -176,11 +176,11 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
     chosen = read_settings(settings.settings, settings.entries)
     warnings = not_plausible(logs, settings.robot, settings.strict)
     found = []
-    for log in logs:
+    for log, doubts in zip(logs, warnings, strict=True):
         one = compare_log(
             log, robot_of(log, settings.robot), learnt, settings.filters or None, chosen
         )
-        found.append(replace(one, warnings=warnings.get(log.name, ())))
+        found.append(replace(one, warnings=doubts))
     if not any(one.results for one in found):
         reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]
         raise SurefootError(f"no filter ran: {'; '.join(reasons)}")

@@ -34,6 +34,17 @@ class CheckedSettings(RobotSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ContactsSettings:
+    """Whether sources of contacts are compared."""
+
+    contacts: bool = False
+    """Compare the leg filter with contacts as logged and from each other source that the log
+    allows, and print lines for the import map that make the best ones; also done where contacts are
+    implausible.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
 class LearntSettings:
     """Files of observers and their bounds."""
 

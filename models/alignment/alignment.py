@@ -4,6 +4,7 @@ It uses no legs, so a trace can rely on it.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,12 @@ from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, guesses_from
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.importing.columns import map_line
 from surefoot.sim.importing.reference import REFERENCE_OFFSET, in_world, mounted, with_reference
 from surefoot.sim.importing.reference_check import without_jumps
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
+from surefoot.sim.log.schema import LOG_NAME
 from surefoot.sim.plausibility.axes import match_axes
 from surefoot.sim.plausibility.reference import FASTEST_LEGS
 
@@ -119,14 +122,18 @@ class Alignment(Placement):
     @property
     def map_lines(self) -> tuple[str, ...]:
         """Lines of an import map that apply the same alignment, in place of its own."""
-        return (
-            "[reference]",
-            'frame = "imu"',
-            f"offset = {self.offset:.5f} # s",
-            f"p_IM = [{_numbers(self.p_IM, 4)}] # m, of the tracked body in the IMU frame",
-            f"q_IM = [{_numbers(self.q_IM, 6)}] # w, x, y, z",
-            *[f"q_GW = [{_numbers(self.q_GW, 6)}] # of its world"] * bool(self.q_GW[0] < 1.0),
-        )
+        return ("[reference]", *(map_line(*one) for one in self.map_values.items()))
+
+    @property
+    def map_values(self) -> dict[str, Any]:
+        """Values of [reference] in an import map, with as many digits as are written there."""
+        return {
+            "frame": "imu",
+            "offset": round(self.offset, 5),
+            "p_IM": _rounded(self.p_IM, 4),
+            "q_IM": _rounded(self.q_IM, 6),
+            "q_GW": _rounded(self.q_GW, 6),
+        }
 
     def as_dict(self) -> dict[str, Any]:
         """The result as plain JSON types, in SI units."""
@@ -219,17 +226,25 @@ def aligned_log(log: Log, alignment: Alignment, poses: Poses | None = None) -> L
     `poses` are those that were aligned, by default the log's own; rows outside them are cut.
     """
     poses = reference_poses(log) if poses is None else poses
-    poses = in_world(poses, matrix_from_quaternion(alignment.q_GW))
-    late = Poses(poses.t + alignment.offset, poses.p, poses.q)
-    at_imu = mounted(late, alignment.p_IM, alignment.R_IM)
+    at = alignment.map_values
+    R_GW, R_IM = (matrix_from_quaternion(np.array(at[name])) for name in ("q_GW", "q_IM"))
+    poses = in_world(replace(poses, t=poses.t + at["offset"]), R_GW)
+    at_imu = mounted(poses, np.array(at["p_IM"]), R_IM)
     columns = {str(n): x.to_numpy() for n, x in log.frame.items() if not str(n).startswith("ref_")}
     columns = with_reference(columns, at_imu, log.name)
+    frame = log.frame.iloc[:0].reindex(columns=list(columns)).assign(**columns)
+    return noted_as_aligned(replace(log, frame=frame), alignment)
+
+
+def noted_as_aligned(log: Log, alignment: Alignment) -> Log:
+    """The log with the alignment of its reference, and its own name, in its metadata."""
     done = {k: alignment.as_dict()[k] for k in ("offset", "p_IM", "q_IM")}
     derived = (*log.meta.derived, "reference (aligned with the IMU)")
-    model = {**log.meta.model, "reference_alignment": done}
-    model.pop(REFERENCE_OFFSET, None)
-    frame = log.frame.iloc[:0].reindex(columns=list(columns)).assign(**columns)
-    return replace(log, frame=frame, meta=replace(log.meta, derived=derived, model=model))
+    offset = {REFERENCE_OFFSET: alignment.map_values["offset"]}
+    model = (
+        log.meta.model | offset | {"reference_alignment": done, LOG_NAME: PurePath(log.name).name}
+    )
+    return replace(log, meta=replace(log.meta, derived=derived, model=model))
 
 
 @dataclass(frozen=True)
@@ -359,6 +374,10 @@ def _faults(
     return tuple(found)
 
 
-def _numbers(values: np.ndarray, digits: int) -> str:
+def _rounded(values: np.ndarray, digits: int) -> tuple[float, ...]:
     # Adding zero turns -0.0 into 0.0.
-    return ", ".join(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)
+    return tuple((np.round(values, digits) + 0.0).tolist())
+
+
+def _numbers(values: np.ndarray, digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in _rounded(values, digits))

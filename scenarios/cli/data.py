@@ -11,6 +11,7 @@ from surefoot.scenarios.cli.named import file_there
 from surefoot.scenarios.settings import (
     AlignSettings,
     CheckedSettings,
+    ContactsSettings,
     OutputSettings,
     SimulateSettings,
 )
@@ -18,7 +19,11 @@ from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from surefoot.sim.importing.advice import Changes
     from surefoot.sim.log import Log
+    from surefoot.sim.plausibility.finding import Finding
 
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
 
@@ -47,7 +52,7 @@ class Simulate(SimulateSettings):
 
 
 @options.command
-class Import(CheckedSettings, OutputSettings):
+class Import(CheckedSettings, ContactsSettings, OutputSettings):
     """Convert a recording to a log, by a map of its columns.
 
     Reads CSV and other text tables, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the
@@ -93,13 +98,15 @@ class Import(CheckedSettings, OutputSettings):
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
         findings = findings_of(log)
-        lines, follow = advised_lines([one.changes for one in findings], recording.rules, log.name)
+        said, contacts = _compared_contacts(log, findings, self.contacts)
+        advice = [*(one.changes for one in findings), contacts]
+        lines, follow = advised_lines(advice, recording.rules, log.name)
         findings = tuple(
             replace(one, changes={}) if followed else one
-            for one, followed in zip(findings, follow, strict=True)
+            for one, followed in zip(findings, follow, strict=False)
         )
         try:
-            warnings = warned({log.name: findings}, self.strict).get(log.name, ())
+            (warnings,) = warned([(log.name, findings)], self.strict)
         finally:
             if lines:
                 print("for the import map, in place of its own, what these advise:")
@@ -107,7 +114,7 @@ class Import(CheckedSettings, OutputSettings):
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
-        for line in _lines(log, *recording.reference(), notes=recording.notes):
+        for line in (*_lines(log, *recording.reference(), notes=recording.notes), *said):
             print(line)
 
     def _draft(self, files: tuple[str, ...]) -> None:
@@ -144,18 +151,25 @@ class Export(OutputSettings):
 
 
 @options.command
-class Info(CheckedSettings, options.JsonOption):
+class Info(CheckedSettings, ContactsSettings, options.JsonOption):
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
     logs: tuple[Path, ...]
     """Logs to show."""
 
     def run(self) -> None:
-        from surefoot.scenarios.estimate.inputs import not_plausible, read_logs
+        from surefoot.scenarios.estimate.inputs import findings_of, read_logs, warned
+        from surefoot.sim.importing.advice import lines_of
+        from surefoot.sim.robot.model_of_log import of_robot
 
         logs = read_logs(self.logs)
-        doubts = not_plausible(logs, self.robot, self.strict) if self.json else {}
+        findings = [(log.name, findings_of(log, self.robot)) for log in logs]
+        about = []
+        for log, (_, found) in zip(logs, findings, strict=True):
+            said, contacts = _compared_contacts(of_robot(log, self.robot), found, self.contacts)
+            about.append((*_lines(log), *said, *lines_of(contacts)))
         if self.json:
+            doubts = warned(findings, self.strict)
             options.print_json(
                 [
                     {
@@ -165,14 +179,14 @@ class Info(CheckedSettings, options.JsonOption):
                         "rate": log.rate,
                         "groups": _groups(log),
                         "meta": replace(log.meta, model={}),
-                        "lines": _lines(log),
-                        "not_plausible": doubts.get(log.name, ()),
+                        "lines": lines,
+                        "not_plausible": doubt,
                     }
-                    for path, log in zip(self.logs, logs, strict=True)
+                    for path, log, lines, doubt in zip(self.logs, logs, about, doubts, strict=True)
                 ]
             )
             return
-        for path, log in zip(self.logs, logs, strict=True):
+        for path, log, lines in zip(self.logs, logs, about, strict=True):
             print(_summary(str(path), log))
             known = {
                 "robot": log.meta.robot,
@@ -182,9 +196,9 @@ class Info(CheckedSettings, options.JsonOption):
             for what, words in known.items():
                 if words:
                     print(f"{what}: {words}")
-            for line in _lines(log):
+            for line in lines:
                 print(line)
-        not_plausible(logs, self.robot, self.strict)
+        warned(findings, self.strict)
 
 
 def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
@@ -194,6 +208,22 @@ def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str
 
     start = start_note(log)
     return (*import_lines(log, *recorded, notes=notes), *([start] if start else []))
+
+
+def _compared_contacts(
+    log: "Log", findings: "Sequence[Finding]", asked: bool
+) -> tuple[tuple[str, ...], "Changes"]:
+    """What to say on the contacts of a log, and changes of its map: where asked for, or where they
+    are in doubt.
+    """
+    from surefoot.scenarios.estimate.contact_sources import contact_lines
+    from surefoot.scenarios.reporting.progress import percent_bar
+
+    doubted = any(name.startswith("contact_") for one in findings for name in one.streams)
+    if not (asked or doubted):
+        return (), {}
+    with percent_bar("contacts") as progress:
+        return contact_lines(log, progress)
 
 
 def _summary(name: str, log: "Log") -> str:

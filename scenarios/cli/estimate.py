@@ -87,7 +87,7 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
             raise SurefootError("--report: needs --walks")
         if self.report:
             refuse_full(self.report, self.force)
-        warnings, partial = {}, partial_path(self.out)
+        partial = partial_path(self.out)
         if self.walks:
             logs = many_walks(self, self.sources)
             held_out = list(many_walks(self, self.sources, "held_out"))
@@ -97,8 +97,9 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
             warnings = not_plausible(recorded, strict=self.strict)
             logs, held_out = None, ()
             observer = train(as_declared(recorded), None, self, True, partial)
-        seen = [replace(one, warnings=warnings.get(one.name, ())) for one in observer.logs]
-        observer = replace(observer, logs=tuple(seen))
+            seen = zip(observer.logs, warnings, strict=True)
+            seen = tuple(replace(one, warnings=lines) for one, lines in seen)
+            observer = replace(observer, logs=seen)
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
         if logs and self.report:
@@ -162,7 +163,7 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
         warnings = not_plausible(recorded, strict=self.strict)
         logs = as_declared(recorded)
         bounds = calibrate(observer, logs, self)
-        bounds = replace(bounds, warnings=tuple(chain.from_iterable(warnings.values())))
+        bounds = replace(bounds, warnings=tuple(chain.from_iterable(warnings)))
         with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
             if folder:
                 write_calibration_report(folder, observer, bounds, recorded, others, self.page)

@@ -45,13 +45,16 @@ class TraceCommand(TraceSettings):
     """Seed of the bootstrap from which the intervals are computed."""
 
     def run(self) -> None:
+        from surefoot.scenarios.estimate.contact_sources import contact_lines
         from surefoot.scenarios.estimate.inputs import not_plausible
         from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
         from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
+        from surefoot.sim.importing.advice import advice_words
         from surefoot.sim.robot.machine import machine_for_log
+        from surefoot.sim.robot.model_of_log import of_robot
 
         read = [read_in_blocks(path) for path in self.logs]
         read_holdout = [read_in_blocks(path) for path in self.holdout]
@@ -66,11 +69,16 @@ class TraceCommand(TraceSettings):
         robot, *_ = [machine_for_log(log, self.robot) for log in first]
         # The first block of a long log is checked, as `estimate` checks its first minutes.
         warnings = not_plausible(first, self.robot, self.strict)
+        for k, log in enumerate(first):
+            with percent_bar("contacts") as progress:
+                said, changes = contact_lines(of_robot(log, self.robot), progress, only_better=True)
+            if said:
+                warnings[k] += (f"{'; '.join(said)}: {advice_words(changes)}",)
         # A trace must not depend on the names of its logs, so its notes number them.
         notes = tuple(
             f"log {k + 1}: {line}" if len(first) > 1 else line
-            for k, log in enumerate(first)
-            for line in warnings.get(log.name, ())
+            for k, lines in enumerate(warnings)
+            for line in lines
         )
         chosen = TraceOptions(
             seed=self.seed,
@@ -97,6 +105,7 @@ class LoopCommand(LoopSettings, TraceInputs):
         from surefoot.scenarios.estimate.inputs import read_logs
         from surefoot.scenarios.reporting.tables import in_terminal
         from surefoot.scenarios.trace.loop import loop
+        from surefoot.scenarios.trace.loop_report import helped
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.log import Log
         from surefoot.sim.robot import Robot
@@ -104,8 +113,9 @@ class LoopCommand(LoopSettings, TraceInputs):
         log = Log.read(self.log)
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
-        table, _ = loop(log, robot, self, declared, read_logs(self.holdout))
+        table, worlds = loop(log, robot, self, declared, read_logs(self.holdout))
         print("\n" + in_terminal(table))
+        print("\n" + helped(table, [world.name for world in worlds]))
         print(f"\nreport: {self.out / 'report.html'}")
 
 

@@ -17,22 +17,20 @@ from surefoot.estimator.evaluation.health import Health
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics
+from surefoot.scenarios.estimate.contact_sources import DELAYS, TRIED, earlier, rules_of
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.estimate.run import Result, parameters_of, run_filter
 from surefoot.scenarios.estimate.settings import FilterSettings, StartSettings, StateSettings
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.importing.advice import advice_words
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
-TRIED = 60.0
-"""Part of a log, from its start, on which remedies are tried [s]."""
 DRIFTING = 2.0
 """Drift of a sensor's innovations from which advice is looked for, 1 if noise is as claimed."""
 NOISE_STEPS = 10.0 ** np.arange(0.1, 1.5, 0.1)
 """Factors of a noise that are tried."""
-DELAYS = (0.01, 0.02, 0.04, 0.06)
-"""Delays of a stream that are tried [s], in both directions."""
 GAIN = 0.02
 """Least gain of `likelihood`: with four feet, fourteen nats in a minute."""
 FAR = 0.1
@@ -125,8 +123,15 @@ def advice(
         return ""
     contact = parameters_of(estimator_named(name), robot, settings).get("contact")
     mending = [one for one in _trials(before, contact, tried) if _mends(before, one)]
+    best = min(mending, key=lambda one: one.cost, default=None)
+    # Contacts are replaced only where else another filter would be.
+    if contact is not None and (best is None or best.remedy.filter != name):
+        mending += [one for one in _by_rules(plain, robot, tried) if _mends(before, one)]
     if not mending:
-        return "no single change of contact noise, times of joints and contacts or start mends it"
+        return (
+            "no single change of contact noise, source of contacts, times of joints and contacts "
+            "or start mends it"
+        )
     best = min(mending, key=lambda one: one.cost)
     return f"{best.remedy.words}; tried on this log: {_effect(before, best)}"
 
@@ -172,6 +177,16 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial]
     yield from filter(None, map(tried, others))
 
 
+def _by_rules(plain: Remedy, robot: Robot | None, tried: Try) -> Iterator[Trial]:
+    """Contacts by the best rule on each quantity of the log."""
+    for source in rules_of(plain.log, robot):
+        remedies = (
+            replace(plain, words=f"in the import map: {advice_words(one.changes)}", log=one.log)
+            for one in source
+        )
+        yield from _least(remedies, tried, lambda one: one.drift)
+
+
 def _least(remedies: Iterator[Remedy], tried: Try, cost: Callable[[Trial], float]) -> list[Trial]:
     """The remedy up to which the cost falls; none where the first fails."""
     best: list[Trial] = []
@@ -191,16 +206,12 @@ def _with_noise(plain: Remedy, value: float) -> Remedy:
 
 def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
     """The log with the columns of these kinds earlier by a delay [s], or later if negative."""
-    log, shift = plain.log, round(delay * plain.log.rate)
-    at = np.clip(np.arange(len(log.t)) + shift, 0, len(log.t) - 1)
-    names = [n for n in map(str, log.frame) if n.startswith(tuple(f"{one}_" for one in kinds))]
-    moved = log.with_columns({name: log.frame[name].to_numpy()[at] for name in names})
     late = ", ".join(f"{one} = {delay:g}" for one in kinds)
     words = (
         f"{' and '.join(kinds)} seem {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}; "
         f"in the import map: [even] late = {{ {late} }}"
     )
-    return replace(plain, words=words, log=moved)
+    return replace(plain, words=words, log=earlier(plain.log, kinds, delay))
 
 
 def _mends(before: Trial, after: Trial) -> bool:

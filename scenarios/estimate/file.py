@@ -83,7 +83,7 @@ def estimate_file(settings: EstimateSettings) -> EstimateOfFile:
     chosen = read_settings(settings.settings, settings.entries)
     whole = reader.rows / reader.meta.rate <= LONG
     first = next(Log.chunks(reader, np.inf if whole else CHECKED))
-    doubts = not_plausible([first], settings.robot, settings.strict).get(first.name, ())
+    (doubts,) = not_plausible([first], settings.robot, settings.strict)
     estimator = estimator_named(settings.filter)
     whole = whole or bool(reader.meta.effects) or settings.effects is not None
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))

@@ -1,7 +1,7 @@
 """Read and check the files that settings name."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,12 +27,12 @@ def read_logs(paths: Sequence[Path], robot: str | None = None) -> list[Log]:
 
 def not_plausible(
     logs: Sequence[Log], robot: str | Path | None = None, strict: bool = False
-) -> dict[str, tuple[str, ...]]:
-    """Check the logs' plausibility: findings, as lines, by name of the log; also printed to stderr.
+) -> list[tuple[str, ...]]:
+    """Check the logs' plausibility: lines on the findings of each; also printed to stderr.
 
     `robot` is the logs' own by default. Raises SurefootError if there are any and `strict` is set.
     """
-    return warned({log.name: findings_of(log, robot) for log in logs}, strict)
+    return warned([(log.name, findings_of(log, robot)) for log in logs], strict)
 
 
 def findings_of(log: Log, robot: str | Path | None = None) -> tuple[Finding, ...]:
@@ -45,20 +45,20 @@ def findings_of(log: Log, robot: str | Path | None = None) -> tuple[Finding, ...
 
 
 def warned(
-    findings: Mapping[str, Sequence[Finding]], strict: bool = False
-) -> dict[str, tuple[str, ...]]:
-    """Print findings, by name of the log, to stderr; returns their lines. Raises as
+    findings: Sequence[tuple[str, Sequence[Finding]]], strict: bool = False
+) -> list[tuple[str, ...]]:
+    """Print the findings of each log, after its name, to stderr; returns their lines. Raises as
     `not_plausible`.
     """
-    found = {name: tuple(one.line for one in every) for name, every in findings.items() if every}
-    for name, lines in found.items():
-        for line in lines:
-            print(f"{'error' if strict else 'warning'}: {name}: {line}", file=sys.stderr)
-    if strict and found:
-        count = sum(map(len, found.values()))
+    for name, every in findings:
+        for one in every:
+            print(f"{'error' if strict else 'warning'}: {name}: {one.line}", file=sys.stderr)
+    count = sum(len(every) for _, every in findings)
+    if strict and count:
         what = "finding" if count == 1 else "findings"
-        raise SurefootError(f"strict: {count} implausible {what} in {', '.join(found)}")
-    return found
+        names = ", ".join(name for name, every in findings if every)
+        raise SurefootError(f"strict: {count} implausible {what} in {names}")
+    return [tuple(one.line for one in every) for _, every in findings]
 
 
 def with_effects(log: Log, robot: Robot | None, file: Path | None) -> Log:

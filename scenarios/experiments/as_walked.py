@@ -7,9 +7,9 @@ import numpy as np
 
 from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.sim.common.errors import errors_in
-from surefoot.sim.common.toml import Positive, read_typed, typed
+from surefoot.sim.common.toml import read_typed, typed
 from surefoot.sim.effects import Effect, effect
-from surefoot.sim.effects.carry import carried, scale_of
+from surefoot.sim.effects.carry import BodyScale, carried, scale_of
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Strip
 from surefoot.sim.robot import Robot
@@ -38,11 +38,10 @@ class Size:
 
 @dataclass(frozen=True)
 class AsWalked:
-    """Values measured on a walk of `robot`.
+    """Values measured on a walk of a robot.
 
     Attributes:
-        robot: name.
-        period: of its stride [s].
+        scale: of the robot, by which sizes are carried to others.
         source: of gait and sensors.
         gait: its options, dimensionless except for the noise of the estimate.
         on_slopes: options that replace those on courses with slopes or steps, where nothing was
@@ -52,8 +51,7 @@ class AsWalked:
         size: the measured effects.
     """
 
-    robot: str
-    period: Positive
+    scale: BodyScale
     source: str
     gait: GaitOptions = field(default_factory=GaitOptions)
     on_slopes: dict[str, float] = field(default_factory=dict)
@@ -62,7 +60,6 @@ class AsWalked:
     size: tuple[Size, ...] = ()
 
     def __post_init__(self):
-        Robot.load(self.robot)
         for name in ("sensors", "on_slopes", "on_sheets"):
             with errors_in(name):
                 typed(getattr(self, name), Sensors if name == "sensors" else GaitOptions)
@@ -70,8 +67,7 @@ class AsWalked:
     def effects_on(self, robot: Robot) -> tuple[Effect, ...]:
         """The measured effects scaled to `robot` (`sim.effects.carry`)."""
         sizes = [effect(s.effect, s.target, s.value) for s in self.size]
-        measured = Robot.load(self.robot)
-        return carried(sizes, scale_of(measured, self.period), scale_of(robot))
+        return carried(sizes, self.scale, scale_of(robot))
 
     def scenario(self, scenario: Scenario) -> Scenario:
         """The scenario with this gait and these sensors."""

@@ -5,10 +5,10 @@ Up to three worlds are simulated. In `before` the robot is as declared. In `effe
 effects that the trace found. In `after` it has them and walks in the measured gait. If the plain
 gait is more like the log, `after` has the effects only, and there is no `effects`.
 
-In each world the robot walks in the style of the measured log (`sim.walking.imitation`), observers
-are trained and calibrated on these walks only, and every filter estimates the measured log with
-that world's model and observers. Sizes that the trace found are drawn from their intervals for each
-walk (`scenarios.trace.training_walks`).
+In each world the robot walks in the style of the measured log (`sim.walking.imitation`), or in the
+nearest one with which it does not fall. Observers are trained and calibrated on these walks only,
+and every filter estimates the measured log with that world's model and observers. Sizes that the
+trace found are drawn from their intervals for each walk (`scenarios.trace.training_walks`).
 """
 
 import json
@@ -38,8 +38,11 @@ from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,
     TrainingPlan,
     TrainingWalks,
+    WalkedStyle,
     rates_as_of,
     simulate_training,
+    style_that_walks,
+    with_style_share,
 )
 from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import check_seed
@@ -102,7 +105,8 @@ def loop(
     if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)
         _write(out / RECIPE, recipe)
-        stale = "trace/trace.json", "gait.json", "measured.json", *(f"{w}/done" for w in WORLDS)
+        own = "trace/trace.json", "gait.json", "style.json", "measured.json"
+        stale = *own, *(f"{world}/done" for world in WORLDS)
         for name in stale:
             (out / name).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
@@ -119,9 +123,19 @@ def loop(
         planned["effects"] = (*model, *found), PLAIN_GAIT
     if found or choice.walked:
         planned["after"] = (*model, *found), choice.gait
+    drawn = {name: TrainingWalks(style, robot, *one, spread) for name, one in planned.items()}
+
+    def style_of_walks() -> dict[str, Any]:
+        with percent_bar("walking") as progress:
+            return asdict(style_that_walks(drawn, seed, plan, progress))
+
+    walked = WalkedStyle(**_kept(out / "style.json", style_of_walks))
+    if walked.words:
+        print(walked.words)
+        choice = replace(choice, words=f"{choice.words} {walked.words}")
     worlds = []
-    for name, (effects, gait) in planned.items():
-        walks = TrainingWalks(style, robot, effects, gait, spread)
+    for name in [one for one in drawn if one not in walked.fallen]:
+        walks, (effects, _) = with_style_share(drawn[name], walked.share), planned[name]
         learnt, simulated = _learnt(walks, log, out / name, seed, plan)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
         measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)

@@ -256,8 +256,9 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
         f"With what `trace` found put into the simulation, {gain} of {len(errors[first])} filters "
         "have a lower position error on the measured walk."
     )
+    rest = [helped(table, worlds)]
     best = [f"`{e.idxmin()}` {name} ({e.min():.3f} m)" for name, e in errors.items()]
-    rest = [f"The lowest errors are those of {', '.join(best)}."]
+    rest.append(f"The lowest errors are those of {', '.join(best)}.")
     form = "{name} of {target}, {value:.4g} {unit}"
     zeros = [one for run in found["runs"] for one in run if one["compensated"]]
     added = [form.format(**effect) for effect in (*found["effects"], *zeros)]
@@ -269,6 +270,26 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
         of = [f"{share:.1f} % {world}" for share, world in zip(shares, worlds, strict=True)]
         rest.append(f"The bounds of `{name}` contain {', '.join(of)} of the measured errors.")
     return f"{main}\n\n{' '.join(rest)}"
+
+
+def helped(table: pd.DataFrame, worlds: Sequence[str]) -> str:
+    """One sentence: which filters have a lower position error in the last world than in the first.
+
+    Args:
+        table: errors of every filter in every world.
+        worlds: their names.
+    """
+    first, last = worlds[0], worlds[-1]
+    if first == last:
+        return "Whether it helps is not known: there is one simulated world only."
+    names = "filter", f"APE_trans [m] {first}", f"APE_trans [m] {last}"
+    said: dict[str, list[str]] = {"helped": [], "did not help": []}
+    for name, before, after in table[list(names)].dropna().itertuples(index=False):
+        if not traits(name).floor:
+            how = "helped" if after < before else "did not help"
+            said[how].append(f"`{name}` ({before:.3f} m before, {after:.3f} m after)")
+    parts = (f"{how} {', '.join(those)}" for how, those in said.items() if those)
+    return f"The loop {', and '.join(parts) or 'has no filter to compare'}."
 
 
 def _method(worlds: Sequence[LoopWorld]) -> str:

@@ -5,7 +5,7 @@ from them, and compensated by the sizes found, like the measured log. Observers 
 include the influence of errors of the sizes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from surefoot.sim.effects import Effect, compensate_all, effect
 from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
-from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower
+from surefoot.sim.walking.imitation import WalkingStyle, imitation, slower, towards_plain
 
 PACES = (1.0, 0.8, 0.6, 0.4)
 """Factors on the measured velocities, tried in turn until the simulated robot does not fall."""
@@ -27,6 +27,14 @@ WALKS_DRAWN = 3
 """Courses, sizes and noise that are drawn at each pace before the next one is tried, since a robot
 that walks at a pace for minutes may fall by chance.
 """
+
+
+NEAREST = 0.125
+"""Largest difference of the share of a style from one with which a robot falls."""
+
+
+class FallsError(SurefootError):
+    """A robot that falls at every pace."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,7 @@ def simulate_training(
     """Logs to train on, and one to calibrate on, of a robot with the effects.
 
     The effects are compensated in the logs, as they are for the filters afterwards. Raises
-    SurefootError if the robot falls at all of PACES.
+    FallsError if the robot falls at all of PACES.
 
     Args:
         walks: robot, effects and gait.
@@ -116,12 +124,85 @@ def simulate_training(
     attempts, name = len(PACES) * WALKS_DRAWN, "imitation"
     made = kept_walks(drawn, plan.walks + 1, attempts, name, progress)
     if len(made) <= plan.walks:
-        raise SurefootError(
+        raise FallsError(
             f"loop: in simulation {simulated.name} falls with the stride and posture of the log, "
             f"even at {100 * PACES[-1]:.0f} % of its speed"
         )
     logs = [_compensated(log, added, simulated) for log in made]
     return logs[:-1], logs[-1]
+
+
+@dataclass(frozen=True)
+class WalkedStyle:
+    """The share of a measured style with which a robot walks (`towards_plain`), and the names of
+    walks in which it falls with any.
+    """
+
+    share: float = 1.0
+    fallen: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """What differs from the measured style; "" if nothing does."""
+        said = ""
+        if self.share < 1.0:
+            said = (
+                "With the stride and posture of the log the simulated robot falls. The nearest "
+                f"with which it walks are taken: {100 * self.share:.0f} % of the log's, "
+                f"{100 - 100 * self.share:.0f} % of its own."
+            )
+        left_out = f"Left out, since the robot falls with any: {', '.join(self.fallen)}."
+        return f"{said} {left_out}".strip() if self.fallen else said
+
+
+def style_that_walks(
+    walks: Mapping[str, TrainingWalks],
+    seed: int,
+    plan: TrainingPlan = DEFAULT_PLAN,
+    progress: Callable[[float], None] | None = None,
+) -> WalkedStyle:
+    """The style nearest to the measured one, to NEAREST, with which the robot falls in none of
+    these walks, by bisection; walks are those of `simulate_training`, and kept.
+
+    Raises FallsError if it falls in all of them even in its own style.
+
+    Args:
+        walks: by name.
+        seed: of the walks.
+        plan: number and length of the walks.
+        progress: called with the share done of one of the walks, 0 to 1.
+    """
+
+    def falls(share: float, names: Iterable[str]) -> list[str]:
+        fallen = []
+        for name in names:
+            try:
+                simulate_training(with_style_share(walks[name], share), seed, plan, progress)
+            except FallsError:
+                fallen.append(name)
+        return fallen
+
+    if not falls(1.0, walks):
+        return WalkedStyle()
+    fallen = falls(0.0, walks)
+    names = [name for name in walks if name not in fallen]
+    if not names:
+        raise FallsError("loop: the robot falls in simulation, with the log's style and its own")
+    low, high = 0.0, 1.0
+    if not falls(high, names):
+        low = high
+    while high - low > NEAREST:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if falls(middle, names) else (middle, high)
+    return WalkedStyle(low, tuple(fallen))
+
+
+def with_style_share(walks: TrainingWalks, share: float) -> TrainingWalks:
+    """The walks with a share of the measured style."""
+    if share == 1.0:
+        return walks
+    simulated = simulated_robot(walks.robot)
+    return replace(walks, style=towards_plain(walks.style, simulated, share))
 
 
 def drawn_sizes(

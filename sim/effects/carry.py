@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.toml import Positive
 from surefoot.sim.effects.base import Effect
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.robot import Robot
@@ -38,10 +39,10 @@ Rates and accelerations are errors of an IMU, which do not depend on the robot's
 class BodyScale:
     """Scales of a robot by which the sizes of its effects become dimensionless."""
 
-    weight: float  # N
-    leg_length: float  # m
-    foot_radius: float  # m, by the robot's file: a declared model may have points
-    period: float  # s, of its stride
+    weight: Positive  # N
+    leg_length: Positive  # m
+    foot_radius: Positive  # m, by the robot's file: a declared model may have points
+    period: Positive  # s, of its stride
 
 
 def scale_of(robot: Robot, period: float | None = None) -> BodyScale:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.importing.columns import ColumnEntry, map_line, read_column
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.sections import EvenTable
+from surefoot.sim.importing.sections import ContactTable, EvenTable
 
 Changes = Mapping[str, Mapping[str, Any]]
 """By section and key of a map, the value that it is to have. Those of _COMBINED are relative to the
@@ -74,10 +74,21 @@ def advised_lines(
     return tuple(lines), tuple(follows)
 
 
+def lines_of(changes: Changes) -> tuple[str, ...]:
+    """Changes to sections of a map that is not known, as lines of one without them."""
+    return tuple(
+        line
+        for section, values in changes.items()
+        for line in (f"[{section}]", *(map_line(*one) for one in values.items()))
+    )
+
+
 def _values(rules: ImportMap) -> _Values:
     """The values of a map that advice may be about."""
     of = rules.sections
-    given = {"reference": of.reference, "robot": of.robot, "even": of.even or EvenTable()}
+    contact = of.contact or ContactTable(on=0.0, off=0.0)
+    given = {"reference": of.reference, "robot": of.robot, "contact": contact}
+    given["even"] = of.even or EvenTable()
     tables = {"columns": of.columns} | {name: vars(x) for name, x in given.items() if x}
     tables["reference.columns"] = of.reference.columns if of.reference else {}
     return {(section, key): x for section, table in tables.items() for key, x in table.items()}

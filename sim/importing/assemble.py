@@ -1,8 +1,10 @@
 """Assemble a Log from the columns of a recording, by an import map (`sim.importing.map`)."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +19,7 @@ from surefoot.sim.importing.clock import (
     evened,
     without_holds,
 )
-from surefoot.sim.importing.contacts import contacts_from_loads, feet_that_stand
+from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import (
     REFERENCE_OFFSET,
@@ -30,7 +32,7 @@ from surefoot.sim.importing.reference_contradictions import contradicted
 from surefoot.sim.importing.sections import EvenTable, by_name
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
-from surefoot.sim.log.schema import GROUPS, check_frame, joint_names, joint_prefix, leg_names
+from surefoot.sim.log.schema import GROUPS, check_frame, joint_names, joint_prefix
 from surefoot.sim.robot.catalog import SUFFIXES
 from surefoot.sim.robot.model_of_log import model_metadata
 
@@ -80,6 +82,13 @@ class RawRecording:
         rules = replace(self.rules, sections=sections, reference_columns={})
         return replace(self, poses=None, rules=rules)
 
+    def with_reference(self, values: Mapping[str, Any]) -> "RawRecording":
+        """The recording, with other values of its map's [reference]."""
+        assert self.rules.sections.reference is not None
+        reference = replace(self.rules.sections.reference, **values)
+        sections = replace(self.rules.sections, reference=reference)
+        return replace(self, rules=replace(self.rules, sections=sections))
+
     def log(self) -> Log:
         """Assemble the log and check every column. Raises LogError naming path and map."""
         main = dict(self.main)
@@ -98,16 +107,14 @@ class RawRecording:
 
 
 def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, name: str) -> Log:
-    sections, derived = rules.sections, []
+    sections, derived, late_contacts = rules.sections, [], {}
     main = _with_joint_signs(main, rules)
-    if sections.even is not None:
-        main, said = _made_even(main, sections.even)
+    if even := sections.even:
+        # Contacts may be found below, in columns that are in time.
+        late_contacts = {k: x for k, x in even.late.items() if column_kind(k) == "contact"}
+        others = {k: x for k, x in even.late.items() if k not in late_contacts}
+        main, said = _made_even(main, replace(even, late=others))
         derived += said
-    contact = sections.contact
-    if contact is not None and contact.of == "force":
-        derived.append("contact from force")
-        loads = {leg: main[f"force_{leg}"] for leg in leg_names(main)}
-        main |= contacts_from_loads(main["t"], loads, contact)
     if reference is not None:
         main = with_reference(main, reference, str(rules.path))
     joints = joint_names(main)
@@ -128,9 +135,32 @@ def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, n
         | ({REFERENCE_OFFSET: offset} if offset else {}),
     )
     log = Log(frame, meta, name)
-    if contact is not None and contact.of != "force":
-        return feet_that_stand(log, contact)
-    return log
+    if sections.contact is not None:
+        log = feet_that_stand(log, sections.contact)
+    return _with_contacts_forward(log, late_contacts) if late_contacts else log
+
+
+def _with_contacts_forward(log: Log, delays: Mapping[str, float]) -> Log:
+    """The log with its contacts, all or of single legs, earlier by their delays [s]."""
+    _check_known("late", delays, log.columns)
+    frame = pd.DataFrame(brought_forward(log.columns, delays))
+    meta = replace(log.meta, derived=(*log.meta.derived, *_earlier_words(delays)))
+    return replace(log, frame=frame, meta=meta)
+
+
+def _earlier_words(delays: Mapping[str, float]) -> list[str]:
+    return [f"{kind} ({1e3 * delay:g} ms earlier)" for kind, delay in delays.items()]
+
+
+def _check_known(key: str, named: Iterable[str], columns: Iterable[str]) -> None:
+    """Raise SurefootError where a key of [even] names neither a column nor a kind of them."""
+    kinds = {column_kind(name) for name in columns}
+    known = kinds if key == "held" else {*kinds, *columns}
+    for kind in named:
+        if kind not in known:
+            raise SurefootError(
+                f"[even] {key}: no column of kind {kind!r}; there are {', '.join(sorted(kinds))}"
+            )
 
 
 def _robot_file(robot: str | None) -> dict[str, dict[str, str]]:
@@ -147,16 +177,10 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     """Interpolate held columns and resample to an even rate; also returns the names of derived
     ones.
     """
-    kinds = {column_kind(name) for name in main}
-    for key, named, known in (("held", even.held, kinds), ("late", even.late, {*kinds, *main})):
-        for kind in named:
-            if kind not in known:
-                raise SurefootError(
-                    f"[even] {key}: no column of kind {kind!r}; there are "
-                    f"{', '.join(sorted(kinds))}"
-                )
+    _check_known("held", even.held, main)
+    _check_known("late", even.late, main)
     said = [f"{kind} (between held readings)" for kind in even.held]
-    said += [f"{kind} ({1e3 * delay:g} ms earlier)" for kind, delay in even.late.items()]
+    said += _earlier_words(even.late)
     main = without_holds(main, even.held)
     if even.late:
         main = brought_forward(main, even.late)

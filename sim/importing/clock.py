@@ -30,6 +30,8 @@ _MOST_LEFT_OUT = 0.05
 """Share of a stream's rows whose stamps may be wrong; more of them are no accident."""
 _MOST_SET_BACK = 3.5
 """Number of rows by which stamps may go back and on from there, as messages overtake each other."""
+_ROUNDED = 1e-6
+"""Largest error of a stamp that was rounded [s]."""
 _ROWS_TO_A_FAR_ONE = 100
 """Number of rows to one that may lie far from all others, at either end."""
 _EPOCH = 1e6
@@ -187,7 +189,8 @@ def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
 
 
 def brought_forward(table: Columns, delays: Mapping[str, float]) -> Columns:
-    """Shift columns of these kinds or names to earlier times, by their delay [s].
+    """Shift columns of these kinds or names to earlier times, by their delay [s]; events hold their
+    last value.
 
     Rows at the ends for which a column has no value are cut.
     """
@@ -197,7 +200,12 @@ def brought_forward(table: Columns, delays: Mapping[str, float]) -> Columns:
     found = {name: values[inside] for name, values in table.items()}
     for name, values in table.items():
         delay = delays.get(name, delays.get(column_kind(name))) if name != "t" else None
-        if delay is not None:
+        if delay is None:
+            continue
+        if is_event(name):
+            rows = np.searchsorted(t, t[inside] + delay + _ROUNDED, "right") - 1
+            found[name] = values[np.maximum(rows, 0)]
+        else:
             found[name] = np.interp(t[inside] + delay, t, values)
     return found
 

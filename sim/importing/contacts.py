@@ -1,4 +1,4 @@
-"""Contacts for a log without them, from joint torques, kinematics or the gait."""
+"""Contacts for a log without them, from forces, joint torques, kinematics or the gait."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.kernels import kernel
-from surefoot.sim.importing.sections import ContactTable
+from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
@@ -28,28 +28,41 @@ trot have 0.9 and more, legs a quarter of a stride apart none.
 
 
 def feet_that_stand(log: Log, rule: ContactTable) -> Log:
-    """Add contact_<leg> to a log by a rule on torque, kinematics or gait.
+    """Add contact_<leg> to a log by a rule on force, torque, kinematics or gait.
 
     Raises SurefootError where the log lacks what the rule needs.
     """
-    given = rule.of != "torque" and log.has("foot")
-    needed = ("q", "tau") if rule.of == "torque" else ("foot" if given else "q",)
-    with errors_in(f"[contact] of {rule.of}"):
+    stands = contacts_from_loads(log.t, contact_loads(log, rule.of), rule)
+    meta = replace(log.meta, derived=(*log.meta.derived, f"contact from {rule.of}"))
+    return replace(log, meta=meta).with_columns(stands)
+
+
+def contact_loads(log: Log, of: Quantity, robot: Robot | None = None) -> dict[str, np.ndarray]:
+    """By leg, what a rule of `ContactTable.of` compares (N,); speeds and heights are negative, so
+    that it is the larger, the more a foot stands.
+
+    `robot` is the log's own by default. Raises SurefootError where the log lacks what the rule
+    needs.
+    """
+    if of == "force":
+        log.require("force")
+        return {leg: log.columns[f"force_{leg}"] for leg in log.legs}
+    given = of != "torque" and log.has("foot")
+    needed = ("q", "tau") if of == "torque" else ("foot" if given else "q",)
+    with errors_in(f"[contact] of {of}"):
         log.require("imu", *needed)
-        robot = None if given else Robot.for_log(log)
+        robot = None if given else robot or Robot.for_log(log)
     legs = log.legs if robot is None else robot.limbs.legs
     feet_I = log.foot_I if robot is None else robot.feet_I(log.q)
     up = up_in_imu(log.t, log.gyro, log.accel)
-    if rule.of == "torque" and robot is not None:
+    if of == "torque" and robot is not None:
         load = upward_forces(log, robot, up)
-    elif rule.of == "kinematics":
+    elif of == "kinematics":
         load = -speeds_beside_lowest(log.t, feet_I, log.gyro, up)
     else:
         up = up_by_feet(log.t, log.gyro, log.accel, feet_I)
         load = -heights_beside_others(log.t, feet_I, up)
-    stands = contacts_from_loads(log.t, dict(zip(legs, load.T, strict=True)), rule)
-    meta = replace(log.meta, derived=(*log.meta.derived, f"contact from {rule.of}"))
-    return replace(log, meta=meta).with_columns(stands)
+    return dict(zip(legs, load.T, strict=True))
 
 
 def contacts_from_loads(
@@ -77,9 +90,21 @@ def speeds_beside_lowest(
         up: (N, 3) upward direction in I.
     """
     rows = np.arange(len(t))
-    v_I = _velocities(t, feet_I) + np.cross(gyro[:, None], feet_I)
+    v_I = _velocities_by_body(t, feet_I, gyro)
     lowest = np.einsum("nli,ni->nl", feet_I, up).argmin(axis=1)
     return np.linalg.norm(v_I - v_I[rows, lowest][:, None], axis=2)
+
+
+def foot_speeds(log: Log, v_I: np.ndarray) -> np.ndarray:
+    """Speed of each foot over the ground (N, L) [m/s], for a velocity of the IMU v_I (N, 3)."""
+    feet_I = log.foot_I if log.has("foot") else Robot.for_log(log).feet_I(log.q)
+    moves = _velocities_by_body(log.t, feet_I, log.gyro) + v_I[:, None]
+    return np.linalg.norm(moves, axis=2)
+
+
+def _velocities_by_body(t: np.ndarray, feet_I: np.ndarray, gyro: np.ndarray) -> np.ndarray:
+    """Velocities (N, L, 3) [m/s] of feet over the ground, less that of the IMU, in I."""
+    return _velocities(t, feet_I) + np.cross(gyro[:, None], feet_I)
 
 
 def _velocities(t: np.ndarray, feet_I: np.ndarray) -> np.ndarray:

@@ -21,6 +21,8 @@ _FARTHEST = 100.0
 """Distance of a sensor or a tracked body from the robot's base beyond which a map is wrong [m]."""
 UpToOne = Annotated[float, msgspec.Meta(ge=0, le=1.0)]
 """A radius of feet [m] or a duration of contacts [s]; a larger one is in another unit."""
+Quantity = Literal["force", "torque", "kinematics", "gait"]
+"""What a rule compares to detect contacts; see `ContactTable`."""
 OneCharacter = Annotated[str, msgspec.Meta(pattern=r"^[^\r\n\"]\Z")]
 """Within a line, and no quotation mark."""
 
@@ -167,7 +169,7 @@ class ContactTable:
     """Threshold above which a foot stands; a number, or a table by leg."""
     off: float | dict[str, float]
     """Threshold below which it no longer does."""
-    of: Literal["force", "torque", "kinematics", "gait"] = "force"
+    of: Quantity = "force"
     """Quantity that is compared: force_<leg>, in its own unit; the upward force [N] of the joints'
     torques on the foot; the foot's speed relative to the lowest one [m/s]; or, for legs that swing
     together like the diagonals of a trot, the height of their feet above the lowest others [m],
@@ -178,11 +180,16 @@ class ContactTable:
     debounce: UpToOne = 0.0
     """Time above `on` before a foot stands [s]."""
 
+    @property
+    def sign(self) -> float:
+        """-1 for quantities of which a standing foot has less."""
+        return -1.0 if self.of in ("kinematics", "gait") else 1.0
+
     def by_leg(self, legs: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
         """Offset, on and off of each leg; negative for kinematics and gait, where slower or lower
         is loaded.
         """
-        sign, where = (-1.0, "below") if self.of in ("kinematics", "gait") else (1.0, "above")
+        sign, where = self.sign, "below" if self.sign < 0 else "above"
         offset, on, off = (
             by_name(f"contact.{key}", getattr(self, key), legs) for key in ("offset", "on", "off")
         )
@@ -213,8 +220,9 @@ class EvenTable:
     are interpolated linearly.
     """
     late: dict[str, float] = field(default_factory=dict)
-    """Delay [s] of kinds of columns ("foot", "dq", ...), or of columns, which is removed. The times
-    of a further file have an offset instead.
+    """Delay [s] of kinds of columns ("foot", "dq", "contact", ...), or of columns, which is
+    removed; also of contacts that [contact] detects. The times of a further file have an offset
+    instead.
     """
 
     def __post_init__(self):

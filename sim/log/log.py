@@ -19,7 +19,15 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log.file import LogError, LogReader, LogWriter
-from surefoot.sim.log.schema import GROUPS, JOINTS, Meta, group_columns, joint_names, leg_names
+from surefoot.sim.log.schema import (
+    GROUPS,
+    JOINTS,
+    LOG_NAME,
+    Meta,
+    group_columns,
+    joint_names,
+    leg_names,
+)
 
 T = TypeVar("T")
 
@@ -52,8 +60,9 @@ class Log:
 
         Raises LogError, one line with file, column and row, at the first fault.
         """
+        name = reader.meta.model.get(LOG_NAME) or reader.path.stem
         for frame in reader.frames(seconds):
-            yield Log(frame, reader.meta, reader.path.stem)
+            yield Log(frame, reader.meta, name)
 
     def write(self, path: str | Path, force: bool = False) -> None:
         """Write the whole file or none. Raises LogError if it exists (without `force`) or is

@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import pyarrow as pa
 
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.limits import check_limit, limits, parse_json
-from surefoot.sim.common.toml import SLOWEST_RATE, Count, SampleRate, typed
+from surefoot.sim.common.toml import SLOWEST_RATE, Count, Name, SampleRate, typed
 
 SCHEMA = 1
 KEY = b"surefoot"
@@ -26,6 +27,8 @@ LEGS = ("FL", "FR", "RL", "RR")
 """A quadruped's legs, in the order of all arrays."""
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
 """A quadruped's joints, in the order of all arrays."""
+LOG_NAME = "log_name"
+"""Key of a log's `meta.model`: its name, where that is not its file's."""
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
 
@@ -141,6 +144,7 @@ class Meta:
         model: properties of the robot from an import map, which override the MJCF (p_BI in m, q_BI
             as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
             (ground_evenness in m); `reference_offset`, the clock offset of its reference [s];
+            `log_name`, its name, where that is not its file's;
             `file`, the model's file if it has no known name (`sim.robot.model_of_log`); `ground`,
             if it includes height fields from a file (`sim.ground.ground_metadata`).
         warnings: about what was not plausible on import, one line each (`sim.plausibility`).
@@ -181,10 +185,13 @@ class _Model:
     foot_radius: float | tuple[float, ...] | None = None
     ground_evenness: float | None = None
     reference_offset: float | None = None
+    log_name: Name | None = None
     feet: dict[str, str] | None = None
     file: _ModelFile | None = None
 
     def __post_init__(self):
+        if self.log_name is not None and PurePath(self.log_name).name != self.log_name:
+            raise SurefootError(f"{LOG_NAME} is {self.log_name!r}, which is no file's name")
         if self.q_BI and abs(np.linalg.norm(self.q_BI) - 1.0) > _UNIT_TOLERANCE:
             raise SurefootError(f"q_BI is {list(self.q_BI)}, not of unit length")
 

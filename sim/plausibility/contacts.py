@@ -61,7 +61,8 @@ def flickering(view: LogView) -> Iterator[Finding]:
     Compares: contacts with themselves over time.
     Threshold: {FLICKERS:g} changes a second.
     Reason: four a second in strides; a sensor about its threshold has many.
-    Remedy: [contact] debounce, or a threshold that is further from the noise.
+    Remedy: [contact] debounce, or a threshold that is further from the noise; `import` compares
+        sources of contacts.
     """
     log = view.log
     rate = np.array([_changes(view.t, x) for x in log.contact.T]) / (view.t[-1] - view.t[0])
@@ -82,7 +83,8 @@ def dead(view: LogView) -> Iterator[Finding]:
         changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time;
         less than {MISSES:g} of the changes of most feet, where these have {MOST_SURE} or more.
     Reason: a foot of a robot that walks lifts once a stride; feet that stand move alike.
-    Remedy: the threshold of [contact] for that foot; leave a dead contact out.
+    Remedy: the threshold of [contact] for that foot, or another source of contacts, which `import`
+        compares; leave a dead contact out.
     """
     log, contact = view.log, view.log.contact
     if len(log.legs) < 2:

@@ -5,6 +5,7 @@ the same walk, but the same style.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -83,6 +84,22 @@ def style_of(style: WalkingStyle, robot: Robot, speed: float, turn: float) -> Wa
         turn: factor on the rates of turning.
     """
     return WalkingStyle(style.twists * (speed, speed, turn), 1.0, style.clearance, robot.q_home)
+
+
+def towards_plain(style: WalkingStyle, robot: Robot, share: float) -> WalkingStyle:
+    """The style with a share, 0 to 1, of its period, clearance and posture, and the rest of the
+    robot's own.
+    """
+
+    def mixed(measured: Any, plain: Any) -> Any:
+        return plain + share * (measured - plain)
+
+    return replace(
+        style,
+        period=mixed(style.period, 1.0),
+        clearance=mixed(style.clearance, 1.0),
+        q_stance=mixed(style.q_stance, robot.q_home),
+    )
 
 
 def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Robot]:

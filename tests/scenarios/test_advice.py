@@ -67,6 +67,14 @@ def test_contacts_that_come_late_are_found(walked):
     assert "late = { contact = 0.04 }" in said
 
 
+def test_contacts_of_a_dead_sensor_are_taken_from_another_quantity(walked):
+    log, robot = walked
+    dead = log.with_columns({"contact_FL": np.ones(len(log.t))})
+    said = _advised(dead, robot, FilterSettings())
+    assert 'of = "' in said
+    assert "in [contact]" in said
+
+
 def test_a_start_that_was_given_wrong_is_found(walked):
     log, robot = walked
     wrong = FilterSettings(start=StartSettings(b_g=1e-4), state=StateSettings(b_g=(0.05, 0.0, 0.0)))

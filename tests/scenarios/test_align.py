@@ -1,9 +1,37 @@
-"""The command `align`: what is refused leaves nothing behind."""
+"""The command `align`: what is refused leaves nothing behind, both ways to use it are the same."""
 
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
 import pytest
+from pandas.testing import assert_frame_equal
 from refusals import refused
+from scipy.spatial.transform import Rotation
+from written import written
 
+from studies.measured import measured_folder
+from surefoot.scenarios.align import align_file
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.settings import AlignSettings
+from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.map_catalog import map_file
+from surefoot.sim.importing.recording import import_log
+from surefoot.sim.log import Log
+
+SENSORS = ("t", *(f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"))
+POSE = (*(f"ref_p_{axis}" for axis in "xyz"), *(f"ref_q_{axis}" for axis in "wxyz"))
+MAP = f"""
+[columns]
+{"".join(f'{name} = "{name}"{chr(10)}' for name in SENSORS)}
+[reference]
+file = "mocap.csv"
+p_IM = [0.2, 0.0, 0.0]
+[reference.columns]
+t = "t"
+{"".join(f'{name} = "{name}"{chr(10)}' for name in POSE)}
+"""
 
 
 @pytest.mark.parametrize(
@@ -18,3 +46,81 @@ def test_what_is_refused_is_one_line_and_leaves_nothing(log, tmp_path, seconds, 
     line = ["align", f"{tmp_path}/seen.parquet", "-o", f"{tmp_path}/out", *options]
     refused(message, main, line, error=SystemExit)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def recording(log, tmp_path):
+    """A recording whose markers are beside the IMU, started later, with a stretch that leaps."""
+    log.frame[list(SENSORS)].to_csv(tmp_path / "run.csv", index=False)
+    mocap = log.frame[["t", *POSE]].iloc[::5].copy()
+    q = list(POSE[3:])
+    R_GI = Rotation.from_quat(mocap[q], scalar_first=True)
+    mocap[list(POSE[:3])] += R_GI.apply([0.05, 0.02, 0.11])
+    mocap[q] = (R_GI * Rotation.from_euler("z", 20.0, degrees=True)).as_quat(scalar_first=True)
+    mocap.loc[mocap.t.between(6.0, 6.05), "ref_p_z"] += 0.4
+    mocap["t"] -= 2.5
+    mocap.to_csv(tmp_path / "mocap.csv", index=False)
+    written(tmp_path / "map.toml", MAP)
+    return tmp_path / "run.csv", tmp_path / "map.toml"
+
+
+def by_both_ways(file, map, folder):
+    """The log that `align` writes, and the one that is imported with the lines it prints."""
+    found, _ = align_file(AlignSettings(file=file, map=str(map), out=folder / "aligned"))
+    lines = {line.partition(" = ")[0]: line for line in found.map_lines}
+    kept, within = [], False
+    for line in map_file(map).read_text().splitlines():
+        within = line == "[reference]" if line.startswith("[") else within
+        if line == "[reference]":
+            kept += found.map_lines
+        elif not (within and line.partition(" = ")[0] in lines):
+            kept.append(line)
+    # The map stays where its files and its robot are looked for.
+    written(folder / "pasted.toml", "\n".join(kept))
+    return Log.read(folder / "aligned/aligned.parquet"), import_log(file, folder / "pasted.toml")
+
+
+def test_the_aligned_log_is_the_one_imported_with_the_lines(recording, tmp_path):
+    aligned, pasted = by_both_ways(*recording, tmp_path)
+    assert_frame_equal(aligned.frame, pasted.frame, check_exact=True)
+    assert aligned.meta.model["reference_offset"] == pasted.meta.model["reference_offset"]
+    assert pd.Series(pasted.ref_ok).sum() < len(pasted.t)  # what leaps is in neither
+
+
+@pytest.mark.parametrize(
+    ("map", "file"),
+    [("go1_square", "go1_square"), ("scaler_trot", "scaler_trot/logs/scaler_10.csv")],
+)
+def test_so_is_a_measured_one(map, file, tmp_path):
+    if not (path := measured_folder() / file).exists():
+        pytest.skip(f"no {path}")
+    assert ImportMap.read(map).sections.reference is not None
+    aligned, pasted = by_both_ways(path, map, tmp_path)
+    assert_frame_equal(aligned.frame, pasted.frame, check_exact=True)
+
+
+def test_an_aligned_log_keeps_its_name(recording, log, tmp_path):
+    aligned, pasted = by_both_ways(*recording, tmp_path)
+    assert aligned.name == pasted.name == "run"
+    # So does a log, whose poses are recovered from its rows.
+    log.write(tmp_path / "seen.parquet")
+    align_file(AlignSettings(file=tmp_path / "seen.parquet", out=tmp_path / "again"))
+    again = Log.read(tmp_path / "again/aligned.parquet")
+    assert again.name == "seen"
+    np.testing.assert_allclose(again.ref_p, log.ref_p[-len(again.t) :], atol=0.02)
+
+
+def test_a_name_that_leads_elsewhere_is_refused(log, tmp_path):
+    model = {"log_name": "../../elsewhere"}
+    elsewhere = replace(log, meta=replace(log.meta, model=model))
+    refused("is no file's name", elsewhere.write, tmp_path / "log.parquet")
+
+
+def test_what_is_wrong_with_a_log_is_not_said_of_another_of_its_name(log, tmp_path, capsys):
+    in_g = log.with_columns({f"accel_{a}": log.frame[f"accel_{a}"] / 9.81 for a in "xyz"})
+    for name, one in (("good", log), ("bad", in_g)):
+        (tmp_path / name).mkdir()
+        one.write(tmp_path / name / "walk.parquet")
+    main(["info", "--json", *(f"{tmp_path}/{name}/walk.parquet" for name in ("good", "bad"))])
+    said = json.loads(capsys.readouterr().out)
+    assert [bool(one["not_plausible"]) for one in said] == [False, True]

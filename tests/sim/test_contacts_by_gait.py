@@ -120,3 +120,26 @@ def test_upward_is_first_the_mean_of_the_seconds_in_which_it_settles():
     accel[0, 0] = 9.81
     up = up_in_imu(t, np.zeros_like(accel), accel)
     assert 0.0 < up[0, 0] < 0.01
+
+
+@pytest.mark.parametrize("derived", [False, True])
+def test_late_contacts_are_moved_to_when_they_were(log, tmp_path, derived):
+    """As logged, or found from a force; flags stay flags."""
+    rows, quantity = 15, "force" if derived else "contact"
+    before = log.rows(slice(0, 2000))
+    after = before.frame.filter(regex="^(t|q_[FR]..*|contact_.*)$").copy()
+    flags = [f"contact_{leg}" for leg in log.legs]
+    after[flags] = after[flags].shift(rows, fill_value=1.0)
+    after.to_csv(tmp_path / "run.csv", index=False)
+    named = {name: name.replace("contact", quantity) for name in after}
+    contact = "".join(f'{ours} = "{theirs}"\n' for theirs, ours in named.items())
+    contact += "[contact]\non = 0.5\noff = 0.5\n" if derived else ""
+    text = f"[columns]\n{contact}[even]\nlate = {{ contact = {rows / log.rate} }}\n"
+    found = import_log(tmp_path / "run.csv", written(tmp_path / "map.toml", text))
+    assert len(found.t) == len(after) - rows
+    # Rows that [even] makes may be a rounding error before those of the file.
+    assert np.mean(found.contact != before.contact[: len(found.t)]) < 0.01
+    assert f"contact ({1e3 * rows / log.rate:g} ms earlier)" in found.meta.derived
+    one = written(tmp_path / "map.toml", text.replace("{ contact =", "{ contact_XX ="))
+    with pytest.raises(SurefootError, match=r"\[even\] late: no column of kind 'contact_XX'"):
+        import_log(tmp_path / "run.csv", one)
