@@ -11,17 +11,20 @@ from surefoot.estimator.ego_velocity import ego_velocities
 from surefoot.estimator.filter import CoverageSettings, InvariantFilter
 from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import bounded_velocities, imu_samples
+from surefoot.models.observer.gru import scan, scan_backward
+from surefoot.models.observer.inference import CompiledGRU, Head, head_shapes
 from surefoot.sim.common.gravity import GRAVITY
 
 
 def compile_filters() -> None:
     """Run every kind of kernel on a few rows, in the order in which the demo needs them."""
-    import torch
-
-    from surefoot.models.observer.gru import GRU
-
-    inputs = torch.ones(2, 1, 3)
-    torch.sum(GRU(3, 4)(inputs)).backward()
+    shapes = CompiledGRU.shapes(3, 4) | head_shapes(4, 3, 0)
+    weights = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    x, gates = np.zeros((2, 3), np.float32), np.zeros((2, 1, 12), np.float32)
+    W_h, b_h = weights["weight_hh_l0"], weights["bias_hh_l0"]
+    states, saved = scan(gates, W_h.T.copy(), b_h, np.zeros((1, 4), np.float32))
+    scan_backward(states[1:], states, saved, W_h)
+    Head(weights)(x, CompiledGRU(weights)(x))
 
     t, still = np.arange(3) * 0.01, np.zeros((3, 3))
     accel = np.tile([0.0, 0.0, GRAVITY], (3, 1))

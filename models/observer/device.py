@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from surefoot.models.observer.gru import GRU
+from surefoot.models.observer.architectures import GRU
 from surefoot.models.observer.network import Network
 from surefoot.models.observer.observer import ObserverError
 

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from surefoot.models.observer.settings import INSTALL_TORCH
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.scenarios.settings import (
@@ -104,7 +105,11 @@ class LoopCommand(LoopSettings, TraceInputs):
         log = Log.read(self.log)
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
-        table, _ = loop(log, robot, self, declared, read_logs(self.holdout))
+        table, worlds = loop(log, robot, self, declared, read_logs(self.holdout))
+        if not worlds:
+            print(f"\nno observers are trained, the report has the other filters: {INSTALL_TORCH}")
+            print(f"report: {self.out / 'trace' / 'report.html'}")
+            return
         print("\n" + in_terminal(table))
         print(f"\nreport: {self.out / 'report.html'}")
 

@@ -7,13 +7,13 @@ import pytest
 import torch
 from synthetic import Body, synthetic_walk
 
+from surefoot.models.observer.architectures import GRU
 from surefoot.models.observer.data import draw, prepare
 from surefoot.models.observer.device import CPU, TorchGRU, move, torch_device
-from surefoot.models.observer.gru import GRU
 from surefoot.models.observer.network import Network, loss_of
-from surefoot.models.observer.observer import ObserverError, torch_bytes
+from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import _begin, train
+from surefoot.models.observer.training import _begin, torch_bytes, train
 
 META = torch.device("meta")
 BEGUN = TrainSettings(width=8, rate=1e-2)
