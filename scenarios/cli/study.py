@@ -107,8 +107,8 @@ class LoopCommand(LoopSettings, TraceInputs):
         declared = None if self.declared is None else load_effects(self.declared)
         table, worlds = loop(log, robot, self, declared, read_logs(self.holdout))
         if not worlds:
-            print(f"\nno observers are trained, the report has the other filters: {INSTALL_TORCH}")
-            print(f"report: {self.out / 'trace' / 'report.html'}")
+            what = "the loop ends with the trace and the filters that need no observer"
+            print(f"\n{what}: {INSTALL_TORCH}\nreport: {self.out / 'trace' / 'report.html'}")
             return
         print("\n" + in_terminal(table))
         print(f"\nreport: {self.out / 'report.html'}")
