@@ -12,19 +12,17 @@ from surefoot.estimator.filter import CoverageSettings, InvariantFilter
 from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import bounded_velocities, imu_samples
 from surefoot.models.observer.gru import scan, scan_backward
-from surefoot.models.observer.inference import CompiledGRU, Head, head_shapes
+from surefoot.models.observer.inference import gru_states, head_outputs
 from surefoot.sim.common.gravity import GRAVITY
 
 
 def compile_filters() -> None:
     """Run every kind of kernel on a few rows, in the order in which the demo needs them."""
-    shapes = CompiledGRU.shapes(3, 4) | head_shapes(4, 3, 0)
-    weights = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
-    x, gates = np.zeros((2, 3), np.float32), np.zeros((2, 1, 12), np.float32)
-    W_h, b_h = weights["weight_hh_l0"], weights["bias_hh_l0"]
-    states, saved = scan(gates, W_h.T.copy(), b_h, np.zeros((1, 4), np.float32))
-    scan_backward(states[1:], states, saved, W_h)
-    Head(weights)(x, CompiledGRU(weights)(x))
+    x, W, b = (np.zeros(shape, np.float32) for shape in ((2, 4), (4, 12), 12))
+    states, saved = scan(np.zeros((2, 1, 12), np.float32), W, b, x[:1])
+    scan_backward(states[1:], states, saved, W.reshape(12, 4))
+    gru_states(x, x[0], W, b, W, b)
+    head_outputs(x, x, W, b, W[:, :0].copy(), b[:0], b[:0], b[:0], b[:0])
 
     t, still = np.arange(3) * 0.01, np.zeros((3, 3))
     accel = np.tile([0.0, 0.0, GRAVITY], (3, 1))

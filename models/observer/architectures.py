@@ -65,7 +65,8 @@ class _Recurrence(torch.autograd.Function):
 
 
 class GRU(torch.nn.Module):
-    """A GRU layer on the CPU in float32, with torch.nn.GRU's equations and parameter names.
+    """A GRU layer in float32, with torch.nn.GRU's equations and parameter names; on another device
+    than the CPU, where the compiled recurrence runs, with its own.
 
     `forward(x (T, B, inputs), h0 (B, hidden) | None) -> h (T, B, hidden)`; no h0 means zeros.
     """
@@ -87,9 +88,15 @@ class GRU(torch.nn.Module):
         draw_uniform(self, self.features, generator)
 
     def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
-        gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
         h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
+        if x.device.type != "cpu":
+            return self._by_torch(x, h0)
+        gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
         return _Recurrence.apply(gates, self.weight_hh_l0, self.bias_hh_l0, h0)  # pyright: ignore[reportReturnType]
+
+    def _by_torch(self, x: torch.Tensor, h0: torch.Tensor) -> torch.Tensor:
+        weights = self.weight_ih_l0, self.weight_hh_l0, self.bias_ih_l0, self.bias_hh_l0
+        return torch.gru(x, h0[None], weights, True, 1, 0.0, self.training, False, False)[0]
 
 
 class Recurrent(torch.nn.Module):
@@ -138,7 +145,7 @@ class LSTM(Recurrent):
 
 
 class BiGRU(torch.nn.Module):
-    """A GRU from the log's start and one from its end. It sees the future, so it cannot step."""
+    """A GRU from the log's start and one from its end. It sees the future, so it has no stepper."""
 
     width, rate = 40, 1e-2
     receptive_field = None
@@ -157,9 +164,6 @@ class BiGRU(torch.nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return torch.cat((self.forwards(x), self.backwards(x.flip(0)).flip(0)), -1)
-
-    def stepper(self) -> Stepper:
-        raise NotImplementedError("a network that is not causal has no next step")
 
 
 class Windowed(torch.nn.Module):

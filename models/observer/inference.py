@@ -17,8 +17,7 @@ from surefoot.models.observer.odometry import leg_velocity
 from surefoot.sim.common.kernels import kernel
 
 Weights = Mapping[str, np.ndarray]
-"""The state dict of a torch module, in numpy: name -> float32."""
-Shapes = dict[str, tuple[int, ...]]
+"""Of a whole network, float32, by the names of torch's state dict."""
 LOSS_OUTPUTS = {"mse": 3, "gml": 9}
 """Number of the head's outputs, by loss."""
 SMALLEST = 1e-3
@@ -34,19 +33,12 @@ class Features(Protocol):
 class CompiledGRU:
     """A GRU (`surefoot.models.observer.gru`), whose state is zero when a log begins."""
 
-    def __init__(self, weights: Weights):
-        """Start as at the beginning of a log, with weights named as in `shapes`."""
-        W_h = transposed(weights, "weight_hh_l0")
-        self._recurrence = W_h, weights["bias_hh_l0"]
-        self._inputs = transposed(weights, "weight_ih_l0"), weights["bias_ih_l0"]
-        self._state = np.zeros(len(W_h), np.float32)
-
-    @staticmethod
-    def shapes(inputs: int, width: int) -> Shapes:
-        """Shapes of the weights."""
+    def __init__(self, weights: Weights, inputs: int, width: int):
+        """Start as at the beginning of a log. Raises as `linear` does."""
         gates = 3 * width
-        shapes = {"weight_ih_l0": (gates, inputs), "weight_hh_l0": (gates, width)}
-        return shapes | {"bias_ih_l0": (gates,), "bias_hh_l0": (gates,)}
+        self._inputs = linear(weights, "body.weight_ih_l0", inputs, gates)
+        self._recurrence = linear(weights, "body.weight_hh_l0", width, gates)
+        self._state = np.zeros(width, np.float32)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         states = gru_states(x, self._state, *self._inputs, *self._recurrence)
@@ -63,23 +55,16 @@ class CompiledMLP:
     taps: ClassVar[int] = 8
     apart: ClassVar[int] = 4
 
-    def __init__(self, weights: Weights):
-        """Start as at the beginning of a log, with weights named as in `shapes`."""
-        self._first = transposed(weights, "first.weight"), weights["first.bias"]
-        self._second = transposed(weights, "second.weight"), weights["second.bias"]
+    def __init__(self, weights: Weights, inputs: int, width: int):
+        """Start as at the beginning of a log. Raises as `linear` does."""
+        self._first = linear(weights, "body.first.weight", self.taps * inputs, width)
+        self._second = linear(weights, "body.second.weight", width, width)
         self._past: np.ndarray | None = None
-
-    @classmethod
-    def shapes(cls, inputs: int, width: int) -> Shapes:
-        """Shapes of the weights."""
-        shapes = {"first.weight": (width, cls.taps * inputs), "second.weight": (width, width)}
-        return shapes | {"first.bias": (width,), "second.bias": (width,)}
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         span = (self.taps - 1) * self.apart
-        if self._past is None:
-            self._past = np.repeat(x[:1], span, axis=0)
-        seen = np.concatenate((self._past, x))
+        past = np.repeat(x[:1], span, axis=0) if self._past is None else self._past
+        seen = np.concatenate((past, x))
         self._past = seen[-span:]
         return mlp_features(seen, self.apart, *self._first, *self._second)
 
@@ -89,40 +74,37 @@ COMPILED = {"gru": CompiledGRU, "mlp": CompiledMLP}
 
 
 class Head:
-    """The linear head of a network, and the leg odometry that it corrects, if it has one."""
+    """The linear head of a network, and the leg odometry that it corrects, if there are legs."""
 
-    def __init__(self, weights: Weights):
-        """Take the weights of `head_shapes` from a whole network's."""
-        none, empty = (
-            np.zeros((weights["head.weight"].shape[1], 0), np.float32),
-            np.zeros(0, np.float32),
-        )
-        self._linear = transposed(weights, "head.weight"), weights["head.bias"]
-        self._odometry = (none, empty, empty, empty, empty)
-        if "odometry.gain" in weights:
-            units = (
-                weights[f"odometry.{name}"] for name in ("gates.bias", "gain", "mean", "scale")
-            )
-            self._odometry = transposed(weights, "odometry.gates.weight"), *units
+    def __init__(self, weights: Weights, features: int, outputs: int, legs: int):
+        """Raises as `linear` does."""
+        self._linear = linear(weights, "head.weight", features, outputs)
+        self._gates = np.zeros((features, 0), np.float32), np.zeros(0, np.float32)
+        self._units = (self._gates[1],) * 3
+        if legs:
+            self._gates = linear(weights, "odometry.gates.weight", features, legs)
+            sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs}
+            self._units = tuple(sized(weights, f"odometry.{n}", k) for n, k in sizes.items())
 
     def __call__(self, x: np.ndarray, features: np.ndarray) -> np.ndarray:
         """Outputs (T, 3 or 9) of scaled inputs x (T, C) and features (T, F)."""
-        return head_outputs(x, features, *self._linear, *self._odometry)
+        return head_outputs(x, features, *self._linear, *self._gates, *self._units)
 
 
-def head_shapes(features: int, outputs: int, legs: int) -> Shapes:
-    """Shapes of a head's weights; `legs` is 0 without leg odometry."""
-    shapes: Shapes = {"head.weight": (outputs, features), "head.bias": (outputs,)}
-    if legs:
-        shapes |= {"odometry.gates.weight": (legs, features), "odometry.gates.bias": (legs,)}
-        shapes |= {"odometry.gain": (3,), "odometry.mean": (3 * legs,)}
-        shapes |= {"odometry.scale": (3 * legs,)}
-    return shapes
+def linear(weights: Weights, name: str, inputs: int, outputs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (inputs, outputs) and biases (outputs,) of a linear layer.
+
+    Raises LookupError where one is missing, ValueError where it has another shape.
+    """
+    W = sized(weights, name, outputs, inputs)
+    return np.ascontiguousarray(W.T), sized(weights, name.replace("weight", "bias"), outputs)
 
 
-def body_weights(weights: Weights) -> dict[str, np.ndarray]:
-    """The weights of a network's architecture, without those of its head."""
-    return {n.removeprefix("body."): w for n, w in weights.items() if n.startswith("body.")}
+def sized(weights: Weights, name: str, *shape: int) -> np.ndarray:
+    """A weight of that shape, beyond whose ends a compiled loop would read. Raises as `linear`."""
+    if weights[name].shape != shape:
+        raise ValueError(f"weights: {name} is not of shape {shape}")
+    return weights[name]
 
 
 def cholesky_factor(outputs: np.ndarray) -> np.ndarray:
@@ -131,11 +113,6 @@ def cholesky_factor(outputs: np.ndarray) -> np.ndarray:
     L[..., range(3), range(3)] = np.logaddexp(0, outputs[..., 3:6]) + SMALLEST
     L[..., [1, 2, 2], [0, 0, 1]] = outputs[..., 6:9]
     return L
-
-
-def transposed(weights: Weights, name: str) -> np.ndarray:
-    """That weight with its inputs in rows, contiguous."""
-    return np.ascontiguousarray(weights[name].T)
 
 
 @kernel(nogil=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +21,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from surefoot.models.observer.imu_mounting import Mounted
-from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, head_shapes
+from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
@@ -131,16 +132,15 @@ class Observer:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of everything above, by which bounds identify their observer."""
-        digest = hashlib.sha256()
-        for name, value in sorted(_plain(self).items()):
-            for key, item in sorted((value if isinstance(value, dict) else {name: value}).items()):
-                if isinstance(item, np.ndarray):
-                    # The names of types are torch's, as bounds of 0.1.0 know their observers by it.
-                    kind = {"shape": list(item.shape), "dtype": f"torch.{item.dtype}"}
-                    digest.update(json.dumps([name, key, kind]).encode())
-                    digest.update(np.ascontiguousarray(item).tobytes())
-                else:
-                    digest.update(json.dumps([name, key, item]).encode())
+        digest, values = hashlib.sha256(), _flat(self)
+        for name in sorted(values):
+            value = about = values[name]
+            if isinstance(value, np.ndarray):
+                # The names of types are torch's, as bounds of 0.1.0 know their observers by it.
+                about = {"shape": list(value.shape), "dtype": f"torch.{value.dtype}"}
+            digest.update(json.dumps([*name, about]).encode())
+            if isinstance(value, np.ndarray):
+                digest.update(value.tobytes())
         return digest.hexdigest()
 
     @cached_property
@@ -151,13 +151,38 @@ class Observer:
         from surefoot.models.observer.network import Network
 
         inputs, outputs = len(self.input_mean), LOSS_OUTPUTS[self.loss]
-        network = Network(self.model, inputs, outputs, self.width, self.leg_count)
+        network = Network(self.model, inputs, outputs, self.width, self._leg_count)
         network.load_state_dict({n: torch.from_numpy(w) for n, w in self.weights.items()})
         return network.eval()
 
+    def running(self, whole: bool) -> Callable[[np.ndarray], np.ndarray]:
+        """A function from scaled inputs (T, C), from a log's first sample or the one after the last
+        call, to outputs of the head (T, 3 or 9).
+
+        Raises ObserverError for a model that is not causal, unless the one call has the `whole`
+        log; LookupError, ValueError or RuntimeError for weights of another network.
+        """
+        if self.model in COMPILED:
+            features, body = self.width, COMPILED[self.model]
+            body = body(self.weights, len(self.input_mean), features)
+        elif whole or ARCHITECTURES[self.model].causal:
+            from surefoot.models.observer.network import torch_features
+
+            features, body = self.network.body.features, torch_features(self.network, whole)
+        else:
+            raise ObserverError(
+                f"the observer is a {self.model}, which reads a log from both ends: it serves "
+                "whole logs, not a loop; train one with model gru"
+            )
+        head = Head(self.weights, features, LOSS_OUTPUTS[self.loss], self._leg_count)
+
+        def run(x: np.ndarray) -> np.ndarray:
+            return head(x, body(x))
+
+        return run
+
     @property
-    def leg_count(self) -> int:
-        """Number of legs that `feet` is computed from."""
+    def _leg_count(self) -> int:
         return len(self.legs["radius"]) if self.legs else 0
 
     @cached_property
@@ -173,11 +198,9 @@ class Observer:
         """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
         about = {"format": OBSERVER_FORMAT, "schema": OBSERVER_SCHEMA, "hash": self.hash}
         arrays = {}
-        for name, value in _plain(self).items():
-            if isinstance(value, dict):
-                arrays |= {f"{name}.{key}": np.ascontiguousarray(one) for key, one in value.items()}
-            elif isinstance(value, np.ndarray):
-                arrays[name] = np.ascontiguousarray(value)
+        for (name, key), value in _flat(self).items():
+            if isinstance(value, np.ndarray):
+                arrays[name if key == name else f"{name}.{key}"] = value
             else:
                 about[name] = value
         with whole_file(path, force) as temporary:
@@ -229,7 +252,7 @@ def checked_observer(values: dict[str, Any], schema: int, path: Path) -> Observe
         )
     try:
         observer = _from_plain(values)
-        _check_weights(observer)
+        observer.running(whole=True)
     except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ObserverError(f"{path}: not a whole surefoot observer ({reason})") from error
@@ -304,18 +327,19 @@ def log_digest(log: Log) -> str:
     return digest.hexdigest()
 
 
-def _plain(observer: Observer) -> dict[str, Any]:
-    """Arrays, dicts of arrays, and plain Python values only."""
-    values: dict[str, Any] = {}
+def _flat(observer: Observer) -> dict[tuple[str, str], Any]:
+    """Arrays and plain values, by attribute and key in it, or the attribute again without keys."""
+    values: dict[tuple[str, str], Any] = {}
     for name in (f.name for f in fields(observer)):
         value = getattr(observer, name)
         if isinstance(value, np.ndarray):
-            value = value.astype(float)
+            value = value.astype(float, order="C")
         elif name == "logs":
             value = [log.plain() for log in value]
         elif isinstance(value, tuple):
             value = list(value)
-        values[name] = value
+        for key, one in (value if isinstance(value, dict) else {name: value}).items():
+            values[name, key] = np.ascontiguousarray(one) if isinstance(value, dict) else one
     return values
 
 
@@ -357,17 +381,3 @@ def _from_plain(values: dict[str, Any]) -> Observer:
         if weight.dtype != np.float32 or not np.isfinite(weight).all():
             raise ValueError(f"weights: {name} is not finite and float32")
     return Observer(**known)
-
-
-def _check_weights(observer: Observer) -> None:
-    """Raise ValueError or RuntimeError where the weights are not those of the architecture."""
-    if observer.model not in COMPILED:
-        _ = observer.network
-        return
-    body = COMPILED[observer.model].shapes(len(observer.input_mean), observer.width)
-    shapes = {f"body.{name}": shape for name, shape in body.items()}
-    shapes |= head_shapes(observer.width, LOSS_OUTPUTS[observer.loss], observer.leg_count)
-    found = {name: weight.shape for name, weight in observer.weights.items()}
-    if found != shapes:
-        wrong = sorted(name for name, _ in found.items() ^ shapes.items())
-        raise ValueError(f"weights: {wrong[0]} is not as {observer.model} has it")

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.models.observer.imu_mounting import Mounted, move_velocity, same_mounting
-from surefoot.models.observer.inference import COMPILED, Head, body_weights, cholesky_factor
+from surefoot.models.observer.inference import cholesky_factor
 from surefoot.models.observer.observer import Observer, ObserverError, check_robot
 from surefoot.models.observer.samples import body_velocity, observer_samples
-from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -89,18 +88,7 @@ class Loop:
         log.
         """
         self.observer = observer
-        if observer.model in COMPILED:
-            self._features = COMPILED[observer.model](body_weights(observer.weights))
-        elif whole or ARCHITECTURES[observer.model].causal:
-            from surefoot.models.observer.network import torch_features
-
-            self._features = torch_features(observer.network, whole)
-        else:
-            raise ObserverError(
-                f"the observer is a {observer.model}, which reads a log from both ends: it serves "
-                "whole logs, not a loop; train one with model gru"
-            )
-        self._head = Head(observer.weights)
+        self._outputs = observer.running(whole)
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """v_I (3,) [m/s], and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
@@ -114,8 +102,7 @@ class Loop:
 
     def steps(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """The same for the next samples x (M, S): v_I (M, 3), and covariances (M, 3, 3) or None."""
-        x = self.observer.scaled(x)
-        outputs = self._head(x, self._features(x))
+        outputs = self._outputs(self.observer.scaled(x))
         scale = self.observer.output_scale
         v_I = self.observer.output_mean + scale * outputs[:, :3].astype(float)
         if self.observer.loss != "gml":

@@ -23,7 +23,7 @@ import torch
 
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
 from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.device import CPU, move, torch_device
+from surefoot.models.observer.device import CPU, torch_device
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.inference import LOSS_OUTPUTS
 from surefoot.models.observer.network import Network, loss_of, numpy_weights
@@ -91,8 +91,7 @@ def train(
     with _one_thread():
         fitted = _fit(dataset, replace(settings, width=units), progress, partial)
         network = fitted.network
-        move(network, CPU)
-        network.load_state_dict(fitted.best)
+        network.to(CPU).load_state_dict(fitted.best)
         errors = _errors(network, dataset)
     return Observer(
         model=settings.model,
@@ -318,7 +317,7 @@ def _begin(dataset: Dataset, settings: TrainSettings, device: torch.device) -> T
     if network.odometry is not None:
         network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
     best = _kept_weights(network)
-    move(network, device)  # before Adam, which keeps its state where the weights are
+    network.to(device)  # before Adam, which keeps its state where the weights are
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
     return Training(network, optimiser, rng, best)
 
