@@ -42,8 +42,8 @@ Messages = Iterator[tuple[str, float, Any]]
 
 
 def export(file: str | Path, out: str | Path, force: bool = False) -> str:
-    """Write a log or an estimate as TUM (poses; of a log, its reference), CSV or MCAP, or convert an
-    observer of an earlier surefoot, by the suffix of `out`.
+    """Write a log or an estimate as TUM (poses; of a log, its reference), CSV or MCAP, or convert
+    an observer of an earlier surefoot, by the suffix of `out`.
 
     Returns a message for the user. Raises SurefootError, in one line.
     """

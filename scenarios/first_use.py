@@ -12,7 +12,7 @@ from surefoot.estimator.filter import CoverageSettings, InvariantFilter
 from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import bounded_velocities, imu_samples
 from surefoot.models.observer.gru import scan, scan_backward
-from surefoot.models.observer.inference import gru_states, head_outputs
+from surefoot.models.observer.inference import gru_states
 from surefoot.sim.common.gravity import GRAVITY
 
 
@@ -22,7 +22,6 @@ def compile_filters() -> None:
     states, saved = scan(np.zeros((2, 1, 12), np.float32), W, b, x[:1])
     scan_backward(states[1:], states, saved, W.reshape(12, 4))
     gru_states(x, x[0], W, b, W, b)
-    head_outputs(x, x, W, b, W[:, :0].copy(), b[:0], b[:0], b[:0], b[:0])
 
     t, still = np.arange(3) * 0.01, np.zeros((3, 3))
     accel = np.tile([0.0, 0.0, GRAVITY], (3, 1))

@@ -79,16 +79,18 @@ class Head:
     def __init__(self, weights: Weights, features: int, outputs: int, legs: int):
         """Raises as `linear` does."""
         self._linear = linear(weights, "head.weight", features, outputs)
-        self._gates = np.zeros((features, 0), np.float32), np.zeros(0, np.float32)
-        self._units = (self._gates[1],) * 3
+        self._odometry = ()
         if legs:
-            self._gates = linear(weights, "odometry.gates.weight", features, legs)
+            gates = linear(weights, "odometry.gates.weight", features, legs)
             sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs}
-            self._units = tuple(sized(weights, f"odometry.{n}", k) for n, k in sizes.items())
+            units = (sized(weights, f"odometry.{name}", size) for name, size in sizes.items())
+            self._odometry = *gates, *units
 
     def __call__(self, x: np.ndarray, features: np.ndarray) -> np.ndarray:
         """Outputs (T, 3 or 9) of scaled inputs x (T, C) and features (T, F)."""
-        return head_outputs(x, features, *self._linear, *self._gates, *self._units)
+        if not self._odometry:
+            return dense(features, *self._linear, 1)
+        return corrected_odometry(x, features, *self._linear, *self._odometry)
 
 
 def linear(weights: Weights, name: str, inputs: int, outputs: int) -> tuple[np.ndarray, np.ndarray]:
@@ -133,23 +135,23 @@ def mlp_features(x, apart, W_1, b_1, W_2, b_2):
 
 
 @kernel(nogil=True)
-def head_outputs(x, features, W, b, W_gates, b_gates, gain, mean, scale):
-    """Outputs of the head, with leg odometry if there are legs; see `dense` and `leg_velocity`."""
+def corrected_odometry(x, features, W, b, W_gates, b_gates, gain, mean, scale):
+    """Outputs of the head, added to leg odometry; arguments as for `dense` and `leg_velocity`."""
     outputs = dense(features, W, b, 1)
-    if len(b_gates) > 0:
-        v = leg_velocity(dense(features, W_gates, b_gates, 1), gain, mean, scale, x)
-        for t in range(len(v)):
-            for i in range(3):
-                outputs[t, i] += v[t, i]
+    v = leg_velocity(dense(features, W_gates, b_gates, 1), gain, mean, scale, x)
+    for t in range(len(v)):
+        for i in range(3):
+            outputs[t, i] += v[t, i]
     return outputs
 
 
 @kernel(inline="always")
 def rectified(y):
-    """max(y, 0) of a matrix, in place."""
+    """max(y, 0) of a matrix, in place; nan stays."""
     for t in range(y.shape[0]):
         for j in range(y.shape[1]):
-            y[t, j] = max(y[t, j], np.float32(0))
+            if y[t, j] < 0:
+                y[t, j] = 0
     return y
 
 
