@@ -22,7 +22,7 @@ def good_files(folder: Path) -> Path:
     log = synthetic_walk(0, 3.0, noise=0.1, robot="spot_class")
     stands = {f"contact_{leg}": np.ones(len(log.t)) for leg in LEGS}
     replace(log, frame=log.frame.assign(**stands)).write(folder / "walk.parquet")
-    observer_of_torch(FILES / "observer_q_dq_gml.pt").save(folder / "observer.pt")
+    observer_of_torch(FILES / "observer_q_dq_gml.pt").save(folder / "observer.safetensors")
     Bounds.load(FILES / "bounds.json").save(folder / "bounds.json")
     named = {
         "scenario.toml": good_texts.SCENARIO,
