@@ -123,8 +123,8 @@ study-bounds: OUT = out/bounds
 study-bounds: setup
 	$(BIN)/surefoot simulate $(addprefix vision60/,3cc3ccw room_scan 2cc2ccw 2ccw2cc 3ccw3cc slipped stroll) \
 		$(addprefix shift/,flat ice rough sideways slope) --workers 2 -o $(OUT)/logs
-	$(BIN)/surefoot train $(OUT)/logs/3CC3CCW_0.parquet --force -o $(OUT)/observer.pt
-	$(BIN)/surefoot calibrate $(OUT)/observer.pt $(OUT)/logs/RoomScan_0.parquet --force \
+	$(BIN)/surefoot train $(OUT)/logs/3CC3CCW_0.parquet --force -o $(OUT)/observer.safetensors
+	$(BIN)/surefoot calibrate $(OUT)/observer.safetensors $(OUT)/logs/RoomScan_0.parquet --force \
 		-o $(OUT)/bounds.json --report $(OUT)/report --page docs/results/bounds.md \
 		--on $$(ls $(OUT)/logs/*_0.parquet | grep -v RoomScan)
 

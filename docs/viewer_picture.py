@@ -30,7 +30,7 @@ def overview(demo: Path, path: Path) -> None:
     log = surefoot.Log.read(demo / "logs" / "walk.parquet")
     robot = surefoot.Robot.for_log(log)
     learnt = learnt_from(
-        (demo / "observer_mse.pt", demo / "observer_gml.pt"),
+        (demo / "observer_mse.safetensors", demo / "observer_gml.safetensors"),
         (demo / "bounds_mse.json", demo / "bounds_gml.json"),
     )
     drawn = [name for name in ESTIMATORS if traits(name).drawn]

@@ -8,7 +8,7 @@ from surefoot.sim.common.plugins import Registry
 ARCHITECTURES = Registry(
     "surefoot.architectures",
     {
-        "gru": "surefoot.models.observer.gru:GRU",
+        "gru": "surefoot.models.observer.architectures:GRU",
         "mlp": "surefoot.models.observer.architectures:MLP",
         "rnn": "surefoot.models.observer.architectures:RNN",
         "lstm": "surefoot.models.observer.architectures:LSTM",

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,9 @@ import pandas as pd
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_length
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage, coverage
+from surefoot.models.observer.predict import Prediction, predict, prediction_errors
 from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
@@ -54,11 +57,6 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.robot import Robot
-
-if TYPE_CHECKING:  # only a filter that has learnt needs torch
-    from surefoot.models.calibration.bounds import Bounds
-    from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
-    from surefoot.models.observer.predict import Prediction
 
 MEANINGS = {
     "APE_trans [m]": "position RMSE after aligning position and yaw at the first sample",
@@ -137,9 +135,6 @@ def compare_log(
         bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
         if bounded_by is None:
             continue
-        from surefoot.models.calibration.empirical_coverage import coverage
-        from surefoot.models.observer.predict import predict, prediction_errors
-
         observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):

@@ -1,4 +1,5 @@
-"""Export of logs and estimates: TUM and CSV, and MCAP for Foxglove, PlotJuggler or ROS 2.
+"""Export of logs and estimates: TUM and CSV, and MCAP for Foxglove, PlotJuggler or ROS 2; and of
+observers in the format of an earlier surefoot.
 
 In an MCAP file the IMU and the joints are ROS 2 messages, poses are Foxglove's PoseInFrame and
 FrameTransform as in its package foxglove_msgs for ROS 2. The file includes their definitions, so
@@ -33,7 +34,7 @@ _FOXGLOVE = {
 }
 WORLD, BODY = "world", "imu"
 """Frames G and I in an MCAP file."""
-FORMATS = (".tum", ".csv", ".mcap")
+FORMATS = (".tum", ".csv", ".mcap", ".safetensors")
 _UNKNOWN = -1.0
 """First element of a ROS covariance of an unmeasured quantity (sensor_msgs/Imu)."""
 Messages = Iterator[tuple[str, float, Any]]
@@ -41,14 +42,20 @@ Messages = Iterator[tuple[str, float, Any]]
 
 
 def export(file: str | Path, out: str | Path, force: bool = False) -> str:
-    """Write a log or an estimate as TUM (poses; of a log, its reference), CSV or MCAP, by the
-    suffix of `out`.
+    """Write a log or an estimate as TUM (poses; of a log, its reference), CSV or MCAP, or convert
+    an observer of an earlier surefoot, by the suffix of `out`.
 
     Returns a message for the user. Raises SurefootError, in one line.
     """
     file, out = Path(file), Path(out)
     if out.suffix not in FORMATS:
         raise SurefootError(f"{out}: give a file ending in {' or '.join(FORMATS)}")
+    if out.suffix == ".safetensors":
+        from surefoot.models.observer.earlier import observer_of_torch
+
+        observer = observer_of_torch(file)
+        observer.save(out, force)
+        return f"{out}: the observer {observer.hash[:12]} of {observer.robot}"
     kept = _read(file)
     if out.suffix == ".tum":
         poses = reference(kept) if isinstance(kept, Log) else kept

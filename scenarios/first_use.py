@@ -11,17 +11,17 @@ from surefoot.estimator.ego_velocity import ego_velocities
 from surefoot.estimator.filter import CoverageSettings, InvariantFilter
 from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import bounded_velocities, imu_samples
+from surefoot.models.observer.gru import scan, scan_backward
+from surefoot.models.observer.inference import gru_states
 from surefoot.sim.common.gravity import GRAVITY
 
 
 def compile_filters() -> None:
     """Run every kind of kernel on a few rows, in the order in which the demo needs them."""
-    import torch
-
-    from surefoot.models.observer.gru import GRU
-
-    inputs = torch.ones(2, 1, 3)
-    torch.sum(GRU(3, 4)(inputs)).backward()
+    x, W, b = (np.zeros(shape, np.float32) for shape in ((2, 4), (4, 12), 12))
+    states, saved = scan(np.zeros((2, 1, 12), np.float32), W, b, x[:1])
+    scan_backward(states[1:], states, saved, W.reshape(12, 4))
+    gru_states(x, x[0], W, b, W, b)
 
     t, still = np.arange(3) * 0.01, np.zeros((3, 3))
     accel = np.tile([0.0, 0.0, GRAVITY], (3, 1))

@@ -11,21 +11,92 @@ parameters.
 | tcn   | convolutions dilated by 1, 2, 4, 8, 16: 0.62 s back        | yes    |
 
 Each is a class with the interface of `surefoot.models.observer.network.Architecture`, registered by
-name in `surefoot.models.registry`. Before the start of a log, a window is filled with its first
+name in `surefoot.models.registry`. Trained ones of `gru` and `mlp` run without torch, in
+`surefoot.models.observer.inference`. Before the start of a log, a window is filled with its first
 sample, since the robot stood there.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
-from surefoot.models.observer.gru import GRU, draw_uniform
+from surefoot.models.observer.gru import scan, scan_backward
+from surefoot.models.observer.inference import CompiledMLP
 
 Stepper = Callable[[np.ndarray], np.ndarray]
+
+
+class _Recurrence(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, gates, W_hh, b_hh, h0):
+        """`scan` over (T, B, 3H) gates; returns the hidden states (T, B, H).
+
+        Args:
+            ctx: torch's context, keeps the arrays for `backward`.
+            gates: (T, B, 3H), the inputs' share of the gates.
+            W_hh: (3H, H), weights of the hidden state.
+            b_hh: (3H,), their biases.
+            h0: (B, H), the first hidden state.
+        """
+        W = W_hh.detach().numpy()
+        h, saved = scan(
+            gates.detach().contiguous().numpy(),
+            np.ascontiguousarray(W.T),
+            b_hh.detach().numpy(),
+            h0.detach().contiguous().numpy(),
+        )
+        ctx.arrays = (h, saved, np.ascontiguousarray(W))
+        return torch.from_numpy(h)[1:]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, dh_out):  # pyright: ignore[reportIncompatibleMethodOverride]
+        h, saved, W = ctx.arrays
+        d_in, d_rec, dh0 = scan_backward(dh_out.contiguous().numpy(), h, saved, W)
+        d_rec = torch.from_numpy(d_rec).flatten(0, 1)
+        dW = d_rec.T @ torch.from_numpy(h[:-1]).flatten(0, 1)
+        return torch.from_numpy(d_in), dW, d_rec.sum(0), torch.from_numpy(dh0)
+
+
+class GRU(torch.nn.Module):
+    """A GRU layer in float32, with torch.nn.GRU's equations and parameter names; on another device
+    than the CPU, where the compiled recurrence runs, with its own.
+
+    `forward(x (T, B, inputs), h0 (B, hidden) | None) -> h (T, B, hidden)`; no h0 means zeros.
+    """
+
+    width, rate = 64, 1e-2
+    receptive_field = None
+    causal = True
+
+    def __init__(self, inputs: int, hidden: int):
+        super().__init__()
+        self.features = hidden
+        self.weight_ih_l0 = torch.nn.Parameter(torch.empty(3 * hidden, inputs))
+        self.weight_hh_l0 = torch.nn.Parameter(torch.empty(3 * hidden, hidden))
+        self.bias_ih_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
+        self.bias_hh_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Uniform within 1/sqrt(hidden), as torch.nn.GRU does, drawn from `generator`."""
+        draw_uniform(self, self.features, generator)
+
+    def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
+        h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
+        if x.device.type != "cpu":
+            return self._by_torch(x, h0)
+        gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
+        return _Recurrence.apply(gates, self.weight_hh_l0, self.bias_hh_l0, h0)  # pyright: ignore[reportReturnType]
+
+    def _by_torch(self, x: torch.Tensor, h0: torch.Tensor) -> torch.Tensor:
+        weights = self.weight_ih_l0, self.weight_hh_l0, self.bias_ih_l0, self.bias_hh_l0
+        return torch.gru(x, h0[None], weights, True, 1, 0.0, self.training, False, False)[0]
 
 
 class Recurrent(torch.nn.Module):
@@ -74,7 +145,7 @@ class LSTM(Recurrent):
 
 
 class BiGRU(torch.nn.Module):
-    """A GRU from the log's start and one from its end. It sees the future, so it cannot step."""
+    """A GRU from the log's start and one from its end. It sees the future, so it has no stepper."""
 
     width, rate = 40, 1e-2
     receptive_field = None
@@ -93,9 +164,6 @@ class BiGRU(torch.nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return torch.cat((self.forwards(x), self.backwards(x.flip(0)).flip(0)), -1)
-
-    def stepper(self) -> Stepper:
-        raise NotImplementedError("a network that is not causal has no next step")
 
 
 class Windowed(torch.nn.Module):
@@ -139,7 +207,7 @@ class MLP(Windowed):
     """Two ReLU layers on 8 samples, 40 ms apart."""
 
     width, rate = 64, 1e-2
-    taps, apart = 8, 4
+    taps, apart = CompiledMLP.taps, CompiledMLP.apart
     receptive_field = (taps - 1) * apart + 1
 
     def __init__(self, inputs: int, width: int):
@@ -174,3 +242,10 @@ class TCN(Windowed):
         for dilation, block in zip(self.dilations, self.blocks, strict=True):
             h = h[..., 2 * dilation :] + torch.relu(block(h))
         return h.permute(2, 0, 1)
+
+
+def draw_uniform(layer: torch.nn.Module, width: int, generator: torch.Generator) -> None:
+    """Draw all weights of a layer uniformly within 1/sqrt(width)."""
+    k = 1 / math.sqrt(width)
+    for p in layer.parameters():
+        torch.nn.init.uniform_(p, -k, k, generator=generator)

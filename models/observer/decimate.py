@@ -7,6 +7,7 @@ itself; the observer learns to compensate for the delay.
 """
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
@@ -65,13 +66,14 @@ def decimate(t: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     that row, by the actual time stamps; at the start of the log, of those that exist.
     """
     first = np.searchsorted(t, t[rows] - ANTI_ALIAS_SPAN, side="right")
-    total = np.zeros((len(rows), x.shape[1]))
-    norm = np.zeros(len(rows))
-    for back in range(int((rows - first).max()) + 1 if len(rows) else 0):
-        row = np.maximum(rows - back, 0)
-        weight = np.where(rows - back >= first, anti_alias(t[rows] - t[row]), 0.0)
-        total += weight[:, None] * x[row]
-        norm += weight
+    back = np.arange(int((rows - first).max()) + 1 if len(rows) else 0)
+    row = rows[:, None] - back
+    inside, row = row >= first[:, None], np.maximum(row, 0)
+    weights = np.where(inside, anti_alias(t[rows][:, None] - t[row]), 0.0)
+    # One row of the matrix for each output.
+    ends = len(back) * np.arange(len(rows) + 1)
+    mean = csr_array((weights.ravel(), row.ravel(), ends), shape=(len(rows), len(t)))
+    norm = mean @ np.ones(len(t))
     alone = norm <= 1e-6
-    filtered = total / np.where(alone, 1.0, norm)[:, None]
+    filtered = mean @ x / np.where(alone, 1.0, norm)[:, None]
     return np.where(alone[:, None], x[rows], filtered)

@@ -1,5 +1,4 @@
-"""One layer of gated recurrent units over whole sequences, with compiled forward and backward
-passes.
+"""One layer of gated recurrent units over whole sequences, in compiled loops, forward and backward.
 
     r = sigmoid(g_r + W_r h + b_r)
     z = sigmoid(g_z + W_z h + b_z)
@@ -7,18 +6,13 @@ passes.
     h' = (1 - z) n + z h
 
 with g = W_x x + b_x the contribution of the inputs, computed beforehand for all steps at once.
-Equations and weight layout are those of torch.nn.GRU, whose state dict fits. With 64 units and
-small batches, torch spends more time per step in dispatch than in arithmetic: forward and backward
-through 1000 steps of 4 windows took torch.nn.GRU (2.13, one thread) 8 times as long as this loop,
-as did a whole log without gradients, and 8 windows 5 times.
+Equations and weight layout are those of torch.nn.GRU. Training and running share `scan`. With 64
+units and small batches, torch spends more time per step in dispatch than in arithmetic: forward and
+backward through 1000 steps of 4 windows took torch.nn.GRU (2.13, one thread) 8 times as long as
+this loop, as did a whole log without gradients, and 8 windows 5 times.
 """
 
-import math
-from collections.abc import Callable
-
 import numpy as np
-import torch
-from torch.autograd.function import once_differentiable
 
 from surefoot.sim.common.kernels import kernel
 
@@ -78,29 +72,6 @@ def scan(gates: np.ndarray, W: np.ndarray, b: np.ndarray, h0: np.ndarray):
 
 
 @kernel(nogil=True)
-def gru_step(x, h, W_x, b_x, W_h, b_h):
-    """One step without a batch, for a robot's own loop: the next h (H,).
-
-    All arrays are float32 and contiguous.
-
-    Args:
-        x: (C,), inputs of the layer.
-        h: (H,), its hidden state.
-        W_x: (C, 3H), weights of the inputs, transposed.
-        b_x: (3H,), their biases.
-        W_h: (H, 3H), weights of the hidden state, transposed.
-        b_h: (3H,), their biases.
-    """
-    gates = b_x.copy()
-    for k in range(x.shape[0]):
-        xk = x[k]
-        for j in range(gates.shape[0]):
-            gates[j] += xk * W_x[k, j]
-    states, _ = scan(gates.reshape(1, 1, -1), W_h, b_h, h.reshape(1, -1))
-    return states[1, 0]
-
-
-@kernel(nogil=True)
 def scan_backward(dh_out: np.ndarray, h: np.ndarray, saved: np.ndarray, W: np.ndarray):
     """Reverse mode of `scan`: back-propagation through time.
 
@@ -130,88 +101,3 @@ def scan_backward(dh_out: np.ndarray, h: np.ndarray, saved: np.ndarray, W: np.nd
                 for j in range(H):
                     d[j] += dk * W[k, j]
     return d_in, d_rec, dh
-
-
-class _Recurrence(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, gates, W_hh, b_hh, h0):
-        """`scan` over (T, B, 3H) gates; returns the hidden states (T, B, H).
-
-        Args:
-            ctx: torch's context, keeps the arrays for `backward`.
-            gates: (T, B, 3H), the inputs' share of the gates.
-            W_hh: (3H, H), weights of the hidden state.
-            b_hh: (3H,), their biases.
-            h0: (B, H), the first hidden state.
-        """
-        W = W_hh.detach().numpy()
-        h, saved = scan(
-            gates.detach().contiguous().numpy(),
-            np.ascontiguousarray(W.T),
-            b_hh.detach().numpy(),
-            h0.detach().contiguous().numpy(),
-        )
-        ctx.arrays = (h, saved, np.ascontiguousarray(W))
-        return torch.from_numpy(h)[1:]
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx, dh_out):  # pyright: ignore[reportIncompatibleMethodOverride]
-        h, saved, W = ctx.arrays
-        d_in, d_rec, dh0 = scan_backward(dh_out.contiguous().numpy(), h, saved, W)
-        d_rec = torch.from_numpy(d_rec).flatten(0, 1)
-        dW = d_rec.T @ torch.from_numpy(h[:-1]).flatten(0, 1)
-        return torch.from_numpy(d_in), dW, d_rec.sum(0), torch.from_numpy(dh0)
-
-
-class GRU(torch.nn.Module):
-    """A GRU layer on the CPU in float32, with torch.nn.GRU's equations and parameter names.
-
-    `forward(x (T, B, inputs), h0 (B, hidden) | None) -> h (T, B, hidden)`; no h0 means zeros.
-    `stepper()` returns a function for a robot's own loop, from x (inputs,) to h (hidden,), that
-    keeps the state.
-    """
-
-    width, rate = 64, 1e-2
-    receptive_field = None
-    causal = True
-
-    def __init__(self, inputs: int, hidden: int):
-        super().__init__()
-        self.features = hidden
-        self.weight_ih_l0 = torch.nn.Parameter(torch.empty(3 * hidden, inputs))
-        self.weight_hh_l0 = torch.nn.Parameter(torch.empty(3 * hidden, hidden))
-        self.bias_ih_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
-        self.bias_hh_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
-
-    def initialise(self, generator: torch.Generator) -> None:
-        """Uniform within 1/sqrt(hidden), as torch.nn.GRU does, drawn from `generator`."""
-        draw_uniform(self, self.features, generator)
-
-    def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
-        gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
-        h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
-        return _Recurrence.apply(gates, self.weight_hh_l0, self.bias_hh_l0, h0)  # pyright: ignore[reportReturnType]
-
-    def stepper(self) -> Callable[[np.ndarray], np.ndarray]:
-        W_x, W_h = _transposed(self.weight_ih_l0), _transposed(self.weight_hh_l0)
-        b_x, b_h = self.bias_ih_l0.detach().numpy(), self.bias_hh_l0.detach().numpy()
-        h = np.zeros(self.features, np.float32)
-
-        def one(x: np.ndarray) -> np.ndarray:
-            nonlocal h
-            h = gru_step(x, h, W_x, b_x, W_h, b_h)
-            return h
-
-        return one
-
-
-def draw_uniform(layer: torch.nn.Module, width: int, generator: torch.Generator) -> None:
-    """Draw all weights of a layer uniformly within 1/sqrt(width)."""
-    k = 1 / math.sqrt(width)
-    for p in layer.parameters():
-        torch.nn.init.uniform_(p, -k, k, generator=generator)
-
-
-def _transposed(weight: torch.Tensor) -> np.ndarray:
-    return np.ascontiguousarray(weight.detach().numpy().T)

@@ -19,12 +19,8 @@ import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from surefoot.models.observer.odometry import Odometry
+from surefoot.models.observer.inference import SMALLEST, Features
 from surefoot.models.registry import ARCHITECTURES
-
-LOSS_OUTPUTS = {"mse": 3, "gml": 9}
-SMALLEST = 1e-3
-"""Lower bound of L's diagonal; without one, the likelihood is unbounded for a perfect fit."""
 
 
 class Architecture(Protocol):
@@ -59,7 +55,8 @@ class Architecture(Protocol):
 
     def stepper(self) -> Callable[[np.ndarray], np.ndarray]:
         """The same sample by sample: a function from x (inputs,) to features (features,) with its
-        own state. Called for causal architectures only.
+        own state. Called for causal architectures only, and for none that is compiled
+        (`surefoot.models.observer.inference`).
         """
         ...
 
@@ -105,17 +102,64 @@ class Network(torch.nn.Module):
         return sum(p.numel() for p in self.parameters())
 
 
-def cholesky_factor(outputs: torch.Tensor) -> torch.Tensor:
-    """Lower-triangular L (..., 3, 3) with a positive diagonal, from the head's outputs (..., 9)."""
-    d = softplus(outputs[..., 3:6]) + SMALLEST
-    a = outputs[..., 6:9]
-    zero = torch.zeros_like(d[..., 0])
-    rows = (
-        torch.stack((d[..., 0], zero, zero), -1),
-        torch.stack((a[..., 0], d[..., 1], zero), -1),
-        torch.stack((a[..., 1], a[..., 2], d[..., 2]), -1),
-    )
-    return torch.stack(rows, -2)
+class Odometry(torch.nn.Module):
+    """The sum over the L legs of `surefoot.models.observer.odometry`, in the network's units; x
+    (..., C) ends with the velocities.
+
+    Untrained, it is plain odometry: equal weights of all legs, gain 1.
+    `mean` and `scale` (3 L,) convert a scaled velocity of a contact point to the output's units.
+    """
+
+    mean: torch.Tensor
+    scale: torch.Tensor
+
+    def __init__(self, features: int, legs: int):
+        super().__init__()
+        self.gates = torch.nn.Linear(features, legs)
+        torch.nn.init.zeros_(self.gates.weight)
+        torch.nn.init.zeros_(self.gates.bias)
+        self.gain = torch.nn.Parameter(torch.ones(3))
+        self.register_buffer("mean", torch.zeros(3 * legs))
+        self.register_buffer("scale", torch.ones(3 * legs))
+
+    def set_units(self, mean: np.ndarray, scale: np.ndarray, output_scale: np.ndarray) -> None:
+        """Set the units from the inputs' mean and scale (C,), and the outputs' scale (3,) [m/s]."""
+        columns = len(self.mean)
+        unit = np.tile(output_scale, columns // 3)
+        self.mean.copy_(torch.from_numpy(mean[-columns:] / unit))
+        self.scale.copy_(torch.from_numpy(scale[-columns:] / unit))
+
+    def forward(self, x: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+        u = (self.mean + self.scale * x[..., -len(self.mean) :]).unflatten(-1, (-1, 3))
+        w = torch.softmax(self.gates(features), -1)
+        return -self.gain * (w[..., None] * u).sum(-2)
+
+
+def numpy_weights(network: Network) -> dict[str, np.ndarray]:
+    """A copy of a network's weights, as an observer has them."""
+    return {n: w.detach().cpu().numpy().copy() for n, w in network.state_dict().items()}
+
+
+def torch_features(network: Network, whole: bool) -> Features:
+    """Function that computes the features of a network's architecture by torch.
+
+    Args:
+        network: whose architecture is causal, unless the log is whole.
+        whole: whether the one call has the whole log; otherwise it goes sample by sample.
+    """
+    body = network.body
+    step = None if whole else body.stepper()
+
+    @torch.no_grad()
+    def run(x: np.ndarray) -> np.ndarray:
+        x = x.copy()  # an architecture may write to its input
+        if step is None:
+            features = body(torch.from_numpy(x[:, None]))[:, 0].numpy()
+        else:
+            features = np.array([step(row) for row in x], np.float32)
+        return features.reshape(len(x), body.features)
+
+    return run
 
 
 def loss_of(kind: str, outputs: torch.Tensor, target: torch.Tensor) -> torch.Tensor:

@@ -2,39 +2,48 @@
 
 An Observer is data: weights, inputs and their scales, robot and IMU mounting, and the logs it was
 trained on. `surefoot.models.observer.predict` runs it and `surefoot.models.observer.training`
-creates it.
+creates it. Its file has the safetensors format: arrays, and all else as JSON in the metadata.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from zipfile import is_zipfile
 
 import numpy as np
-import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
 from surefoot.models.observer.imu_mounting import Mounted
-from surefoot.models.observer.network import LOSS_OUTPUTS, Network
+from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
     check_leg_geometry,
     contact_points,
 )
+from surefoot.models.observer.settings import INSTALL_TORCH
 from surefoot.models.registry import ARCHITECTURES, LOSSES
 from surefoot.sim.common.errors import SurefootError, check_known, unknown
 from surefoot.sim.common.files import whole_file
-from surefoot.sim.common.limits import admitted
+from surefoot.sim.common.limits import admitted, parse_json
 from surefoot.sim.common.quaternion import check_rotation
 from surefoot.sim.log import Log
 
+if TYPE_CHECKING:
+    from surefoot.models.observer.network import Network
+
 OBSERVER_FORMAT = "surefoot observer"
-OBSERVER_SCHEMA = 2
+METADATA = "surefoot"
+"""Key of the JSON in the metadata."""
+OBSERVER_SCHEMA = 3
+"""3: of the safetensors format. Schema 2, of surefoot 0.1.0, was a file of torch."""
 WIDEST = 4096
 """Widest layer that a checkpoint may request memory for."""
 INPUTS = ("q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet")
@@ -73,7 +82,7 @@ class Observer:
     Attributes:
         model: name of the architecture.
         width: of its layers.
-        weights: its state dict.
+        weights: of the whole network, in float32, by the names of torch's state dict.
         inputs: joint groups, concatenated in the order of `joints`.
         joints: names.
         input_mean: of the inputs.
@@ -96,7 +105,7 @@ class Observer:
 
     model: str
     width: int
-    weights: dict[str, torch.Tensor]
+    weights: dict[str, np.ndarray]
     inputs: tuple[str, ...]
     joints: tuple[str, ...]
     input_mean: np.ndarray
@@ -123,26 +132,58 @@ class Observer:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of everything above, by which bounds identify their observer."""
-        digest = hashlib.sha256()
-        for name, value in sorted(_plain(self).items()):
-            tensors = value if isinstance(value, dict) else {name: value}
-            for key, item in sorted(tensors.items()):
-                if isinstance(item, torch.Tensor):
-                    item = {"shape": list(item.shape), "dtype": str(item.dtype)}, item
-                    digest.update(json.dumps([name, key, item[0]]).encode())
-                    digest.update(item[1].detach().contiguous().numpy().tobytes())
-                else:
-                    digest.update(json.dumps([name, key, item]).encode())
+        digest, values = hashlib.sha256(), _flat(self)
+        for name in sorted(values):
+            value = about = values[name]
+            if isinstance(value, np.ndarray):
+                # The names of types are torch's, as bounds of 0.1.0 know their observers by it.
+                about = {"shape": list(value.shape), "dtype": f"torch.{value.dtype}"}
+            digest.update(json.dumps([*name, about]).encode())
+            if isinstance(value, np.ndarray):
+                digest.update(value.tobytes())
         return digest.hexdigest()
 
     @cached_property
     def network(self) -> Network:
-        """The network with these weights, ready to run."""
+        """The network with these weights, in torch. Raises RuntimeError for those of another."""
+        import torch
+
+        from surefoot.models.observer.network import Network
+
         inputs, outputs = len(self.input_mean), LOSS_OUTPUTS[self.loss]
-        legs = len(self.legs["radius"]) if self.legs else 0
-        network = Network(self.model, inputs, outputs, self.width, legs)
-        network.load_state_dict(self.weights)
+        network = Network(self.model, inputs, outputs, self.width, self._leg_count)
+        network.load_state_dict({n: torch.from_numpy(w) for n, w in self.weights.items()})
         return network.eval()
+
+    def running(self, whole: bool) -> Callable[[np.ndarray], np.ndarray]:
+        """A function from scaled inputs (T, C), from a log's first sample or the one after the last
+        call, to outputs of the head (T, 3 or 9).
+
+        Raises ObserverError for a model that is not causal, unless the one call has the `whole`
+        log; LookupError, ValueError or RuntimeError for weights of another network.
+        """
+        if self.model in COMPILED:
+            features, body = self.width, COMPILED[self.model]
+            body = body(self.weights, len(self.input_mean), features)
+        elif whole or ARCHITECTURES[self.model].causal:
+            from surefoot.models.observer.network import torch_features
+
+            features, body = self.network.body.features, torch_features(self.network, whole)
+        else:
+            raise ObserverError(
+                f"the observer is a {self.model}, which reads a log from both ends: it serves "
+                "whole logs, not a loop; train one with model gru"
+            )
+        head = Head(self.weights, features, LOSS_OUTPUTS[self.loss], self._leg_count)
+
+        def run(x: np.ndarray) -> np.ndarray:
+            return head(x, body(x))
+
+        return run
+
+    @property
+    def _leg_count(self) -> int:
+        return len(self.legs["radius"]) if self.legs else 0
 
     @cached_property
     def _kinematics(self) -> Kinematics | None:
@@ -151,44 +192,80 @@ class Observer:
     def scaled(self, x: np.ndarray) -> np.ndarray:
         """Inputs (M, C) as the network takes them, float32, of `signals` (M, S), unscaled."""
         x = observer_inputs(self.inputs, self._kinematics, x)
-        return ((x - self.input_mean) / self.input_scale).astype(np.float32)
+        return ((x - self.input_mean) / self.input_scale).astype(np.float32, order="C")
 
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
         about = {"format": OBSERVER_FORMAT, "schema": OBSERVER_SCHEMA, "hash": self.hash}
+        arrays = {}
+        for (name, key), value in _flat(self).items():
+            if isinstance(value, np.ndarray):
+                arrays[name if key == name else f"{name}.{key}"] = value
+            else:
+                about[name] = value
         with whole_file(path, force) as temporary:
-            temporary.write_bytes(torch_bytes(about | _plain(self)))
+            temporary.write_bytes(save(arrays, {METADATA: json.dumps(about)}))
 
     @classmethod
     def load(cls, path: str | Path) -> Observer:
-        """Read the observer at `path`. Raises ObserverError, one line, where it is none or
-        damaged.
+        """Read the observer at `path`. Raises ObserverError, one line, where it is none or damaged,
+        or where its architecture runs in torch, which is not installed.
         """
         try:
             path = admitted(path, "piece")
         except SurefootError as error:
             raise ObserverError(str(error)) from None
-        try:
-            values: Any = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:
-            # torch raises many types here, depending on the file's contents.
-            raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
-        if not isinstance(values, dict) or values.get("format") != OBSERVER_FORMAT:
-            raise ObserverError(f"{path}: a torch file, but not a surefoot observer")
-        if values.get("schema") != OBSERVER_SCHEMA:
+        if is_zipfile(path):
             raise ObserverError(
-                f"{path}: of schema {values.get('schema')}, this surefoot reads "
-                f"{OBSERVER_SCHEMA}; train it again"
+                f"{path}: a file of PyTorch; if it is an observer of an earlier surefoot, convert "
+                f"it: surefoot export {path} -o NEW.safetensors"
             )
         try:
-            observer = _from_plain(values)
-            _ = observer.network
-        except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise ObserverError(f"{path}: not a whole surefoot observer ({reason})") from error
-        if observer.hash != values.get("hash"):
-            raise ObserverError(f"{path}: damaged, its contents do not match their digest")
-        return observer
+            with safe_open(path, "numpy") as file:
+                about = parse_json((file.metadata() or {})[METADATA])
+                values = about | {"weights": {}, "legs": {}}
+                for name in file.keys():  # noqa: SIM118, it is no mapping
+                    group, dot, key = name.partition(".")
+                    among, key = (values[group], key) if dot else (values, name)
+                    among[key] = np.array(file.get_tensor(name))
+        except (SafetensorError, OSError, LookupError, TypeError, ValueError) as error:
+            raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
+        return checked_observer(values, OBSERVER_SCHEMA, path)
+
+
+def checked_observer(values: dict[str, Any], schema: int, path: Path) -> Observer:
+    """The observer of a file's contents. Raises ObserverError, one line, where it is not whole, or
+    its architecture runs in torch, which is not installed.
+
+    Args:
+        values: of its attributes, as plain values, arrays and dicts of arrays; format, schema and
+            hash.
+        schema: that the file must have.
+        path: of the file.
+    """
+    if values.get("format") != OBSERVER_FORMAT:
+        raise ObserverError(f"{path}: not a surefoot observer")
+    if values.get("schema") != schema:
+        raise ObserverError(
+            f"{path}: of schema {values.get('schema')}, this surefoot reads {schema}; train it "
+            "again"
+        )
+    try:
+        observer = _from_plain(values)
+        observer.running(whole=True)
+    except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ObserverError(f"{path}: not a whole surefoot observer ({reason})") from error
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise ObserverError(
+            f"{path}: its architecture runs in PyTorch, unlike {' and '.join(COMPILED)}; "
+            f"{INSTALL_TORCH}"
+        ) from None
+    if observer.hash != values.get("hash"):
+        raise ObserverError(f"{path}: damaged, its contents do not match their digest")
+    return observer
 
 
 def check_robot(
@@ -242,26 +319,6 @@ def check_network(model: str, loss: str) -> None:
     check_known("loss", loss, LOSSES, ObserverError)
 
 
-def torch_bytes(values: dict[str, Any]) -> bytes:
-    """Serialise plain values as a torch file; equal values give equal bytes, and tensors are on the
-    CPU.
-    """
-
-    def own(value: Any) -> Any:
-        """Copy with tensors that share no memory, and each object once."""
-        if isinstance(value, torch.Tensor):
-            return value.detach().cpu().clone(memory_format=torch.contiguous_format)
-        if isinstance(value, dict):
-            return {key: own(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return type(value)(own(item) for item in value)
-        return value
-
-    stream = BytesIO()  # given a path, torch writes the path's name into the file
-    torch.save(own(values), stream)
-    return stream.getvalue()
-
-
 def log_digest(log: Log) -> str:
     """SHA-256 of a log's time and joint positions, independent of its name."""
     digest = hashlib.sha256(",".join(log.joints).encode())
@@ -270,28 +327,24 @@ def log_digest(log: Log) -> str:
     return digest.hexdigest()
 
 
-def _plain(observer: Observer) -> dict[str, Any]:
-    """Tensors and plain Python values only, as a checkpoint without pickle requires."""
-    values: dict[str, Any] = {}
+def _flat(observer: Observer) -> dict[tuple[str, str], Any]:
+    """Arrays and plain values, by attribute and key in it, or the attribute again without keys."""
+    values: dict[tuple[str, str], Any] = {}
     for name in (f.name for f in fields(observer)):
         value = getattr(observer, name)
         if isinstance(value, np.ndarray):
-            value = torch.from_numpy(np.array(value, dtype=float))
+            value = value.astype(float, order="C")
         elif name == "logs":
             value = [log.plain() for log in value]
         elif isinstance(value, tuple):
             value = list(value)
-        values[name] = value
+        for key, one in (value if isinstance(value, dict) else {name: value}).items():
+            values[name, key] = np.ascontiguousarray(one) if isinstance(value, dict) else one
     return values
 
 
 def _from_plain(values: dict[str, Any]) -> Observer:
-    # Checkpoints from before leg odometry have no legs.
-    values = {"legs": {}} | values
     known: dict[str, Any] = {f.name: values[f.name] for f in fields(Observer)}
-    for name, value in known.items():
-        if isinstance(value, torch.Tensor):
-            known[name] = value.numpy()
     known["logs"] = tuple(
         TrainingLog(log["name"], log["sha256"], tuple(log.get("warnings", ())))
         for log in known["logs"]
@@ -325,6 +378,6 @@ def _from_plain(values: dict[str, Any]) -> Observer:
     if min(known["input_scale"].min(), known["output_scale"].min()) <= 0:
         raise ValueError("a scale is not positive")
     for name, weight in known["weights"].items():
-        if weight.dtype != torch.float32 or not bool(torch.isfinite(weight).all()):
+        if weight.dtype != np.float32 or not np.isfinite(weight).all():
             raise ValueError(f"weights: {name} is not finite and float32")
     return Observer(**known)

@@ -12,11 +12,9 @@ Speeds beyond those of the training walks are extrapolated by the kinematics, no
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.sim.common.errors import SurefootError
@@ -24,7 +22,7 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import Legs, leg_forward
 
-LegGeometry = dict[str, torch.Tensor]
+LegGeometry = dict[str, np.ndarray]
 """The fields of surefoot.sim.robot.kinematics.Legs, and `radius` (L,) of the feet [m], as stored in
 a checkpoint for a robot with L legs. Those of version 0.1.0, with three joints per leg, have no
 `joints` and no `joint_count`.
@@ -42,14 +40,14 @@ def leg_geometry(robot: Mounted, joints: tuple[str, ...]) -> LegGeometry:
             "cannot be computed"
         )
     values = robot.legs._asdict() | {"radius": robot.foot_radius}
-    return {name: torch.from_numpy(np.array(value, dtype=float)) for name, value in values.items()}
+    return {name: np.array(value, dtype=float) for name, value in values.items()}
 
 
 def complete_geometry(geometry: LegGeometry) -> LegGeometry:
     """Add missing `joints` and `joint_count`, for three consecutive joints per leg."""
     legs = len(geometry.get("radius", ()))
-    in_turn = torch.arange(3 * legs, dtype=torch.float64).reshape(legs, 3)
-    return {"joints": in_turn, "joint_count": torch.full((legs,), 3.0).double()} | geometry
+    in_turn = np.arange(3.0 * legs).reshape(legs, 3)
+    return {"joints": in_turn, "joint_count": np.full(legs, 3.0)} | geometry
 
 
 def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
@@ -69,12 +67,12 @@ def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:
         raise ValueError("legs is not the geometry of legs")
     for name, shape in shapes.items():
         value = geometry[name]
-        if tuple(value.shape) != shape or value.dtype != torch.float64:
+        if value.shape != shape or value.dtype != float:
             raise ValueError(f"legs: {name} is not of shape {shape} and float64")
-        if not bool(torch.isfinite(value).all()):
+        if not np.isfinite(value).all():
             raise ValueError(f"legs: {name} is not finite")
     order, count = geometry["joints"], geometry["joint_count"]
-    if not bool(((order >= 0) & (order < joints)).all() and ((count >= 1) & (count <= per)).all()):
+    if not (((order >= 0) & (order < joints)).all() and ((count >= 1) & (count <= per)).all()):
         raise ValueError(f"legs: joints are not within the robot's {joints}")
 
 
@@ -151,67 +149,27 @@ def _contact_points(known, q, dq, omega):
     return found
 
 
-class Odometry(torch.nn.Module):
-    """The sum over the L legs above, in the network's units; x (..., C) ends with the velocities.
+@kernel(nogil=True)
+def leg_velocity(w, gain, mean, scale, x):
+    """Velocities (T, 3) by the legs, weighted by a softmax over them, in units of the output.
 
-    Untrained, it is plain odometry: equal weights of all legs, gain 1.
-    `mean` and `scale` (3 L,) convert a scaled velocity of a contact point to the output's units.
-    """
-
-    mean: torch.Tensor
-    scale: torch.Tensor
-
-    def __init__(self, features: int, legs: int):
-        super().__init__()
-        self.gates = torch.nn.Linear(features, legs)
-        torch.nn.init.zeros_(self.gates.weight)
-        torch.nn.init.zeros_(self.gates.bias)
-        self.gain = torch.nn.Parameter(torch.ones(3))
-        self.register_buffer("mean", torch.zeros(3 * legs))
-        self.register_buffer("scale", torch.ones(3 * legs))
-
-    def set_units(self, mean: np.ndarray, scale: np.ndarray, output_scale: np.ndarray) -> None:
-        """Set the units from the inputs' mean and scale (C,), and the outputs' scale (3,) [m/s]."""
-        columns = len(self.mean)
-        unit = np.tile(output_scale, columns // 3)
-        self.mean.copy_(torch.from_numpy(mean[-columns:] / unit))
-        self.scale.copy_(torch.from_numpy(scale[-columns:] / unit))
-
-    def forward(self, x: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
-        u = (self.mean + self.scale * x[..., -len(self.mean) :]).unflatten(-1, (-1, 3))
-        w = torch.softmax(self.gates(features), -1)
-        return -self.gain * (w[..., None] * u).sum(-2)
-
-    def stepper(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """The same for one sample: a function from x (C,) and features to (3,)."""
-        parameters = (self.gates.weight, self.gates.bias, self.gain, self.mean, self.scale)
-        W, b, gain, mean, scale = (np.ascontiguousarray(p.detach().numpy()) for p in parameters)
-        return lambda x, features: _odometry(W, b, gain, mean, scale, x, features)
-
-
-@kernel
-def _odometry(W, b, gain, mean, scale, x, features):
-    """Velocity (3,) by the legs, weighted by a softmax over them, in units of the output.
+    All arrays are float32 and contiguous.
 
     Args:
-        W: (L, F), weights of the features for each leg.
-        b: (L,), biases.
+        w: (T, L), outputs of the gates.
         gain: (3,), factor of each axis.
         mean: (3 L,), of the legs' velocities.
         scale: (3 L,), their standard deviation.
-        x: (C,), normalised inputs; the last 3 L are the legs' velocities.
-        features: (F,), of the network.
+        x: (T, C), normalised inputs; the last 3 L are the legs' velocities.
     """
-    w = b.copy()
-    for leg in range(len(b)):
-        for k in range(len(features)):
-            w[leg] += W[leg, k] * features[k]
-    w = np.exp(w - w.max())
-    w /= w.sum()
-    v = np.zeros(3, np.float32)
-    first = len(x) - len(mean)
-    for leg in range(len(b)):
-        for i in range(3):
-            j = 3 * leg + i
-            v[i] -= gain[i] * w[leg] * (mean[j] + scale[j] * x[first + j])
+    T, legs = w.shape
+    v = np.zeros((T, 3), np.float32)
+    first = x.shape[1] - len(mean)
+    for t in range(T):
+        share = np.exp(w[t] - w[t].max())
+        share /= share.sum()
+        for leg in range(legs):
+            for i in range(3):
+                j = 3 * leg + i
+                v[t, i] -= gain[i] * share[leg] * (mean[j] + scale[j] * x[t, first + j])
     return v

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from surefoot.models.observer.imu_mounting import Mounted, move_velocity, same_mounting
-from surefoot.models.observer.network import cholesky_factor
+from surefoot.models.observer.inference import cholesky_factor
 from surefoot.models.observer.observer import Observer, ObserverError, check_robot
 from surefoot.models.observer.samples import body_velocity, observer_samples
 from surefoot.sim.log import Log
@@ -45,11 +44,8 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     robot = Robot.for_log(log) if robot is None else robot
     check_robot(observer, robot, log.joints, f"{log.name}: ")
     seen = observer_samples(log, observer.inputs)
-    x = torch.from_numpy(observer.scaled(seen.x))
-    with torch.no_grad():
-        outputs = observer.network(x[:, None, :])
     with np.errstate(over="ignore", invalid="ignore"):  # of extreme weights, refused below
-        v_I, covariance = _physical(observer, outputs[:, 0].numpy())
+        v_I, covariance = Loop(observer, whole=True).steps(seen.x)
     parts = v_I if covariance is None else np.hstack([v_I, covariance.reshape(len(v_I), 9)])
     sound = (np.abs(parts) < _LARGEST).all()  # not of nan
     if not sound or (covariance is not None and np.linalg.eigvalsh(covariance).min() <= 0.0):
@@ -82,23 +78,17 @@ def prediction_errors(
 class Loop:
     """An observer in a robot's own loop: one call every 10 ms, keeping its state between calls.
 
-    A `gru` steps in compiled code. Raises ObserverError for a model that is not causal.
+    A `gru` and an `mlp` step in compiled code.
     """
 
-    def __init__(self, observer: Observer):
-        """Start as at the beginning of a log."""
-        body = observer.network.body
-        if not body.causal:
-            raise ObserverError(
-                f"the observer is a {observer.model}, which reads a log from both ends: it serves "
-                "whole logs, not a loop; train one with model gru"
-            )
+    def __init__(self, observer: Observer, whole: bool = False):
+        """Start as at the beginning of a log.
+
+        Raises ObserverError for a model that is not causal, unless the one call has the `whole`
+        log.
+        """
         self.observer = observer
-        self._features = body.stepper()
-        head, odometry = observer.network.head, observer.network.odometry
-        self._odometry = odometry.stepper() if odometry is not None else None
-        self._weight = np.ascontiguousarray(head.weight.detach().numpy().T)
-        self._bias = head.bias.detach().numpy()
+        self._outputs = observer.running(whole)
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """v_I (3,) [m/s], and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
@@ -107,19 +97,15 @@ class Loop:
         tau, gyro, contact where the inputs need them. The filter is that of
         surefoot.models.observer.decimate over the samples of the last 20 ms.
         """
-        scaled = self.observer.scaled(x[None])[0]
-        features = self._features(scaled)
-        outputs = (features @ self._weight + self._bias)[None]
-        if self._odometry is not None:
-            outputs[0, :3] += self._odometry(scaled, features)
-        v_I, covariance = _physical(self.observer, outputs)
+        v_I, covariance = self.steps(x[None])
         return v_I[0], None if covariance is None else covariance[0]
 
-
-def _physical(observer: Observer, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    scale = observer.output_scale
-    v_I = observer.output_mean + scale * outputs[:, :3].astype(float)
-    if observer.loss != "gml":
-        return v_I, None
-    L = scale[:, None] * cholesky_factor(torch.from_numpy(outputs)).double().numpy()
-    return v_I, L @ L.swapaxes(-1, -2)
+    def steps(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """The same for the next samples x (M, S): v_I (M, 3), and covariances (M, 3, 3) or None."""
+        outputs = self._outputs(self.observer.scaled(x))
+        scale = self.observer.output_scale
+        v_I = self.observer.output_mean + scale * outputs[:, :3].astype(float)
+        if self.observer.loss != "gml":
+            return v_I, None
+        L = scale[:, None] * cholesky_factor(outputs).astype(float)
+        return v_I, L @ L.swapaxes(-1, -2)

@@ -1,8 +1,21 @@
 """Settings of a training, without importing torch."""
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 from surefoot.sim.common.errors import SurefootError
+
+INSTALL_TORCH = (
+    "PyTorch is not installed; the build for CPUs suffices: pip install torch --index-url "
+    "https://download.pytorch.org/whl/cpu"
+)
+"""What to say where torch is missing. By default pip installs CUDA too on Linux, about 3 GB."""
+
+
+def torch_is_installed() -> bool:
+    """Whether observers can be trained here."""
+    return find_spec("torch") is not None
+
 
 MOST_STEPS = 1_000_000
 """Largest number of steps, and of windows in one."""

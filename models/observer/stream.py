@@ -74,11 +74,7 @@ class ObserverStream:
         seen = decimate(times, x, rows + before)
         kept = int(np.searchsorted(times, times[-1] - ANTI_ALIAS_SPAN - 1e-6))
         self._t, self._x = times[kept:], x[kept:]
-        steps = [self._loop.step(one) for one in seen]
-        v_I = np.array([v for v, _ in steps]).reshape(-1, 3)
-        covariance = None
-        if self._observer.loss == "gml":
-            covariance = np.array([cov for _, cov in steps]).reshape(-1, 3, 3)
+        v_I, covariance = self._loop.steps(seen)
         if self._moved:
             mountings = self._observer, self._robot
             v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +23,16 @@ import torch
 
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
 from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.device import CPU, move, torch_device
+from surefoot.models.observer.device import CPU, torch_device
 from surefoot.models.observer.imu_mounting import Mounted
-from surefoot.models.observer.network import LOSS_OUTPUTS, Network, loss_of
+from surefoot.models.observer.inference import LOSS_OUTPUTS
+from surefoot.models.observer.network import Network, loss_of, numpy_weights
 from surefoot.models.observer.observer import (
     WIDEST,
     Observer,
     ObserverError,
     check_inputs,
     check_network,
-    torch_bytes,
 )
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
 from surefoot.models.registry import ARCHITECTURES
@@ -90,13 +91,12 @@ def train(
     with _one_thread():
         fitted = _fit(dataset, replace(settings, width=units), progress, partial)
         network = fitted.network
-        move(network, CPU)
-        network.load_state_dict(fitted.best)
+        network.to(CPU).load_state_dict(fitted.best)
         errors = _errors(network, dataset)
     return Observer(
         model=settings.model,
         width=units,
-        weights=network.state_dict(),
+        weights=numpy_weights(network),
         inputs=inputs,
         joints=dataset.joints,
         input_mean=dataset.x_mean,
@@ -203,6 +203,26 @@ class Training:
             self.score, self.rmse, self.since = score, rmse, 0
 
 
+def torch_bytes(values: dict[str, Any]) -> bytes:
+    """Serialise plain values as a torch file; equal values give equal bytes, and tensors are on the
+    CPU.
+    """
+
+    def own(value: Any) -> Any:
+        """Copy with tensors that share no memory, and each object once."""
+        if isinstance(value, torch.Tensor):
+            return value.detach().cpu().clone(memory_format=torch.contiguous_format)
+        if isinstance(value, dict):
+            return {key: own(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return type(value)(own(item) for item in value)
+        return value
+
+    stream = BytesIO()  # given a path, torch writes the path's name into the file
+    torch.save(own(values), stream)
+    return stream.getvalue()
+
+
 def _digest(values: dict[str, Any]) -> str:
     return hashlib.sha256(torch_bytes(values)).hexdigest()
 
@@ -297,7 +317,7 @@ def _begin(dataset: Dataset, settings: TrainSettings, device: torch.device) -> T
     if network.odometry is not None:
         network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
     best = _kept_weights(network)
-    move(network, device)  # before Adam, which keeps its state where the weights are
+    network.to(device)  # before Adam, which keeps its state where the weights are
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
     return Training(network, optimiser, rng, best)
 

@@ -135,13 +135,16 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
 
 @options.command
 class Export(OutputSettings):
-    """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out."""
+    """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out; or
+    convert an observer of an earlier surefoot.
+    """
 
     file: Path
-    """A log, or a trajectory from `estimate` (.parquet)."""
+    """A log, a trajectory from `estimate` (.parquet), or an observer from before 0.2.0 (.pt)."""
     out: Path
     """File to write: .tum (poses; of a log, those of its reference), .csv (every column), .mcap
-    (ROS 2 and Foxglove messages).
+    (ROS 2 and Foxglove messages); .safetensors (an observer, with its digest, so that its bounds
+    still fit).
     """
 
     def run(self) -> None:

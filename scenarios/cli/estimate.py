@@ -63,7 +63,7 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
     bundled names.
     """
     out: Path
-    """File for the observer (.pt)."""
+    """File for the observer (.safetensors)."""
     loss: options.one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
     inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
     model: options.one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]

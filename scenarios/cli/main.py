@@ -14,6 +14,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 import surefoot
+from surefoot.models.observer.settings import INSTALL_TORCH
 from surefoot.scenarios.cli import data, estimate, study
 from surefoot.scenarios.cli.runs import guarded
 from surefoot.sim.common.errors import SurefootError, did_you_mean
@@ -52,7 +53,6 @@ command.
 --version prints the version. --plugin FILE.py, given with any command and as often as needed, adds
 the estimators, effects, channels, architectures, calibrators and gaits of your own that the file
 lists in PLUGINS. The file is executed as Python code."""
-NO_TORCH = "observers need PyTorch, which is not installed: pip install 'surefoot[learn]'"
 
 
 def _parsed(arguments: Sequence[str]) -> tuple[str, Any]:
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
-        sys.exit(f"surefoot: {name}: {NO_TORCH}")
+        sys.exit(f"surefoot: {name}: {INSTALL_TORCH}")
     except MemoryError:
         sys.exit(f"surefoot: {name}: not enough memory")
     except OSError as error:

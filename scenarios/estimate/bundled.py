@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,11 @@ from surefoot.estimator.run import (
     imu_samples,
 )
 from surefoot.estimator.updates.bias_states import PersistentError
+from surefoot.models.calibration.bias_model import BiasModel
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.predict import predict
+from surefoot.models.observer.stream import ObserverStream
 from surefoot.scenarios.estimate.contract import (
     Beginning,
     Learnt,
@@ -36,12 +41,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import CausalDerivative
 from surefoot.sim.robot.robot import NO_ROBOT, Robot
-
-if TYPE_CHECKING:
-    from surefoot.models.calibration.bias_model import BiasModel
-    from surefoot.models.calibration.bounds import Bounds
-    from surefoot.models.observer.observer import Observer
-    from surefoot.models.observer.stream import ObserverStream
 
 
 def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
@@ -365,8 +364,6 @@ class ObserverFusion(ImuStream):
     @cached_property
     def _stream(self) -> ObserverStream:
         """The observer, for a log that does not come at once."""
-        from surefoot.models.observer.stream import ObserverStream
-
         at = self._beginning
         return ObserverStream(self._observer, self._robot, at.rate, at.joints, at.derived)
 
@@ -396,8 +393,6 @@ class ObserverFusion(ImuStream):
         A whole log at once is predicted as one batch, as in `surefoot.models.observer.predict`.
         """
         if np.isnan(self.filter.t) and not more:
-            from surefoot.models.observer.predict import predict
-
             whole = predict(self._observer, log, self._robot)
             at, v_I, predicted = whole.rows, whole.v_I, whole.covariance
         else:

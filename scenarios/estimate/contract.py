@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -35,15 +35,12 @@ from surefoot.estimator.core.checks import (
     real,
 )
 from surefoot.estimator.core.state import NavState
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.observer.observer import Observer
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
 from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.robot import NO_ROBOT, Robot
-
-if TYPE_CHECKING:  # what legs and IMU need comes without a network's library, which is slow to load
-    from surefoot.models.calibration.bounds import Bounds
-    from surefoot.models.observer.observer import Observer
-
 
 Parameters = Mapping[str, float]
 """Value of each parameter of an estimator, by name."""

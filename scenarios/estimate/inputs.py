@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.sim.common.errors import SurefootError, errors_in
@@ -88,12 +90,6 @@ def as_declared(logs: Sequence[Log]) -> list[Log]:
 
 def learnt_from(observers: Sequence[Path], bounds: Sequence[Path]) -> Learnt:
     """Load these observers and bounds."""
-    if not (observers or bounds):
-        return Learnt()
-    # Only learnt filters need torch, which is an extra.
-    from surefoot.models.calibration.bounds import Bounds
-    from surefoot.models.observer.observer import Observer
-
     return Learnt(
         tuple(Observer.load(path) for path in observers),
         tuple(Bounds.load(path) for path in bounds),

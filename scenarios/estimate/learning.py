@@ -38,7 +38,7 @@ def learn(
         observers = tuple(job.result() for job in [submitted(pool, task) for task in tasks])
     bounds = []
     for observer in observers:
-        observer.save(out / f"observer_{observer.loss}.pt", force)
+        observer.save(out / f"observer_{observer.loss}.safetensors", force)
         bounds.append(calibrate(observer, calibration))
         bounds[-1].save(out / f"bounds_{observer.loss}.json", force)
     return Learnt(observers, tuple(bounds))
@@ -47,6 +47,6 @@ def learn(
 def learnt_in(out: Path) -> Learnt:
     """Load what `learn` stored in a folder."""
     return learnt_from(
-        [out / f"observer_{loss}.pt" for loss in LOSSES],
+        [out / f"observer_{loss}.safetensors" for loss in LOSSES],
         [out / f"bounds_{loss}.json" for loss in LOSSES],
     )

@@ -3,6 +3,7 @@
 import numpy as np
 
 from surefoot.estimator.initial import start_of, starts_in_motion
+from surefoot.models.observer.observer import log_digest
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import feet_of
 from surefoot.scenarios.estimate.settings import FilterSettings
@@ -60,8 +61,6 @@ def _other_robot(log: Log, robot: Robot | None) -> str:
 def _trained_on(log: Log, learnt: Learnt) -> str:
     if not learnt.observers:
         return ""
-    from surefoot.models.observer.observer import log_digest
-
     digest = log_digest(log)
     losses = [one.loss for one in learnt.observers if digest in {x.sha256 for x in one.logs}]
     if not losses:

@@ -13,7 +13,6 @@ from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import train
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.compare import compare_log
@@ -120,6 +119,8 @@ def make_observer(
     inputs |= learning_choices(learning)
 
     def make(path: Path) -> dict[str, Any]:
+        from surefoot.models.observer.training import train
+
         walks = [read_walk(walk, name) for name, walk in logs]
         settings = TrainSettings(
             inputs=learning.inputs, loss=loss, seed=seed, steps=learning.steps, model=learning.model
@@ -131,7 +132,7 @@ def make_observer(
 
     # An interrupted training continues from its state.
     partial = folder / "observer" / f"{product_key('observer', inputs, TRAINING)}.partial"
-    return product(folder, "observer", inputs, TRAINING, ".pt", make)
+    return product(folder, "observer", inputs, TRAINING, ".safetensors", make)
 
 
 def learning_choices(learning: Learning) -> dict[str, Any]:

@@ -22,9 +22,9 @@ import pandas as pd
 
 from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.models.observer.observer import ObserverError
+from surefoot.models.observer.settings import torch_is_installed
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.compare import compare_log
-from surefoot.scenarios.estimate.learning import learn, learnt_in
 from surefoot.scenarios.estimate.run import Learnt, declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.pages import check_page
@@ -70,11 +70,12 @@ def loop(
     plan: TrainingPlan = DEFAULT_PLAN,
 ) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
     """Close the loop on one log and write the results into `out`; an interrupted run is resumed.
+    Without PyTorch it ends after the trace, and goes on from there once that is installed.
 
     Returns the table, with one row per filter and each metric in each world, and the worlds: only
-    `before` if no effect was found and the plain gait is better. Raises LogError if the log lacks
-    IMU, joints or reference, and SurefootError if `out` has files of another loop and `force` is
-    not given.
+    `before` if no effect was found and the plain gait is better; none without PyTorch. Raises
+    LogError if the log lacks IMU, joints or reference, and SurefootError if `out` has files of
+    another loop and `force` is not given.
 
     Args:
         log: the measured log.
@@ -112,6 +113,8 @@ def loop(
     model = (*declared_effects(log), *(declared or ()))
     options = TraceOptions(seed, model or declared, holdout=holdout)
     found, spread = _traced(log, robot, out / "trace", options)
+    if not torch_is_installed():
+        return pd.DataFrame(), ()
 
     def gait_of_walks() -> dict[str, Any]:
         with percent_bar("gait") as progress:
@@ -209,6 +212,8 @@ def _learnt(
         seed: of walks and training.
         plan: amount of walks and training.
     """
+    from surefoot.scenarios.estimate.learning import learn, learnt_in
+
     done = out / "done"
     if not (done.exists() and all(map(as_made, out.glob("*.*")))):
         with percent_bar(f"walking: {out.name}") as progress:

@@ -15,7 +15,6 @@ from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.samples import body_velocity
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import train
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walking.imitation import moving
@@ -144,6 +143,8 @@ def learnt_from_measured(log: Log, robot: Robot, settings: TrainSettings) -> lis
     moves: about the accuracy attainable from this amount of real walking. Raises ObserverError
     where half of the log is too short.
     """
+    from surefoot.models.observer.training import train
+
     half = len(log.t) // 2
     halves = log.rows(slice(0, half)), log.rows(slice(half, None))
     found = []

@@ -10,7 +10,7 @@ import torch
 from synthetic import synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.earlier import observer_of_torch
 from surefoot.sim.log import LEGS
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"
@@ -22,7 +22,7 @@ def good_files(folder: Path) -> Path:
     log = synthetic_walk(0, 3.0, noise=0.1, robot="spot_class")
     stands = {f"contact_{leg}": np.ones(len(log.t)) for leg in LEGS}
     replace(log, frame=log.frame.assign(**stands)).write(folder / "walk.parquet")
-    Observer.load(FILES / "observer_q_dq_gml.pt").save(folder / "observer.pt")
+    observer_of_torch(FILES / "observer_q_dq_gml.pt").save(folder / "observer.safetensors")
     Bounds.load(FILES / "bounds.json").save(folder / "bounds.json")
     named = {
         "scenario.toml": good_texts.SCENARIO,

@@ -5,7 +5,6 @@ that the error must have."""
 # fmt: off
 
 import numpy as np
-import torch
 
 NAN = float("nan")
 
@@ -143,13 +142,13 @@ OBSERVER = [
     ("inputs of nothing", lambda v: v.update(inputs=[]), "inputs"),
     ("no weights", lambda v: v.update(weights={}), "observer"),
     ("weights of no number", lambda v: v["weights"].update({k: w * NAN for k, w in v["weights"].items()}), "finite"),
-    ("weights of float64", lambda v: v["weights"].update({k: w.double() for k, w in v["weights"].items()}), "float32"),
+    ("weights of float64", lambda v: v["weights"].update({k: w.astype(float) for k, w in v["weights"].items()}), "float32"),
     ("weights of one number", lambda v: v["weights"].update({k: w.flatten()[:1] for k, w in v["weights"].items()}), "observer"),
     ("weights that are a list", lambda v: v.update(weights=[1]), "observer"),
     ("other weights", lambda v: v["weights"].update({k: w + 1 for k, w in v["weights"].items()}), "damaged"),
-    ("a mirror for a rotation", lambda v: v.update(R_BI=torch.diag(torch.tensor([1.0, 1.0, -1.0]).double())), "R_BI"),
-    ("a stretched rotation", lambda v: v.update(R_BI=2 * torch.eye(3).double()), "R_BI"),
-    ("a mounting nowhere", lambda v: v.update(p_BI=torch.full((3,), NAN).double()), "p_BI"),
+    ("a mirror for a rotation", lambda v: v.update(R_BI=np.diag([1.0, 1.0, -1.0])), "R_BI"),
+    ("a stretched rotation", lambda v: v.update(R_BI=2 * np.eye(3)), "R_BI"),
+    ("a mounting nowhere", lambda v: v.update(p_BI=np.full(3, NAN)), "p_BI"),
     ("scales of nothing", lambda v: v.update(input_scale=0 * v["input_scale"]), "scale"),
     ("scales of no number", lambda v: v.update(output_scale=v["output_scale"] * NAN), "output_scale"),
     ("a joint too many", lambda v: v.update(joints=[*v["joints"], "tail"]), "shape"),

@@ -43,7 +43,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "robot.urdf": check_model_file,
     "bounds.json": Bounds.load,
     "old_bounds.json": Bounds.load,
-    "observer.pt": Observer.load,
+    "observer.safetensors": Observer.load,
     "walk.parquet": Log.read,
     "trajectory.parquet": Trajectory.read,
     "run.mcap": read_bag,

@@ -21,6 +21,7 @@ from PIL import Image
 from pyarrow import parquet
 from synthetic import synthetic_walk
 
+from surefoot.models.observer.earlier import observer_of_torch
 from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.settings import SimulateSettings
@@ -47,8 +48,8 @@ inputs = "q,dq"
 """
 COMMANDS = {
     "simulate": ("simulate a.toml --seeds 0:4 --workers 2 -o out", "*.parquet"),
-    "train": ("train walk.parquet --inputs q,dq --model mlp -o out/o.pt", "o.pt"),
-    "calibrate": ("calibrate observer.pt walk.parquet -o out/bounds.json", "bounds.json"),
+    "train": ("train walk.parquet --inputs q,dq --model mlp -o out/o.safetensors", "o.safetensors"),
+    "calibrate": ("calibrate observer.safetensors walk.parquet -o out/bounds.json", "bounds.json"),
     "experiment": ("experiment grid.toml --workers 2 --no-recordings -o out", "cache/*/*.parquet"),
     "compare": ("compare walk.parquet -o out", "*.none"),
     "estimate": ("estimate walk.parquet --filter imu -o out/imu.parquet", "imu.*"),
@@ -94,8 +95,8 @@ def inputs(tmp_path_factory) -> Path:
     columns = "\n".join(f'{n} = "{n}"' for n in walk.frame)
     (folder / "map.toml").write_text(MAP.format(columns=columns))
     resting(walk).write(folder / "rest.parquet")
-    observer = Observer.load(FILES / "observer_q_dq_gml.pt")
-    replace(observer, robot="spot_class").save(folder / "observer.pt")
+    observer = observer_of_torch(FILES / "observer_q_dq_gml.pt")
+    replace(observer, robot="spot_class").save(folder / "observer.safetensors")
     simulate(SimulateSettings([folder / "a.toml"], folder / "walks"))
     (folder / "walks" / "a_0.parquet").rename(folder / "a.parquet")
     rmtree(folder / "walks")
@@ -158,7 +159,7 @@ WHOLE = {
     ".parquet": parquet.read_table,
     ".json": lambda path: json.loads(path.read_text(encoding="utf-8")),
     ".toml": lambda path: tomllib.loads(path.read_text(encoding="utf-8")),
-    ".pt": Observer.load,
+    ".safetensors": Observer.load,
     ".png": lambda path: Image.open(path).load(),
     ".html": _ends,
 }
@@ -255,22 +256,22 @@ def test_a_resumed_observer_is_the_same_file(inputs, tmp_path):
     for _ in range(12):
         if not interrupted_once(command, folder, signal.SIGKILL, 0.6 * seconds):
             break
-        if (folder / "out" / "o.pt").exists():
+        if (folder / "out" / "o.safetensors").exists():
             break
-    if not (folder / "out" / "o.pt").exists():
+    if not (folder / "out" / "o.safetensors").exists():
         finished(command, folder)
-    same_bytes(whole / "out", folder / "out", "o.pt")
-    assert Observer.load(folder / "out" / "o.pt").hash
-    assert {p.name for p in (folder / "out").iterdir()} == {"o.pt", MANIFEST}
+    same_bytes(whole / "out", folder / "out", "o.safetensors")
+    assert Observer.load(folder / "out" / "o.safetensors").hash
+    assert {p.name for p in (folder / "out").iterdir()} == {"o.safetensors", MANIFEST}
 
 
 @pytest.mark.slow
 def test_two_runs_into_one_folder(inputs, tmp_path):
     """The second is refused, and the first goes on."""
     folder = copied(inputs, tmp_path / "two")
-    command = "train walk.parquet --inputs q,dq --model mlp -o out/o.pt"
+    command = "train walk.parquet --inputs q,dq --model mlp -o out/o.safetensors"
     first = started(command, folder)
-    lock = folder / "out" / ".o.pt.lock"
+    lock = folder / "out" / ".o.safetensors.lock"
     until = time.monotonic() + 60.0
     while not lock.exists() and time.monotonic() < until:
         time.sleep(0.02)
@@ -307,6 +308,5 @@ def test_a_full_disk(name, most, inputs, tmp_path):
     assert last.startswith("surefoot: "), err[-2000:]
     left = {n for n, what in contents(folder).items() if what != "folder" and n not in before}
     # What goes on later is kept; a result is not.
-    assert not [n for n in left if n.endswith((".html", ".pt", ".rrd", "leg.parquet", ".tmp"))], (
-        left
-    )
+    results = (".html", ".safetensors", ".rrd", "leg.parquet", ".tmp")
+    assert not [n for n in left if n.endswith(results)], left

@@ -19,13 +19,15 @@ from surefoot.sim.common import files
 
 FEW = "--gamma 0.5"
 """A level for which few independent errors are enough: how many a walk has differs by machine."""
-LEARNT = "--observer observer.pt --bounds bounds.json"
+LEARNT = "--observer observer.safetensors --bounds bounds.json"
 WRITING = {
     "demo": "demo -o new",
     "simulate": "simulate quick.toml -o new",
-    "train": "train long.parquet --model mlp --inputs q,dq -o new.pt",
-    "calibrate": f"calibrate own.pt long.parquet {FEW} -o new.json",
-    "calibrate's report": f"calibrate own.pt long.parquet {FEW} -o other.json --report new",
+    "train": "train long.parquet --model mlp --inputs q,dq -o new.safetensors",
+    "calibrate": f"calibrate own.safetensors long.parquet {FEW} -o new.json",
+    "calibrate's report": (
+        f"calibrate own.safetensors long.parquet {FEW} -o other.json --report new"
+    ),
     "estimate": "estimate walk.parquet --filter leg -o new.parquet",
     "compare": f"compare walk.parquet {LEARNT} -o new",
     "noise": "noise rest.parquet -o new.toml",
@@ -70,8 +72,8 @@ def more(good, tmp_path_factory) -> Path:
     folder = copied(good, tmp_path_factory.mktemp("outputs") / "good")
     (folder / "quick.toml").write_text(SHORT_WALK)
     synthetic_walk(0, 12.0, noise=0.1, robot="spot_class").write(folder / "long.parquet")
-    observer = Observer.load(folder / "observer.pt")
-    replace(observer, robot="spot_class").save(folder / "own.pt")
+    observer = Observer.load(folder / "observer.safetensors")
+    replace(observer, robot="spot_class").save(folder / "own.safetensors")
     log = synthetic_walk(0, 12.0, robot="spot_class")
     rng = np.random.default_rng(0)
     still = {f"gyro_{axis}": 1e-3 * rng.standard_normal(len(log.t)) for axis in "xyz"}

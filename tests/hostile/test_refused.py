@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 import recording_cases
 import text_cases
-import torch
 from forked import copied, run_forked
+from observer_file import observer_contents, write_observer
 
 READERS = {
     "SCENARIO": ("scenario.toml", "simulate scenario.toml -o new"),
@@ -28,7 +28,9 @@ READERS = {
     "SETTINGS": ("settings.toml", "estimate walk.parquet --filter imu --settings settings.toml"),
 }
 """Table of cases -> the file that they change, and the command that reads it."""
-LEARNT = "estimate walk.parquet --filter coverage --observer observer.pt --bounds bounds.json"
+LEARNT = (
+    "estimate walk.parquet --filter coverage --observer observer.safetensors --bounds bounds.json"
+)
 SHARES = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999)
 """Places in a file, where it is cut short or a byte is flipped."""
 
@@ -73,9 +75,9 @@ def edited_json(name: str, alter: Callable) -> Callable[[Path], None]:
 
 def edited_observer(alter: Callable) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
-        values = torch.load(folder / "observer.pt", weights_only=True)
+        values = observer_contents(folder / "observer.safetensors")
         alter(values)
-        torch.save(values, folder / "observer.pt")
+        write_observer(folder / "observer.safetensors", values)
 
     return change
 
@@ -158,7 +160,7 @@ def _cases() -> list[tuple[str, Callable[[Path], None], str, str]]:
     for what, alter, word in log_cases.OBSERVER:
         found.append((f"observer: {what}", edited_observer(alter), LEARNT, word))
     for name, command in (
-        *(("walk.parquet", estimate), ("observer.pt", LEARNT), ("bounds.json", LEARNT)),
+        *(("walk.parquet", estimate), ("observer.safetensors", LEARNT), ("bounds.json", LEARNT)),
         *(("robot.xml", READERS["ROBOT"][1]), ("old_bounds.json", "")),
     ):
         for share in SHARES if command else ():

@@ -70,7 +70,7 @@ LOGS: dict[str, tuple[Callable[[Columns], Columns], ...]] = {
     "an IMU alone": (only("gyro_", "accel_"),),
     "IMU and reference": (only("gyro_", "accel_", "ref_"),),
 }
-LEARNT = "--observer observer.pt --bounds bounds.json"
+LEARNT = "--observer observer.safetensors --bounds bounds.json"
 COMMANDS = (
     "info walk.parquet --json",
     *(f"estimate walk.parquet --filter {name}" for name in ("imu", "leg", "leg_slip", "radar_leg")),
@@ -79,8 +79,8 @@ COMMANDS = (
     "view walk.parquet -o new.rrd",
     "align walk.parquet -o new",
     "noise walk.parquet",
-    "calibrate observer.pt walk.parquet -o new.json",
-    "train walk.parquet -o new.pt --epochs 1",
+    "calibrate observer.safetensors walk.parquet -o new.json",
+    "train walk.parquet -o new.safetensors --epochs 1",
     "compare walk.parquet -o new",
     "realism walk.parquet -o new",
     "trace walk.parquet -o new",

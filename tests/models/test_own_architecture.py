@@ -25,8 +25,8 @@ print(*ARCHITECTURES)
 walk, test = (synthetic_walk(seed, 20, noise=0.1) for seed in (0, 1))
 plan = TrainSettings(inputs="q,dq", model="averages", steps=15, batch=2, every=15)
 observer = train(walk, Body(), plan)
-observer.save("observer.pt")
-loaded = Observer.load("observer.pt")
+observer.save("observer.safetensors")
+loaded = Observer.load("observer.safetensors")
 v_I = predict(loaded, test, Body()).v_I
 _, errors = prediction_errors(loaded, test, Body())
 assert np.sqrt((errors**2).mean(axis=0))[0] < test.ref_v.std(axis=0)[0]
@@ -43,4 +43,4 @@ def test_an_own_network_is_offered_trained_and_run(tmp_path):
     assert names == "gru mlp rnn lstm bigru tcn averages"
     assert learning.startswith("averages ['averages', '")
     with pytest.raises(ObserverError, match=r"unknown model 'averages'; known: gru, mlp"):
-        Observer.load(tmp_path / "observer.pt")
+        Observer.load(tmp_path / "observer.safetensors")

@@ -7,13 +7,13 @@ import pytest
 import torch
 from synthetic import Body, synthetic_walk
 
+from surefoot.models.observer.architectures import GRU
 from surefoot.models.observer.data import draw, prepare
-from surefoot.models.observer.device import CPU, TorchGRU, move, torch_device
-from surefoot.models.observer.gru import GRU
-from surefoot.models.observer.network import Network, loss_of
-from surefoot.models.observer.observer import ObserverError, torch_bytes
+from surefoot.models.observer.device import CPU, torch_device
+from surefoot.models.observer.network import loss_of
+from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import _begin, train
+from surefoot.models.observer.training import _begin, torch_bytes, train
 
 META = torch.device("meta")
 BEGUN = TrainSettings(width=8, rate=1e-2)
@@ -38,23 +38,10 @@ def test_a_step_is_taken_where_the_device_is(model, loss):
 
 
 def test_torchs_recurrence_is_the_compiled_one():
-    ours = GRU(7, 10)
-    ours.initialise(torch.Generator().manual_seed(3))
-    theirs = TorchGRU(7, 10)
-    theirs.load_state_dict(ours.state_dict())
+    layer = GRU(7, 10)
+    layer.initialise(torch.Generator().manual_seed(3))
     x, h0 = torch.sin(torch.arange(60.0 * 3 * 7)).reshape(60, 3, 7), torch.full((3, 10), 0.2)
-    torch.testing.assert_close(theirs(x, h0), ours(x, h0), rtol=2e-5, atol=2e-5)
-    torch.testing.assert_close(theirs(x), ours(x), rtol=2e-5, atol=2e-5)
-
-
-def test_a_network_that_comes_back_runs_compiled():
-    network = Network("bigru", 7, 3, 5)
-    layers = [layer for layer in network.modules() if isinstance(layer, GRU)]
-    move(network, META)
-    assert {type(layer) for layer in layers} == {TorchGRU}
-    network.to_empty(device=CPU)
-    move(network, CPU)
-    assert {type(layer) for layer in layers} == {GRU}
+    torch.testing.assert_close(layer._by_torch(x, h0), layer(x, h0), rtol=2e-5, atol=2e-5)
 
 
 def test_weights_are_drawn_and_kept_on_the_cpu():

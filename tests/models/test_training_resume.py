@@ -36,7 +36,7 @@ def fit(partial=None, progress: Any = False, settings=PLAN):
 
 
 def test_a_real_kill_costs_no_bit(tmp_path):
-    out = tmp_path / "o.pt"
+    out = tmp_path / "o.safetensors"
     partial = partial_path(out)
     script = SCRIPT.format(partial=partial, out=out, paths=PATHS)
     victim = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
@@ -58,7 +58,7 @@ def test_a_real_kill_costs_no_bit(tmp_path):
 
 def test_a_killed_end_is_only_ended(tmp_path):
     """All steps made, the observer not yet saved: nothing is trained again."""
-    partial = tmp_path / "o.pt.partial"
+    partial = tmp_path / "o.safetensors.partial"
     first = fit(partial)
     told = []
     assert fit(partial, lambda *step: told.append(step)).hash == first.hash
@@ -66,7 +66,7 @@ def test_a_killed_end_is_only_ended(tmp_path):
 
 
 def test_an_early_end_stays_an_early_end(tmp_path):
-    partial = tmp_path / "o.pt.partial"
+    partial = tmp_path / "o.safetensors.partial"
     patient = replace(PLAN, loss="mse", every=1, patience=2, rate=0.5, steps=40)
     first = fit(partial, settings=patient)
     dataset = prepare([synthetic_walk(0, 15, noise=0.1)], Body(), ("q",))
@@ -81,14 +81,14 @@ def test_an_early_end_stays_an_early_end(tmp_path):
 
 @pytest.mark.parametrize("other", [{"loss": "mse"}, {"model": "mlp"}, {"width": 8}, {"steps": 22}])
 def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
-    partial = tmp_path / "o.pt.partial"
+    partial = tmp_path / "o.safetensors.partial"
     fit(partial)
     changed = replace(PLAN, **other)
     assert fit(partial, settings=changed).hash == fit(settings=changed).hash
 
 
 def test_a_state_that_was_changed_is_not_gone_on_from(tmp_path, capsys):
-    partial = tmp_path / "o.pt.partial"
+    partial = tmp_path / "o.safetensors.partial"
     fit(partial)
     state = torch.load(partial, weights_only=True)
     next(iter(state["best"].values())).add_(1.0)
@@ -100,7 +100,7 @@ def test_a_state_that_was_changed_is_not_gone_on_from(tmp_path, capsys):
 
 @pytest.mark.parametrize("what", ["text", "observer"])
 def test_a_file_that_is_no_state_is_left_alone(what, tmp_path, mse_observer):
-    partial = tmp_path / "o.pt.partial"
+    partial = tmp_path / "o.safetensors.partial"
     if what == "text":
         partial.write_text("my notes")
     else:
@@ -112,7 +112,7 @@ def test_a_file_that_is_no_state_is_left_alone(what, tmp_path, mse_observer):
 
 
 def test_no_state_is_an_observer(tmp_path):
-    partial = tmp_path / "o.pt.partial"
+    partial = tmp_path / "o.safetensors.partial"
     fit(partial)
-    with pytest.raises(ObserverError, match="not a surefoot observer"):
+    with pytest.raises(ObserverError, match="a file of PyTorch"):
         Observer.load(partial)

@@ -47,7 +47,7 @@ def files(tmp_path_factory) -> dict[str, Path]:
     truth = [c for c in bare.frame.columns if c.startswith(("ref_", "slip_", "mu_"))]
     found["bare"] = folder / "bare.parquet"
     Log(bare.frame.drop(columns=truth), bare.meta, "bare").write(found["bare"])
-    found["observer"] = folder / "observer.pt"
+    found["observer"] = folder / "observer.safetensors"
     schedule = TrainSettings(steps=60, batch=4, every=20)
     train(Log.read(found["learnt"]), settings=replace(schedule, seed=0)).save(found["observer"])
     return found

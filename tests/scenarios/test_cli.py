@@ -62,9 +62,12 @@ BAD = {
     "trace with a bad seed": ("trace log.parquet --seed -1 -o new", "seed -1"),
     "demo with a bad seed": ("demo --seed -1 -o new", "seed -1"),
     "an experiment of no such name": ("experiment vision -o new", "bundled are spot, vision60"),
-    "train too short": ("train log.parquet -o new.pt", "training takes"),
+    "train too short": ("train log.parquet -o new.safetensors", "training takes"),
     "train onto a file": ("train log.parquet -o short.toml", "--force"),
-    "calibrate without observer": ("calibrate no.pt log.parquet -o new.json", "no.pt"),
+    "calibrate without observer": (
+        "calibrate no.safetensors log.parquet -o new.json",
+        "no.safetensors",
+    ),
     "compare logs of one name": ("compare log.parquet other/log.parquet -o new", "log.parquet"),
     "import wrong columns": ("import csv columns.csv --map go1_square -o new.parquet", "column"),
 }
@@ -86,7 +89,7 @@ def test_bad_input_is_one_clear_line(case, folder, monkeypatch, capsys):
     "line",
     [
         "view mine.parquet -o mine.rrd",
-        "train mine.parquet -o observer.pt",
+        "train mine.parquet -o observer.safetensors",
         "estimate mine.parquet --filter leg",
         "trace mine.parquet -o traced",
         "loop mine.parquet -o looped",

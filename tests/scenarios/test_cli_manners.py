@@ -61,7 +61,7 @@ def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, 
 
 
 ABSENT = {
-    "train gone.parquet -o o.pt": "gone.parquet: no such file",
+    "train gone.parquet -o o.safetensors": "gone.parquet: no such file",
     "import gone.csv --map go1_square -o l.parquet": "gone.csv: no such file",
     "import --guess gone.csv": "gone.csv: no such file",
     "import here.csv --map go1_sqare -o l.parquet": "; did you mean 'go1_square'?",

@@ -18,7 +18,7 @@ from synthetic import synthetic_walk
 
 from surefoot.estimator.core.checks import DivergedError, SampleError
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.earlier import observer_of_torch
 from surefoot.scenarios.estimate import streaming
 from surefoot.scenarios.estimate.contract import Beginning, Learnt, Sample, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
@@ -58,7 +58,7 @@ def loop() -> tuple[Log, Robot, Learnt, tuple[Sample, ...]]:
     values[5::28] = np.r_[0.5, 0.0, 0.0, 2.5e-3 * np.eye(3).ravel()]
     more |= dict(zip(RADAR_COLUMNS, values.T, strict=True))
     log = replace(log, frame=log.frame.assign(**{n: np.float64(x) for n, x in more.items()}))
-    observer = replace(Observer.load(FILES / "observer_q_dq_gml.pt"), robot=robot.name)
+    observer = replace(observer_of_torch(FILES / "observer_q_dq_gml.pt"), robot=robot.name)
     bounds = replace(Bounds.load(FILES / "bounds.json"), observer=observer.hash)
     return log, robot, Learnt((observer,), (bounds,)), tuple(samples(log))
 

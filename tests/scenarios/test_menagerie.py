@@ -54,16 +54,16 @@ seeds = [7]
 filters = ["leg", "imu"]
 roles = {{ yard = "test" }}
 """
-LEARNT = "--observer mse.pt --bounds mse.json --observer gml.pt --bounds gml.json"
+LEARNT = "--observer mse.safetensors --bounds mse.json --observer gml.safetensors --bounds gml.json"
 LINES = f"""
 robots {{robot}} -o card.png
 view yard.toml --robot {{robot}} -o course.rrd
 simulate yard.toml --robot {{robot}} --seeds 0:3 -o walks
 info walks/yard_{{name}}_2.parquet
-train walks/yard_{{name}}_0.parquet --model mlp --steps 20 -o mse.pt
-train walks/yard_{{name}}_0.parquet --model mlp --steps 60 --loss gml -o gml.pt
-calibrate mse.pt walks/yard_{{name}}_1.parquet -o mse.json --report judged
-calibrate gml.pt walks/yard_{{name}}_1.parquet -o gml.json
+train walks/yard_{{name}}_0.parquet --model mlp --steps 20 -o mse.safetensors
+train walks/yard_{{name}}_0.parquet --model mlp --steps 60 --loss gml -o gml.safetensors
+calibrate mse.safetensors walks/yard_{{name}}_1.parquet -o mse.json --report judged
+calibrate gml.safetensors walks/yard_{{name}}_1.parquet -o gml.json
 compare walks/yard_{{name}}_2.parquet {LEARNT} -o compared
 estimate walks/yard_{{name}}_2.parquet --filter leg -o leg.parquet
 noise walks/yard_{{name}}_2.parquet -o noise.toml

@@ -1,19 +1,27 @@
-"""Whoever only filters needs no torch: the extra `learn` is for observers."""
+"""Whoever does not train needs no torch: the extra `learn` is for training."""
+
+from pathlib import Path
+from shutil import copy
 
 import pytest
 from processes import python
 
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.models.observer.training import train
+from surefoot.sim.log import Log
+
 WITHOUT_TORCH = """
 import sys
+from importlib.machinery import PathFinder
 
 
-class NoTorch:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == "torch":
-            raise ModuleNotFoundError("No module named 'torch'", name="torch")
+class WithoutTorch(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name == "torch" else super().find_spec(name, path, target)
 
 
-sys.meta_path.insert(0, NoTorch())
+sys.meta_path[sys.meta_path.index(PathFinder)] = WithoutTorch
 from surefoot.scenarios.cli.main import main
 
 refused = []
@@ -28,11 +36,18 @@ SHORT = """
 name = "short"
 robot = "spot_class"
 
+[ranges]
+speed = [0.8, 1.2]
+
 [[segment]]
-duration = 2.0
+duration = 12.0
 forward = 0.5
+turn = 0.2
 """
-LOG = "walks/short_0.parquet"
+LOG, OTHER = "walks/short_0.parquet", "walks/short_1.parquet"
+MODELS = {"gru": "mse", "mlp": "gml"}
+LEARNT = " ".join(f"--observer {m}.safetensors --bounds {m}.json" for m in MODELS)
+OLD = Path(__file__).resolve().parents[1] / "data" / "0.1.0" / "observer_q_dq_gml.pt"
 
 
 def run(lines, folder):
@@ -41,40 +56,67 @@ def run(lines, folder):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A walk that was simulated without torch, and what becomes of it."""
+    """Walks that were simulated without torch, observers that learnt from one with it, and what
+    becomes of them without."""
     folder = tmp_path_factory.mktemp("without_torch")
     (folder / "short.toml").write_text(SHORT)
+    done = run(["simulate short.toml --seeds 0:2 -o walks"], folder)
+    assert done.returncode == 0, done.stderr
+    for model, loss in {**MODELS, "rnn": "mse"}.items():
+        plan = TrainSettings(model=model, loss=loss, inputs="gyro,contact,feet", steps=20, every=20)
+        train(Log.read(folder / LOG), settings=plan).save(folder / f"{model}.safetensors")
+    copy(OLD, folder / "old.pt")
     done = run(
         [
-            "simulate short.toml -o walks",
             f"info {LOG}",
             f"export {LOG} -o log.csv",
             "import log.csv --guess --robot spot_class -o map.toml",
             "import log.csv --map map.toml -o back.parquet",
+            *(f"calibrate {m}.safetensors {OTHER} --K 20 -o {m}.json" for m in MODELS),
             f"estimate {LOG} --filter leg -o leg.parquet",
-            f"compare {LOG} -o compared",
-            f"trace {LOG} -o traced",
+            f"estimate {LOG} --filter coverage {LEARNT} -o coverage.parquet",
+            f"compare {LOG} {LEARNT} -o compared",
+            f"loop {LOG} -o looped",
         ],
         folder,
     )
     assert done.returncode == 0, done.stderr
+    (folder / "said.txt").write_text(done.stdout)
     return folder
 
 
 @pytest.mark.parametrize(
-    "made", ["back.parquet", "leg.tum", "compared/report.html", "traced/trace.json"]
+    "made", ["back.parquet", "leg.tum", "coverage.tum", "looped/trace/report.html"]
 )
-def test_what_needs_no_observer_needs_no_torch(folder, made):
+def test_what_does_not_train_needs_no_torch(folder, made):
     assert (folder / made).stat().st_size > 0
 
 
-def test_what_needs_an_observer_names_the_extra(folder):
+def test_every_filter_runs_on_a_gru_and_an_mlp(folder):
+    table = (folder / "compared" / "table.csv").read_text()
+    assert all(f",{name}," in table for name in ("coverage", "velocity", "leg"))
+
+
+def test_a_loop_ends_with_the_trace_and_says_so(folder):
+    said = [line for line in (folder / "said.txt").read_text().splitlines() if "PyTorch" in line]
+    assert len(said) == 1
+    assert "ends with the trace" in said[0]
+
+
+def test_what_needs_torch_says_how_to_get_it(folder):
     lines = [
-        f"train {LOG} -o observer.pt",
-        f"calibrate {LOG} {LOG} -o bounds.json",
-        f"compare {LOG} --observer {LOG} -o with_observer",
+        f"train {LOG} -o new.safetensors",
+        f"calibrate rnn.safetensors {OTHER} -o bounds.json",
+        "demo -o demo",
+        "export old.pt -o new.safetensors",
     ]
-    done = run(lines, folder)
-    said = done.stderr.strip().split("\0")
+    said = run(lines, folder).stderr.strip().split("\0")
     assert len(said) == len(lines)
-    assert all("surefoot[learn]" in one and "\n" not in one for one in said)
+    assert all("download.pytorch.org/whl/cpu" in one and "\n" not in one for one in said)
+    assert "rnn.safetensors" in said[1]
+
+
+def test_an_earlier_observer_names_the_command_that_converts_it(folder):
+    done = run([f"compare {LOG} --observer old.pt -o new"], folder)
+    assert "surefoot export old.pt -o" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
