@@ -12,8 +12,10 @@ import torch
 from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.imu_mounting import Mounted, same_mounting
 from surefoot.models.observer.observer import (
+    Observer,
     ObserverError,
     TrainingLog,
+    check_robot,
     log_digest,
     observer_inputs,
 )
@@ -73,17 +75,19 @@ def prepare(
     robot: Mounted | None,
     inputs: tuple[str, ...],
     held_out: Sequence[Log] = (),
+    start: Observer | None = None,
 ) -> Dataset:
     """Prepare logs for training, keeping one at a time in memory.
 
     Raises ObserverError where one is too short or lacks an input, or where they disagree on robot,
-    mounting or joints; LogError where one has no reference.
+    mounting or joints, with each other or with `start`; LogError where one has no reference.
 
     Args:
         logs: to train on.
         robot: theirs, by default Robot.for_log.
         inputs: groups of surefoot.models.observer.observer.INPUTS.
         held_out: logs for validation; without any, parts of `logs` are (`validation_rows`).
+        start: observer whose scales are kept; its IMU may be at another place.
     """
     first, parts, about = None, [], []
     causal_dq, kinematics, legs = False, None, {}
@@ -93,6 +97,10 @@ def prepare(
             first = own, log.joints, log.name
             legs = leg_geometry(own, log.joints) if "feet" in inputs else {}
             kinematics = Kinematics.of(legs, own) if legs else None
+            if start is not None:
+                check_robot(start, own, log.joints, f"{log.name}: ")
+                if not np.allclose(start.R_BI, own.R_BI, atol=1e-4):
+                    raise ObserverError(f"{log.name}: its IMU is turned against the observer's")
         _check_alike(log, own, *first)
         seen = observer_samples(log, inputs)
         causal_dq |= seen.causal_dq
@@ -110,8 +118,11 @@ def prepare(
         raise ObserverError("train: no log given")
     if not any(validation.any() for _, _, _, validation in parts):
         raise ObserverError("train: the reference is missing in all validation blocks")
-    x_mean, x_scale = _scaling([x for x, _, _, _ in parts])
-    _, y_scale = _scaling([v_I[train] for _, v_I, train, _ in parts])
+    if start is None:
+        x_mean, x_scale = _scaling([x for x, _, _, _ in parts])
+        _, y_scale = _scaling([v_I[train] for _, v_I, train, _ in parts])
+    else:
+        x_mean, x_scale, y_scale = start.input_mean, start.input_scale, start.output_scale
     scaled = tuple(
         ScaledLog(
             torch.from_numpy(((x - x_mean) / x_scale).astype(np.float32)),

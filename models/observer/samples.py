@@ -35,22 +35,21 @@ def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
     """Anti-aliased signals of a log for these inputs (surefoot.models.observer.observer.INPUTS).
 
     Raises ObserverError naming the missing columns; nothing is filled in. Joint velocities that the
-    log declares as zero-phase derivatives look into the future, and are derived again, causally,
-    from q.
+    log lacks are derived causally from q, and so are those that it declares as zero-phase
+    derivatives, which look into the future.
     """
+    wanted = signals(inputs)
+    derives = "dq" in wanted and (DQ_ZERO_PHASE in log.meta.derived or not log.has("dq"))
+    read = [name for name in wanted if not (derives and name == "dq")]
     try:
-        log.require(*("imu" if name == "gyro" else name for name in signals(inputs)))
+        log.require(*("imu" if name == "gyro" else name for name in read), *("q" * derives))
     except LogError as error:
-        hint = (
-            "; surefoot.sim.log.with_velocities derives dq"
-            if log.has("q") and not log.has("dq")
-            else ""
-        )
-        raise ObserverError(f"{error}; the observer reads {','.join(inputs)}{hint}") from None
-    groups = {name: getattr(log, name) for name in signals(inputs)}
-    if "dq" in groups and DQ_ZERO_PHASE in log.meta.derived:
+        raise ObserverError(f"{error}; the observer reads {','.join(inputs)}") from None
+    groups = {name: getattr(log, name) for name in read}
+    if derives:
         groups["dq"] = derivative(log.t, log.q, JOINT_WINDOW, causal=True)
-    causal_dq = "dq" in groups and bool({DQ_ZERO_PHASE, DQ_CAUSAL} & set(log.meta.derived))
+    groups = {name: groups[name] for name in wanted}
+    causal_dq = derives or ("dq" in groups and DQ_CAUSAL in log.meta.derived)
     t = log.t
     rows = observer_rows(log)
     x = decimate(t, np.concatenate(list(groups.values()), axis=1), rows)

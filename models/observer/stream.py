@@ -39,7 +39,7 @@ class ObserverStream:
             rate: of the samples [Hz].
             joints: their names in the order of q.
             derived: the log's derived columns; zero-phase joint velocities look into the future and
-                are derived again.
+                are derived again, as are those that samples lack.
         """
         check_robot(observer, robot, joints)
         check_rate(rate)
@@ -48,7 +48,7 @@ class ObserverStream:
         self._loop = Loop(observer)
         self._period = 1.0 / rate
         self._signals = signals(observer.inputs)
-        self._rates = CausalDerivative() if DQ_ZERO_PHASE in derived else None
+        self._rates, self._derives = CausalDerivative(), DQ_ZERO_PHASE in derived
         self._t, self._x = np.zeros(0), np.zeros((0, 0))
         self._start, self._last = np.nan, -1
 
@@ -84,7 +84,7 @@ class ObserverStream:
         values = []
         for name in self._signals:
             value = readings[name]
-            if name == "dq" and self._rates is not None and readings["q"] is not None:
+            if name == "dq" and (self._derives or value is None) and readings["q"] is not None:
                 value = self._rates(t, readings["q"])
             if value is None:
                 raise ObserverError(

@@ -47,6 +47,13 @@ MEAN_FIRST = 0.4
 """Share of the steps in which only a Gaussian's mean is fitted, by mse. With the likelihood from
 the start, small motions are attributed to the covariance: the vertical error became twice as large.
 """
+TUNING = 0.1
+"""Share of an architecture's learning rate with which an observer is tuned on further logs."""
+TUNED = 0.5
+"""Share of the way from the weights of `start` to those fitted that the result has. Half way
+generalises better than either end (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR
+2022); a few seconds of a walk are fitted too well otherwise.
+"""
 SCHEDULE = ("steps", "batch", "rate", "every", "patience")
 """Settings of the course of a training."""
 TRAINING_FORMAT = "surefoot training state"
@@ -62,6 +69,7 @@ def train(
     progress: bool | TrainingProgress = False,
     partial: Path | None = None,
     held_out: Sequence[Log] = (),
+    start: Observer | None = None,
 ) -> Observer:
     """Train an observer for the robot of `logs`; deterministic for the same seed and logs.
 
@@ -79,19 +87,33 @@ def train(
         partial: file for the state after each validation, from which an interrupted training
             continues. The caller deletes it once the observer is saved.
         held_out: walks whose error decides when to stop; by default one second in ten of `logs`.
+        start: observer to be tuned, such as one from simulated walks on ten seconds of a real one;
+            its network, inputs and loss are kept, and its weights go half of the way (TUNED).
     """
     torch_device(settings.device)
     check_seed(settings.seed)
+    if start is not None:
+        settings = replace(
+            settings, model=start.model, width=start.width, inputs=start.inputs, loss=start.loss
+        )
     inputs = check_inputs(settings.inputs)
     check_network(settings.model, settings.loss)
     units: int = ARCHITECTURES[settings.model].width if settings.width is None else settings.width
     if not 0 < units <= WIDEST:
         raise ObserverError(f"train: width must be within 1 and {WIDEST}, is {units}")
-    dataset = prepare([logs] if isinstance(logs, Log) else logs, robot, inputs, held_out)
+    dataset = prepare([logs] if isinstance(logs, Log) else logs, robot, inputs, held_out, start)
     with _one_thread():
-        fitted = _fit(dataset, replace(settings, width=units), progress, partial)
-        network = fitted.network
+        fitted = _fit(dataset, replace(settings, width=units), progress, partial, start)
+        network, rmse = fitted.network, fitted.rmse
         network.to(CPU).load_state_dict(fitted.best)
+        if start is not None:
+            between = {
+                name: torch.lerp(weight, fitted.best[name], TUNED)
+                for name, weight in start.network.state_dict().items()
+            }
+            network.load_state_dict(between)
+            scored = [log for log in dataset.logs if log.validation.any()]
+            _, rmse = _score(network, scored, settings.loss, dataset.y_scale)
         errors = _errors(network, dataset)
     return Observer(
         model=settings.model,
@@ -107,10 +129,10 @@ def train(
         p_BI=np.array(dataset.robot.p_BI, dtype=float),
         R_BI=np.array(dataset.robot.R_BI, dtype=float),
         loss=settings.loss,
-        logs=dataset.about,
+        logs=(*(start.logs if start else ()), *dataset.about),
         seed=settings.seed,
         rate=RATE,
-        rmse=fitted.rmse,
+        rmse=rmse,
         errors=errors,
         causal_dq=dataset.causal_dq,
         legs=dataset.legs,
@@ -242,28 +264,33 @@ def _fit(
     settings: TrainSettings,
     progress: bool | TrainingProgress,
     partial: Path | None,
+    start: Observer | None,
 ) -> Training:
     """Train until the schedule ends; see `train`. The settings have a width."""
     device = torch_device(settings.device)
     loss, model = settings.loss, settings.model
     architecture = ARCHITECTURES[model]
-    rate = settings.rate or architecture.rate
+    rate = settings.rate or architecture.rate * (TUNING if start else 1.0)
     unsettled = max(WARM_UP, (architecture.receptive_field or 0) - 1)
     known = {name: getattr(settings, name) for name in ("model", "loss", "seed", "width")}
     known |= {"rate": rate, "schedule": {name: getattr(settings, name) for name in SCHEDULE}}
     if device.type != CPU.type:  # which sums in another order
         known["device"] = device.type
+    if start is not None:
+        known["start"] = start.hash
     task = task_digest(dataset.logs, **known)
     logs = [log.to(device) for log in dataset.logs]
     scored = [log for log in logs if log.validation.any()]
     trained = [log for log in logs if log.train.any()]
-    now = _begin(dataset, replace(settings, rate=rate), device)
+    now = _begin(dataset, replace(settings, rate=rate), device, start)
     if partial:
         now.restore(partial, task)
 
     def stage(step: int) -> str:
         return "mse" if step <= MEAN_FIRST * settings.steps else loss
 
+    if start is not None and now.step == 0:
+        now.judge(*_score(now.network, scored, stage(0), dataset.y_scale))
     with drawn_bar(
         total=settings.steps,
         initial=now.step,
@@ -303,9 +330,11 @@ def _fit(
     return now
 
 
-def _begin(dataset: Dataset, settings: TrainSettings, device: torch.device) -> Training:
+def _begin(
+    dataset: Dataset, settings: TrainSettings, device: torch.device, start: Observer | None
+) -> Training:
     """Initialise a training; the weights are drawn on the CPU, so they are the same for every
-    device. The settings have a width and a rate.
+    device, or those of `start`. The settings have a width and a rate.
     """
     assert settings.width is not None
     assert settings.rate is not None
@@ -316,6 +345,8 @@ def _begin(dataset: Dataset, settings: TrainSettings, device: torch.device) -> T
     network.initialise(torch.Generator().manual_seed(int(rng.integers(2**63))))
     if network.odometry is not None:
         network.odometry.set_units(dataset.x_mean, dataset.x_scale, dataset.y_scale)
+    if start is not None:
+        network.load_state_dict(start.network.state_dict())
     best = _kept_weights(network)
     network.to(device)  # before Adam, which keeps its state where the weights are
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)

@@ -67,12 +67,17 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
     loss: options.one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
     inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
     model: options.one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
+    start: Annotated[Path | None, arg(name="from")] = None
+    """Observer to be tuned, such as one from simulated walks on ten seconds of a real one; its
+    network, inputs and loss are kept.
+    """
     report: Path | None = None
     """Folder for a report: error on unseen walks against the number of walks, up to --walks."""
 
     def run(self) -> None:
         from surefoot.models.calibration.walk_length import walk_enough
         from surefoot.models.observer.device import torch_device
+        from surefoot.models.observer.observer import Observer
         from surefoot.models.observer.training import partial_path, train
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.training.error_by_walks import write_error_by_walks
@@ -88,18 +93,19 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
         if self.report:
             refuse_full(self.report, self.force)
         partial = partial_path(self.out)
+        start = Observer.load(self.start) if self.start else None
         if self.walks:
             logs = many_walks(self, self.sources)
             held_out = list(many_walks(self, self.sources, "held_out"))
-            observer = train(logs, None, self, True, partial, held_out)
+            observer = train(logs, None, self, True, partial, held_out, start)
         else:
             recorded = read_logs([Path(one) for one in self.sources], self.robot)
             warnings = not_plausible(recorded, strict=self.strict)
             logs, held_out = None, ()
-            observer = train(as_declared(recorded), None, self, True, partial)
-            seen = zip(observer.logs, warnings, strict=True)
-            seen = tuple(replace(one, warnings=lines) for one, lines in seen)
-            observer = replace(observer, logs=seen)
+            observer = train(as_declared(recorded), None, self, True, partial, (), start)
+            earlier, own = observer.logs[: -len(recorded)], observer.logs[-len(recorded) :]
+            own = [replace(one, warnings=lines) for one, lines in zip(own, warnings, strict=True)]
+            observer = replace(observer, logs=(*earlier, *own))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
         if logs and self.report:

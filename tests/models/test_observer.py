@@ -11,6 +11,8 @@ from synthetic import Body, synthetic_walk, without
 
 from surefoot.models.observer.observer import Observer, ObserverError, check_inputs
 from surefoot.models.observer.predict import predict
+from surefoot.models.observer.samples import observer_samples
+from surefoot.models.observer.stream import ObserverStream
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -81,9 +83,21 @@ def test_other_inputs_are_refused(inputs):
         check_inputs(inputs)
 
 
-def test_missing_inputs_are_named_and_never_filled(mse_observer, walks):
-    with pytest.raises(ObserverError, match=r"lacks dq \(dq_FL_hip.*reads q,dq; .* derives"):
-        predict(mse_observer, without(walks["test"], "dq_"), Body())
+def test_missing_inputs_are_named_and_never_filled(walks):
+    with pytest.raises(ObserverError, match=r"lacks tau \(tau_FL_hip.*reads q,dq,tau"):
+        observer_samples(without(walks["test"], "tau_"), ("q", "dq", "tau"))
+
+
+def test_rates_that_a_log_lacks_are_derived_from_the_angles_alike_in_a_stream(mse_observer, walks):
+    log = without(walks["test"], "dq_")
+    whole = predict(mse_observer, log, Body())
+    stream = ObserverStream(mse_observer, Body(), log.rate, log.joints)
+    readings = {name: getattr(log, name) if log.has(name) else None for name in ("q", "dq", "tau")}
+    rows, v_I, _ = stream.advance(log.t, log.gyro, readings | {"contact": None})
+    np.testing.assert_array_equal(rows, whole.rows)
+    np.testing.assert_allclose(v_I, whole.v_I, atol=1e-4)
+    known = predict(mse_observer, walks["test"], Body())
+    assert np.sqrt(np.mean((whole.v_I - known.v_I) ** 2)) < 0.3 * known.v_I.std()
 
 
 def test_another_robot_is_refused(mse_observer, walks):

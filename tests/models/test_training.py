@@ -52,6 +52,28 @@ def test_progress_is_told(walks):
     assert all(np.all(rmse > 0) for _, _, rmse in told)
 
 
+@pytest.mark.parametrize("loss", ["mse", "gml"])
+def test_ten_seconds_of_another_machine_tune_an_observer(loss, mse_observer, gml_observer, walks):
+    """Legs that are a tenth longer, and an encoder that is off: half of the error goes at least."""
+    start = {"mse": mse_observer, "gml": gml_observer}[loss]
+
+    def other(log):
+        moved = {f"q_{log.joints[0]}": log.q[:, 0] + 0.1}
+        moved |= {f"ref_v_{axis}": 1.1 * log.ref_v[:, i] for i, axis in enumerate("xyz")}
+        return log.with_columns(moved)
+
+    short = other(synthetic_walk(7, 12, noise=0.1, name="real"))
+    tuned = train(short, Body(), TrainSettings(steps=300, every=75), start=start)
+    before, after = (
+        np.sqrt(np.mean(prediction_errors(one, other(walks["test"]), Body())[1] ** 2))
+        for one in (start, tuned)
+    )
+    assert after < 0.85 * before
+    assert (tuned.inputs, tuned.loss, tuned.width) == (start.inputs, start.loss, start.width)
+    assert [one.name for one in tuned.logs] == ["fit", "real"]
+    refused("trained on analytic", train, short, Body("other"), TINY, start=start)
+
+
 def test_held_out_labels_do_not_matter(walks):
     """Other labels in the held-out blocks change the score, never a weight."""
     log = walks["fit"]
