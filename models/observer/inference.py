@@ -7,8 +7,8 @@ their number: a whole log gives the same bits as its samples one by one, which B
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Protocol
+from collections.abc import Callable, Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,18 +16,14 @@ from surefoot.models.observer.gru import scan
 from surefoot.models.observer.odometry import leg_velocity
 from surefoot.sim.common.kernels import kernel
 
+Features = Callable[[np.ndarray], np.ndarray]
+"""x (T, inputs), from a log's first sample or the one after the last call -> (T, features)."""
 Weights = Mapping[str, np.ndarray]
 """Of a whole network, float32, by the names of torch's state dict."""
 LOSS_OUTPUTS = {"mse": 3, "gml": 9}
 """Number of the head's outputs, by loss."""
 SMALLEST = 1e-3
 """Lower bound of L's diagonal; without one, the likelihood is unbounded for a perfect fit."""
-
-
-class Features(Protocol):
-    """x (T, inputs), from a log's first sample or the one after the last call -> (T, features)."""
-
-    def __call__(self, x: np.ndarray, /) -> np.ndarray: ...
 
 
 class CompiledGRU:
@@ -122,7 +118,7 @@ def gru_states(x, state, W_x, b_x, W_h, b_h):
     """The given state and those after each sample, (T + 1, H); arguments as for `dense` and
     `scan`.
     """
-    gates = dense(x, W_x, b_x, 1)
+    gates = dense(x, W_x, b_x, np.int64(1))
     states, _ = scan(gates.reshape(len(x), 1, -1), W_h, b_h, state.reshape(1, -1))
     return states.reshape(len(x) + 1, -1)
 
@@ -131,14 +127,15 @@ def gru_states(x, state, W_x, b_x, W_h, b_h):
 def mlp_features(x, apart, W_1, b_1, W_2, b_2):
     """Features (T, F) of two layers with rectified outputs; arguments as for `dense`."""
     hidden = rectified(dense(x, W_1, b_1, apart))
-    return rectified(dense(hidden, W_2, b_2, 1))
+    return rectified(dense(hidden, W_2, b_2, np.int64(1)))
 
 
 @kernel(nogil=True)
 def corrected_odometry(x, features, W, b, W_gates, b_gates, gain, mean, scale):
     """Outputs of the head, added to leg odometry; arguments as for `dense` and `leg_velocity`."""
-    outputs = dense(features, W, b, 1)
-    v = leg_velocity(dense(features, W_gates, b_gates, 1), gain, mean, scale, x)
+    one = np.int64(1)
+    outputs = dense(features, W, b, one)
+    v = leg_velocity(dense(features, W_gates, b_gates, one), gain, mean, scale, x)
     for t in range(len(v)):
         for i in range(3):
             outputs[t, i] += v[t, i]
@@ -159,7 +156,7 @@ def rectified(y):
 def dense(x, W, b, apart):
     """Outputs (T, F) of a linear layer that sees one sample, or several at equal distances.
 
-    All arrays are float32 and contiguous.
+    All arrays are float32 and contiguous. For a literal `apart` numba would compile it once more.
 
     Args:
         x: (T + (taps - 1) apart, C), the samples.

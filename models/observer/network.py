@@ -70,7 +70,7 @@ class Network(torch.nn.Module):
         Args:
             model: name of its architecture.
             inputs: number of channels.
-            outputs: of the head: OUTPUTS of the loss.
+            outputs: of the head: LOSS_OUTPUTS of the loss.
             width: of the architecture's layers.
             legs: of a robot whose leg odometry it corrects; 0 without.
         """
@@ -133,11 +133,6 @@ class Odometry(torch.nn.Module):
         u = (self.mean + self.scale * x[..., -len(self.mean) :]).unflatten(-1, (-1, 3))
         w = torch.softmax(self.gates(features), -1)
         return -self.gain * (w[..., None] * u).sum(-2)
-
-
-def numpy_weights(network: Network) -> dict[str, np.ndarray]:
-    """A copy of a network's weights, as an observer has them."""
-    return {n: w.detach().cpu().numpy().copy() for n, w in network.state_dict().items()}
 
 
 def torch_features(network: Network, whole: bool) -> Features:

@@ -26,7 +26,7 @@ from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.device import CPU, torch_device
 from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.inference import LOSS_OUTPUTS
-from surefoot.models.observer.network import Network, loss_of, numpy_weights
+from surefoot.models.observer.network import Network, loss_of
 from surefoot.models.observer.observer import (
     WIDEST,
     Observer,
@@ -118,7 +118,7 @@ def train(
     return Observer(
         model=settings.model,
         width=units,
-        weights=numpy_weights(network),
+        weights={name: weight.numpy() for name, weight in fitted.best.items()},
         inputs=inputs,
         joints=dataset.joints,
         input_mean=dataset.x_mean,

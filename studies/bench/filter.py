@@ -21,7 +21,7 @@ from surefoot.estimator import (
     velocity_output,
 )
 from surefoot.extend import ARCHITECTURES, GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
-from surefoot.models.observer.network import Network, numpy_weights
+from surefoot.models.observer.network import Network
 from surefoot.models.observer.predict import Loop
 
 BENCH_GAMMA, FILTER_STEPS = 0.8, 200
@@ -165,7 +165,7 @@ def untrained_observer(inputs: int = 36) -> Observer:
     return Observer(
         model="gru",
         width=width,
-        weights=numpy_weights(network),
+        weights={name: weight.numpy() for name, weight in network.state_dict().items()},
         inputs=("q", "dq", "tau"),
         joints=tuple(f"joint_{k}" for k in range(inputs // 3)),
         input_mean=np.zeros(inputs),

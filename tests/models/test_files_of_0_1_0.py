@@ -15,8 +15,9 @@ from synthetic import Body, synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.earlier import observer_of_torch
-from surefoot.models.observer.observer import ObserverError
+from surefoot.models.observer.observer import Observer, ObserverError
 from surefoot.models.observer.predict import predict
+from surefoot.scenarios.export import export
 from surefoot.sim.robot import Robot
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"
@@ -48,6 +49,14 @@ def test_extreme_weights_are_named():
     with pytest.raises(ObserverError, match="weights") as error:
         predict(replace(observer, weights=extreme), synthetic_walk(2, 12, noise=0.1), Body())
     assert "\n" not in str(error.value)
+
+
+def test_a_converted_observer_still_has_its_bounds(tmp_path):
+    export(FILES / "observer_q_dq_gml.pt", tmp_path / "new.safetensors")
+    assert (
+        Observer.load(tmp_path / "new.safetensors").hash
+        == Bounds.load(FILES / "bounds.json").observer
+    )
 
 
 def test_bounds_say_what_they_said(tmp_path):

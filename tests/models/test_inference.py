@@ -9,7 +9,7 @@ import torch
 from synthetic import Body
 
 from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
-from surefoot.models.observer.network import Network, numpy_weights
+from surefoot.models.observer.network import Network
 from surefoot.models.observer.observer import Observer, ObserverError
 from surefoot.models.observer.predict import Loop, predict
 from surefoot.models.observer.samples import observer_samples
@@ -34,7 +34,8 @@ def network_of(model: str, loss: str, legs: int) -> Network:
 
 def running(model: str, loss: str, legs: int) -> Callable[[np.ndarray], np.ndarray]:
     """The same network without torch."""
-    weights = numpy_weights(network_of(model, loss, legs))
+    network = network_of(model, loss, legs)
+    weights = {name: weight.numpy() for name, weight in network.state_dict().items()}
     body = COMPILED[model](weights, INPUTS, WIDTH)
     head = Head(weights, WIDTH, LOSS_OUTPUTS[loss], legs)
     return lambda x: head(x, body(x))
