@@ -47,6 +47,12 @@ MOST_ROTATION_MISSED = 0.15
 """Largest share of the gyro's rotation that the tracked body may lack. A gyro read at 100 Hz misses
 less than a tenth of a walk's rotation; a loose body, or another one, lacks more.
 """
+_COMMENTS = {
+    "offset": " # s",
+    "p_IM": " # m, of the tracked body in the IMU frame",
+    "q_IM": " # w, x, y, z",
+    "q_GW": " # of its world",
+}
 _LEVEL = np.eye(3)
 _OFF_AXIS = 0.25
 """Largest error of the mean specific force along an axis of the reference's world, in gravities."""
@@ -122,7 +128,8 @@ class Alignment(Placement):
     @property
     def map_lines(self) -> tuple[str, ...]:
         """Lines of an import map that apply the same alignment, in place of its own."""
-        return ("[reference]", *(map_line(*one) for one in self.map_values.items()))
+        lines = (f"{map_line(*one)}{_COMMENTS.get(one[0], '')}" for one in self.map_values.items())
+        return ("[reference]", *lines)
 
     @property
     def map_values(self) -> dict[str, Any]:

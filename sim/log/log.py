@@ -20,6 +20,7 @@ from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log.file import LogError, LogReader, LogWriter
 from surefoot.sim.log.schema import (
+    ALIGNED,
     GROUPS,
     JOINTS,
     LOG_NAME,
@@ -60,7 +61,9 @@ class Log:
 
         Raises LogError, one line with file, column and row, at the first fault.
         """
-        name = reader.meta.model.get(LOG_NAME) or reader.path.stem
+        name = reader.path.stem
+        if name == ALIGNED:
+            name = reader.meta.model.get(LOG_NAME, name)
         for frame in reader.frames(seconds):
             yield Log(frame, reader.meta, name)
 

@@ -27,8 +27,12 @@ LEGS = ("FL", "FR", "RL", "RR")
 """A quadruped's legs, in the order of all arrays."""
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
 """A quadruped's joints, in the order of all arrays."""
+ALIGNED = "aligned"
+"""Name of the file of an aligned log, which keeps its own name (LOG_NAME); others have their
+file's.
+"""
 LOG_NAME = "log_name"
-"""Key of a log's `meta.model`: its name, where that is not its file's."""
+"""Key of a log's `meta.model`: its name in a file that is called ALIGNED."""
 _BINARY_PREFIXES = ("contact_", "ref_ok")
 _UNIT_TOLERANCE = 1e-5
 
@@ -144,7 +148,7 @@ class Meta:
         model: properties of the robot from an import map, which override the MJCF (p_BI in m, q_BI
             as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
             (ground_evenness in m); `reference_offset`, the clock offset of its reference [s];
-            `log_name`, its name, where that is not its file's;
+            `log_name`, its name in a file that is called aligned;
             `file`, the model's file if it has no known name (`sim.robot.model_of_log`); `ground`,
             if it includes height fields from a file (`sim.ground.ground_metadata`).
         warnings: about what was not plausible on import, one line each (`sim.plausibility`).
