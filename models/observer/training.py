@@ -104,21 +104,21 @@ def train(
     dataset = prepare([logs] if isinstance(logs, Log) else logs, robot, inputs, held_out, start)
     with _one_thread():
         fitted = _fit(dataset, replace(settings, width=units), progress, partial, start)
-        network, rmse = fitted.network, fitted.rmse
-        network.to(CPU).load_state_dict(fitted.best)
+        network, weights, rmse = fitted.network, fitted.best, fitted.rmse
+        network.to(CPU).load_state_dict(weights)
         if start is not None:
-            between = {
-                name: torch.lerp(weight, fitted.best[name], TUNED)
+            weights = {
+                name: torch.lerp(weight, weights[name], TUNED)
                 for name, weight in start.network.state_dict().items()
             }
-            network.load_state_dict(between)
+            network.load_state_dict(weights)
             scored = [log for log in dataset.logs if log.validation.any()]
             _, rmse = _score(network, scored, settings.loss, dataset.y_scale)
         errors = _errors(network, dataset)
     return Observer(
         model=settings.model,
         width=units,
-        weights={name: weight.numpy() for name, weight in fitted.best.items()},
+        weights={name: weight.numpy() for name, weight in weights.items()},
         inputs=inputs,
         joints=dataset.joints,
         input_mean=dataset.x_mean,

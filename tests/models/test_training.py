@@ -71,6 +71,9 @@ def test_ten_seconds_of_another_machine_tune_an_observer(loss, mse_observer, gml
     assert after < 0.85 * before
     assert (tuned.inputs, tuned.loss, tuned.width) == (start.inputs, start.loss, start.width)
     assert [one.name for one in tuned.logs] == ["fit", "real"]
+    # What is stored has the error that is stated.
+    _, errors = prediction_errors(tuned, short, Body())
+    np.testing.assert_allclose(errors, tuned.errors, atol=1e-5)
     refused("trained on analytic", train, short, Body("other"), TINY, start=start)
 
 
