@@ -897,8 +897,14 @@ def _metric(
     error: ModelError,
     moved: Sequence[Key] = (),
 ) -> Metric:
-    """Metric at these effects; derivatives of an evidence `before` may be reused but for those
-    `moved`, which the logs have at other sizes.
+    """Metric at these effects.
+
+    Args:
+        problem: of the search.
+        effects: that are compensated.
+        before: an evidence whose derivatives may be reused.
+        error: of the model.
+        moved: candidates that the logs have at other sizes than those of `before`.
     """
     before = None if problem.by_windows else before
     known = linearise(

@@ -79,7 +79,7 @@ class Head:
         if legs:
             gates = linear(weights, "odometry.gates.weight", features, legs)
             sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs}
-            units = (sized(weights, f"odometry.{name}", size) for name, size in sizes.items())
+            units = (of_shape(weights, f"odometry.{name}", size) for name, size in sizes.items())
             self._odometry = *gates, *units
 
     def __call__(self, x: np.ndarray, features: np.ndarray) -> np.ndarray:
@@ -94,11 +94,11 @@ def linear(weights: Weights, name: str, inputs: int, outputs: int) -> tuple[np.n
 
     Raises LookupError where one is missing, ValueError where it has another shape.
     """
-    W = sized(weights, name, outputs, inputs)
-    return np.ascontiguousarray(W.T), sized(weights, name.replace("weight", "bias"), outputs)
+    W = of_shape(weights, name, outputs, inputs)
+    return np.ascontiguousarray(W.T), of_shape(weights, name.replace("weight", "bias"), outputs)
 
 
-def sized(weights: Weights, name: str, *shape: int) -> np.ndarray:
+def of_shape(weights: Weights, name: str, *shape: int) -> np.ndarray:
     """A weight of that shape, beyond whose ends a compiled loop would read. Raises as `linear`."""
     if weights[name].shape != shape:
         raise ValueError(f"weights: {name} is not of shape {shape}")
@@ -115,8 +115,15 @@ def cholesky_factor(outputs: np.ndarray) -> np.ndarray:
 
 @kernel(nogil=True)
 def gru_states(x, state, W_x, b_x, W_h, b_h):
-    """The given state and those after each sample, (T + 1, H); arguments as for `dense` and
-    `scan`.
+    """The given state and those after each sample, (T + 1, H).
+
+    Args:
+        x: (T, C), the samples.
+        state: (H,), before the first.
+        W_x: (C, 3 H), weights of the samples, for the gates.
+        b_x: (3 H,), biases.
+        W_h: (H, 3 H), weights of the state.
+        b_h: (3 H,), biases.
     """
     gates = dense(x, W_x, b_x, np.int64(1))
     states, _ = scan(gates.reshape(len(x), 1, -1), W_h, b_h, state.reshape(1, -1))
@@ -125,14 +132,35 @@ def gru_states(x, state, W_x, b_x, W_h, b_h):
 
 @kernel(nogil=True)
 def mlp_features(x, apart, W_1, b_1, W_2, b_2):
-    """Features (T, F) of two layers with rectified outputs; arguments as for `dense`."""
+    """Features (T, F) of two layers with rectified outputs.
+
+    Args:
+        x: samples, as of `dense`, as is `apart`.
+        apart: distance of those that the first layer sees.
+        W_1: (taps C, F), weights of the first layer.
+        b_1: (F,), its biases.
+        W_2: (F, F), weights of the second.
+        b_2: (F,), its biases.
+    """
     hidden = rectified(dense(x, W_1, b_1, apart))
     return rectified(dense(hidden, W_2, b_2, np.int64(1)))
 
 
 @kernel(nogil=True)
 def corrected_odometry(x, features, W, b, W_gates, b_gates, gain, mean, scale):
-    """Outputs of the head, added to leg odometry; arguments as for `dense` and `leg_velocity`."""
+    """Outputs (T, 3 or 9) of the head, with leg odometry added to the velocity.
+
+    Args:
+        x: (T, C), the samples, of which the last are the feet's.
+        features: (T, F), of the architecture.
+        W: (F, 3 or 9), weights of the head.
+        b: its biases.
+        W_gates: (F, L), weights of the gates.
+        b_gates: (L,), their biases.
+        gain: (3,), as of `leg_velocity`.
+        mean: (3 L,), likewise.
+        scale: (3 L,), likewise.
+    """
     one = np.int64(1)
     outputs = dense(features, W, b, one)
     v = leg_velocity(dense(features, W_gates, b_gates, one), gain, mean, scale, x)

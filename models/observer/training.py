@@ -266,7 +266,15 @@ def _fit(
     partial: Path | None,
     start: Observer | None,
 ) -> Training:
-    """Train until the schedule ends; see `train`. The settings have a width."""
+    """Train until the schedule ends.
+
+    Args:
+        dataset: to train on.
+        settings: as of `train`, with a width.
+        progress: as of `train`.
+        partial: as of `train`.
+        start: observer to be tuned; None to begin with drawn weights.
+    """
     device = torch_device(settings.device)
     loss, model = settings.loss, settings.model
     architecture = ARCHITECTURES[model]
@@ -331,7 +339,10 @@ def _fit(
 
 
 def _begin(
-    dataset: Dataset, settings: TrainSettings, device: torch.device, start: Observer | None
+    dataset: Dataset,
+    settings: TrainSettings,
+    device: torch.device,
+    start: Observer | None = None,
 ) -> Training:
     """Initialise a training; the weights are drawn on the CPU, so they are the same for every
     device, or those of `start`. The settings have a width and a rate.

@@ -67,7 +67,9 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
     loss: options.one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
     inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
     model: options.one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
-    start: Annotated[Path | None, arg(name="from")] = None
+    start: Annotated[
+        Path | None, arg(name="from", metavar="PATH", help_behavior_hint=options.OPTIONAL)
+    ] = None
     """Observer to be tuned, such as one from simulated walks on ten seconds of a real one; its
     network, inputs and loss are kept.
     """

@@ -143,8 +143,8 @@ def paths_figure(walks: Mapping[str, AlignedWalk], one: Effect) -> Figure:
         heading = np.arctan2(forward[1], forward[0])
         paths = {
             "motion capture": (truth, INK),
-            "leg filter": (filtered(walk.log, None), BEFORE),
-            f"leg filter with {one.name}": (filtered(walk.log, one), AFTER),
+            "leg filter": (leg_path(walk.log, None), BEFORE),
+            f"leg filter with {one.name}": (leg_path(walk.log, one), AFTER),
         }
         for words, (path, color) in paths.items():
             x, y = (path.p_GI - path.p_GI[0])[:, :2].T
@@ -160,7 +160,7 @@ def paths_figure(walks: Mapping[str, AlignedWalk], one: Effect) -> Figure:
     return drawn
 
 
-def filtered(log: Log, one: Effect | None) -> Trajectory:
+def leg_path(log: Log, one: Effect | None) -> Trajectory:
     """The leg filter's estimate of a log, with an effect compensated."""
     log, _ = compensate_all([one] if one else [], log, machine_for_log(log))
     return run_filter("leg", log, None, None, SETTINGS).trajectory
@@ -169,7 +169,7 @@ def filtered(log: Log, one: Effect | None) -> Trajectory:
 def _errors_row(
     words: str, logs: Mapping[str, Log], one: Effect | None, fitted: Sequence[str]
 ) -> dict[str, str]:
-    errors = {name: end_error(log, filtered(log, one)) for name, log in logs.items()}
+    errors = {name: end_error(log, leg_path(log, one)) for name, log in logs.items()}
     unseen = [error for name, error in errors.items() if name not in fitted]
     return {
         "feet": words,
