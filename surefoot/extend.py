@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from surefoot.sim.robot.inertia import LinkChange
     from surefoot.sim.robot.legs import JOINTS
     from surefoot.sim.robot.limbs import Limbs
-    from surefoot.sim.robot.machine import Modelled, machine_for_log
+    from surefoot.sim.robot.machine import Machine, Modelled, machine_for_log
     from surefoot.sim.scenario import Ranges, Scenario, Segment
     from surefoot.sim.scenario_catalog import bundled_scenarios
     from surefoot.sim.sensors.stances import stance_phase

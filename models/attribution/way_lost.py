@@ -91,7 +91,8 @@ def way_lost(cases: Sequence[LogUnderModel], held_out: Sequence[LogUnderModel] =
 def _shows_way(case: LogUnderModel) -> bool:
     """Whether a log gives feet, contacts, an IMU and a reference."""
     groups = ("imu", "foot", "contact", "reference")
-    return case.by_feet and all(case.log.has(group) for group in groups) and case.log.contact.any()
+    there = case.by_feet and all(case.log.has(group) for group in groups)
+    return bool(there and case.log.contact.any())
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ def _stances(log: Log) -> Iterator[tuple[str, pd.DataFrame]]:
     np.add.at(body, way.stance[way.shown], moved_I[way.shown])
     along = np.sum(legs * body, axis=1) / np.maximum(way.length, 1e-9)
     feet = log.contact[np.searchsorted(way.stance, np.arange(len(way.length)))]
-    inner = feet.any(axis=1)
+    inner = np.any(feet, axis=1)
     inner[[0, -1]] = False
     for group in np.unique(feet[inner], axis=0)[::-1]:
         own = inner & np.all(feet == group, axis=1)

@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from surefoot import Log, Trace, TraceOptions, trace
-from surefoot.extend import Modelled
+from surefoot.extend import Machine, Modelled
 from surefoot.scenarios.reporting import (
     AFTER,
     BEFORE,
@@ -26,7 +26,7 @@ Said = Mapping[str, Any]
 
 
 def traced(
-    logs: Sequence[Log], machine: Modelled, out: Path, options: TraceOptions | None = None
+    logs: Sequence[Log], machine: Machine, out: Path, options: TraceOptions | None = None
 ) -> Trace:
     """Trace logs of one machine into a folder, which is overwritten."""
     with percent_bar(f"trace {out.name}") as progress:

@@ -81,7 +81,8 @@ def by_both_ways(file, map, folder):
 
 
 def test_the_aligned_log_is_the_one_imported_with_the_lines(recording, tmp_path):
-    aligned, pasted = by_both_ways(*recording, tmp_path)
+    file, rules = recording
+    aligned, pasted = by_both_ways(file, rules, tmp_path)
     assert_frame_equal(aligned.frame, pasted.frame, check_exact=True)
     assert aligned.meta.model["reference_offset"] == pasted.meta.model["reference_offset"]
     assert pd.Series(pasted.ref_ok).sum() < len(pasted.t)  # what leaps is in neither
@@ -100,7 +101,8 @@ def test_so_is_a_measured_one(map, file, tmp_path):
 
 
 def test_an_aligned_log_keeps_its_name(recording, log, tmp_path):
-    aligned, pasted = by_both_ways(*recording, tmp_path)
+    file, rules = recording
+    aligned, pasted = by_both_ways(file, rules, tmp_path)
     assert aligned.name == pasted.name == "run"
     # So does a log, whose poses are recovered from its rows.
     log.write(tmp_path / "seen.parquet")
