@@ -97,11 +97,11 @@ def _at_bound(one: Effect, limbs: Limbs | None) -> bool:
 def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
     """Whether the effects reduce a channel that they show in on unseen data.
 
-    True if one of them cannot be compensated by a model.
+    True if one of them has an estimate of its own, as sliding feet have, and not from channels.
     """
-    if not all(type(one.effect).is_compensated() for one in found):
-        return True
     ones = [one.effect for one in found]
+    if not all(one.is_compensated() and one.traced.by_search for one in ones):
+        return True
     shown = {name for one in ones for name in one.traced_at(one.target).channels}
     own = [channels[name] for name in shown if name in channels]
     return not own or any(c.after < c.before for c in own)
