@@ -25,6 +25,10 @@ WINDOW = 1.0
 """Time over which displacements are compared [s]: some strides, whose ripple averages out."""
 LIKELIER = 3.0
 """Difference in ln(odds) from which one law is said to be likelier than the other: 20 to 1."""
+SHORTEST_WAY = 1.0
+"""Way of all logs from which the feet show what they lose [m]; at rest there is noise alone."""
+_EXACT = 1e-12
+"""Squared way [m^2] below which there is rounding alone."""
 FEWEST_RUNS = 4
 """Runs from which each is a part; the quarters of fewer ones are."""
 
@@ -50,11 +54,11 @@ def way_lost(cases: Sequence[LogUnderModel], held_out: Sequence[LogUnderModel] =
         held_out: logs of the same machine; an effect that makes their way worse is not found.
     """
     runs = [_stances(case) for case in cases if _shows_way(case)]
-    if 0 < len(runs) < FEWEST_RUNS:
+    if sum(run.length.sum() for run in runs) < SHORTEST_WAY:
+        return WayLost()
+    if len(runs) < FEWEST_RUNS:
         runs = [quarter for run in runs for quarter in run.quarters()]
     n = len(runs)
-    if n < FEWEST_RUNS:
-        return WayLost()
     others = [[*runs[:k], *runs[k + 1 :]] for k in range(n)]
     without = np.array([[_size(rest, law) for rest in others] for law in LAWS])
     sizes = [_size(runs, law) for law in LAWS]
@@ -66,12 +70,12 @@ def way_lost(cases: Sequence[LogUnderModel], held_out: Sequence[LogUnderModel] =
     # Of the displacements, normal with an unknown variance, and of the size.
     free = 0.5 * sum(2 * len(np.unique(run.window)) for run in runs)
     within = [known_effects()[law].size_prior().within / 1.96 for law in LAWS]
-    against = free * np.log(left) + 0.5 * (np.array(sizes) / within) ** 2
+    against = free * np.log(np.maximum(left, _EXACT)) + 0.5 * (np.array(sizes) / within) ** 2
     best = int(np.argmin(against))
     law, size = LAWS[best], sizes[best]
     spread = np.sum((without[best] - without[best].mean()) ** 2)
     half = float(student.ppf(0.975, n - 1) * np.sqrt((n - 1) / n * spread))
-    if against[best] >= free * np.log(plain) or abs(size) <= half:
+    if against[best] >= free * np.log(max(plain, _EXACT)) or abs(size) <= half:
         return WayLost()
     unseen = [_stances(case) for case in held_out if _shows_way(case)]
     worse = [run for run in unseen if run.missed(law, size) > run.missed(law, 0.0)]

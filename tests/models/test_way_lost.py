@@ -77,6 +77,18 @@ def test_feet_that_stick_lose_nothing():
     assert not way_lost([]).found
 
 
+def test_a_body_that_stands_shows_nothing():
+    log, rng = creeping(0.3), np.random.default_rng(0)
+    rows = {name: np.full(len(log.t), x[0]) for name, x in log.columns.items() if name != "t"}
+    noise = {
+        name: x + 1e-3 * rng.normal(size=len(x))
+        for name, x in rows.items()
+        if name.startswith(("foot_", "gyro_", "ref_p"))
+    }
+    contacts = {f"contact_{leg}": np.ones(len(log.t)) for leg in log.legs}
+    assert not way_lost([case_of(log.with_columns(rows | noise | contacts))]).found
+
+
 def test_an_effect_that_held_out_runs_contradict_is_not_found():
     loses, sticks = case_of(creeping(0.4)), case_of(creeping(0.0))
     turned = sticks.log.with_columns({"gyro_z": 0.4 * np.cos(4.0 * np.pi * sticks.log.t)})
