@@ -3,7 +3,7 @@
 The displacement by the legs within about a second less that of the reference is proportional to the
 former (`foot_creep`), or to the angle by which the standing feet turn over the ground
 (`foot_scrub`). Either size is a least-squares fit. Parts of the logs, whole runs where there are
-enough, are left out in turn to tell how well each law foretells them, and how sure its size is; the
+enough, are left out in turn to tell how well each law predicts them, and how sure its size is; the
 law is chosen by this and by the prior of its size.
 """
 
@@ -81,14 +81,14 @@ def way_lost(cases: Sequence[LogUnderModel], held_out: Sequence[LogUnderModel] =
     worse = [run for run in unseen if run.missed(law, size) > run.missed(law, 0.0)]
     if worse:
         many = f"{len(worse)} of {len(unseen)} held-out runs"
-        return WayLost((), (f"{law}: not found, {many} go less as the feet say with it",))
+        return WayLost((), (f"{law}: not found, {many} are worse with it",))
     note = (
-        f"{law}: foretells {100.0 * (1.0 - left[best] / plain):.0f} % of the squared way lost in "
+        f"{law}: predicts {100.0 * (1.0 - left[best] / plain):.0f} % of the squared way lost in "
         "parts that it was not fitted to"
     )
     if against[1 - best] - against[best] < LIKELIER:
         motion = known_effects()[law].traced.motion
-        note += f"; {LAWS[1 - best]} does nearly as well, to tell them apart {motion}"
+        note += f"; {LAWS[1 - best]} does nearly as well; to tell them apart, {motion}"
     return WayLost((Found(effect(law, "all", size), (size - half, size + half)),), (note,))
 
 
