@@ -190,10 +190,12 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     """Every candidate that can be compensated and has a channel in the log."""
     there, legged, limbs, keys = {*channels_of(case)}, case.robot.legged, case.robot.limbs, []
     for kind in known_effects().usable()[0].values():
-        if not kind.traced.by_search:
-            continue
         lacks = case.fixed and "reference" in kind.traced.needs
-        if not kind.is_compensated() or lacks or not kind.is_compensated_on(case.log):
+        if (
+            not (kind.is_compensated() and kind.traced.by_search)
+            or lacks
+            or not kind.is_compensated_on(case.log)
+        ):
             continue
         if case.by_feet and not kind.traced.on_given_feet:
             continue

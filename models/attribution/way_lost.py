@@ -67,8 +67,8 @@ def way_lost(cases: Sequence[LogUnderModel], held_out: Sequence[LogUnderModel] =
         sum(run.missed(law, size) for run, size in zip(runs, by_others, strict=True))
         for law, by_others in zip(LAWS, without, strict=True)
     ]
-    # Of the displacements, normal with an unknown variance, and of the size.
-    free = 0.5 * sum(2 * len(np.unique(run.window)) for run in runs)
+    # Of the displacements along two axes, normal with an unknown variance, and of the size.
+    free = sum(len(np.unique(run.window)) for run in runs)
     within = [known_effects()[law].size_prior().within / 1.96 for law in LAWS]
     against = free * np.log(np.maximum(left, _EXACT)) + 0.5 * (np.array(sizes) / within) ** 2
     best = int(np.argmin(against))

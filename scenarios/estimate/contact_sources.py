@@ -24,6 +24,7 @@ from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, 
 from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.stances import stances
 
 TRIED = 60.0
 """Part of a log, from its start, on which contacts and remedies are tried [s]."""
@@ -306,8 +307,7 @@ def moving_in_contact(t: np.ndarray, speed: np.ndarray, contact: np.ndarray) -> 
     """
     begins, ends = [], []
     for stands, flagged in zip((speed < _STANDS).T, contact.T, strict=True):
-        edges = np.diff(flagged.astype(int), prepend=0, append=0)
-        for first, last in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
+        for first, last in zip(*stances(flagged), strict=True):
             still = first + np.flatnonzero(stands[first:last])
             if len(still):
                 begins.append(t[still[0]] - t[first])

@@ -110,6 +110,8 @@ class Effect:
         if target in (single := cls.single_targets(limbs)):
             return (target,)
         found = cls.group_targets(limbs)
+        if not (single or found):
+            raise SurefootError(f"effect {cls.name}: no part of this machine can have it")
         if target not in found:
             raise SurefootError(cls._unknown(target, (*single, *found)))
         return found[target]

@@ -77,16 +77,16 @@ def test_feet_that_stick_lose_nothing():
     assert not way_lost([]).found
 
 
-def test_a_body_that_stands_shows_nothing():
-    log, rng = creeping(0.3), np.random.default_rng(0)
-    rows = {name: np.full(len(log.t), x[0]) for name, x in log.columns.items() if name != "t"}
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_body_that_steps_on_the_spot_shows_nothing(seed):
+    """Noise alone turns the feet, and any size would seem to explain it."""
+    log, rng = creeping(0.3), np.random.default_rng(seed)
     noise = {
-        name: x + 1e-3 * rng.normal(size=len(x))
-        for name, x in rows.items()
+        name: x[0] + (3e-2 if name.startswith("gyro") else 1e-3) * rng.normal(size=len(x))
+        for name, x in log.columns.items()
         if name.startswith(("foot_", "gyro_", "ref_p"))
     }
-    contacts = {f"contact_{leg}": np.ones(len(log.t)) for leg in log.legs}
-    assert not way_lost([case_of(log.with_columns(rows | noise | contacts))]).found
+    assert not way_lost([case_of(log.with_columns(noise))]).found
 
 
 def test_an_effect_that_held_out_runs_contradict_is_not_found():
@@ -99,5 +99,5 @@ def test_an_effect_that_held_out_runs_contradict_is_not_found():
 
 @pytest.mark.parametrize("name", ["foot_creep", "foot_scrub"])
 def test_a_robot_with_joints_has_no_such_effect(name):
-    with pytest.raises(SurefootError, match=name):
+    with pytest.raises(SurefootError, match=f"{name}: no part of this machine"):
         effect(name, "all", 0.1).members(Robot.load("spot_class").limbs)
