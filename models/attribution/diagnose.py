@@ -447,7 +447,7 @@ def find_harmful_effect(
 ) -> tuple[Effect, str] | None:
     """An effect that harms on bins that no fit has seen, and why; None where none does.
 
-    Either its own channels are no better with it than without. Or a channel is worse with all of
+    Either it makes its own channels surely worse (95 % of a block bootstrap). Or a channel is worse with all of
     the effects (`ChannelLevel.worse`), and best without this one.
 
     Args:
@@ -459,8 +459,9 @@ def find_harmful_effect(
     """
     sides = _residuals(problem, effects, metric, floor, split.fit)
     for one in effects:
-        if type(one).is_compensated() and np.sum(_own_gains(one, effects, sides, split.report)) < 0:
-            return one, "it makes its own channels no better on bins that no fit has seen"
+        blocks = _own_gains(one, effects, sides, split.report)
+        if type(one).is_compensated() and len(blocks) and _interval(blocks)[1] < 0.0:
+            return one, "it makes its own channels worse on bins that no fit has seen"
     levels = sides.levels(split.report)
     worse = next((name for name, level in levels.items() if level.worse), None)
     if worse is None:

@@ -49,7 +49,7 @@ def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case, floor):
     assert harm is not None
     one, why = harm
     assert one == wrong
-    assert "no better" in why
+    assert "worse" in why
 
 
 def test_what_is_there_is_needed_and_what_is_not_there_is_not(case, floor):
