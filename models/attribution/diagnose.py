@@ -447,8 +447,8 @@ def find_harmful_effect(
 ) -> tuple[Effect, str] | None:
     """An effect that harms on bins that no fit has seen, and why; None where none does.
 
-    Either it makes its own channels surely worse (95 % of a block bootstrap). Or a channel is worse with all of
-    the effects (`ChannelLevel.worse`), and best without this one.
+    Either it makes its own channels surely worse (95 % of a block bootstrap). Or a channel is worse
+    with all of the effects (`ChannelLevel.worse`), and best without this one.
 
     Args:
         problem: the logs, with their own zeros and clocks compensated.
