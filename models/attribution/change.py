@@ -23,7 +23,7 @@ from surefoot.models.attribution.effect_sizes import (
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.explain import NAMED, least_excess, least_named
-from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,

@@ -8,20 +8,16 @@ import numpy as np
 
 from surefoot.models.attribution.change import find_change
 from surefoot.models.attribution.data import (
-    Split,
     data_notes,
     dead_contacts,
     readings,
     split_of,
     untraceable_reason,
 )
-from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.effect_sizes import Found, is_sampling_lag
 from surefoot.models.attribution.evidence import (
-    Evidence,
     Key,
     LogUnderModel,
-    linearise,
     log_under_model,
     with_compensated,
 )
@@ -32,7 +28,6 @@ from surefoot.models.attribution.explain import (
     Problem,
     explain,
     problem_of,
-    without_sticking,
     zeros_beside,
 )
 from surefoot.models.attribution.forces import (
@@ -44,11 +39,19 @@ from surefoot.models.attribution.forces import (
     slip_notes,
     slippery_places,
 )
-from surefoot.models.attribution.levels import ChannelLevel, block_gains, channel_levels
+from surefoot.models.attribution.judgement import (
+    ChannelLevel,
+    Findings,
+    HeldOutRuns,
+    Residuals,
+    Unseen,
+    find_harmful_effect,
+    residuals_with,
+    verdict_of,
+)
 from surefoot.models.attribution.metric import Metric
 from surefoot.models.attribution.model_error import (
     MEAN_WINDOW,
-    OF_MEAN,
     ModelError,
     model_error,
     model_error_as_dict,
@@ -61,10 +64,8 @@ from surefoot.models.attribution.noise_floor import (
     noise_floor_with,
 )
 from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
-from surefoot.models.attribution.verdict import Findings, HeldOutRuns, verdict_of
 from surefoot.models.attribution.way_lost import way_lost
-from surefoot.models.attribution.weights import FAR_ABOVE, RobustWeights
-from surefoot.models.bootstrap import block_bootstrap_counts
+from surefoot.models.attribution.weights import FAR_ABOVE
 from surefoot.models.residuals.binning import BIN, inner_bins
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.effects import Effect, in_order
@@ -245,17 +246,18 @@ def diagnose(
             if not effects:
                 return None
             floor = floors.of(effects)
-            return (
-                find_harmful_effect(now, effects, metric, floor, split)
-                or _refuted(_held_out(unseen, effects, (), floor, several, model), effects)
-                or options.harmful(unseen or now.cases, effects)
-            )
+            sides = residuals_with(now, effects, metric, floor, split.fit)
+            parts = {"bins that no fit has seen": split.report}
+            data = [Unseen(sides, split.report, parts)]
+            if unseen:
+                data.append(_held_out(unseen, effects, (), floor, several, model)[1])
+            return find_harmful_effect(data) or options.harmful(unseen or now.cases, effects)
 
         def needed(
             metric: Metric, now: Problem, effects: Sequence[Effect], others: Sequence[Effect]
         ) -> bool:
-            floor = floors.of(others)
-            return are_needed(now, effects, others, metric, floor, split)
+            sides = residuals_with(now, others, metric, floors.of(others), split.fit)
+            return bool(replace(sides, before=sides.left_by(effects)).worse(split.report))
 
         found = explain(
             problem,
@@ -284,17 +286,18 @@ def diagnose(
     runs = _with_lags(result.runs, lags)
     # Residuals before and after, and where outside forces act, which is left out of the verdict.
     problem = replace(problem, cases=[run.case for run in runs])
-    sides = _residuals(problem, effects, result.metric, floors.last, split.fit)
+    sides = residuals_with(problem, effects, result.metric, floors.last, split.fit)
     averaged_over = MEAN_WINDOW if problem.by_windows else BIN
     pushes = outside_forces(problem.cases, sides.after, sides.evidence, averaged_over)
     pushed = pushed_bins(problem.cases, sides.evidence, pushes)
-    gone = [f for f in found if pushes and not _still_explains(f.effect, effects, sides, pushed)]
-    found = tuple(f for f in found if f not in gone)
+    pushed_away = [f for f in found if pushes and not _still_explains(f.effect, sides, ~pushed)]
+    found = tuple(f for f in found if f not in pushed_away)
     # The verdict, on the part that no fit has seen and on held-out logs.
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if unseen:
-        held_out = _held_out_levels(_held_out(unseen, effects, lags, floors.last, several, model))
+        own, data = _held_out(unseen, effects, lags, floors.last, several, model)
+        held_out = HeldOutRuns(data.sides.levels(data.used), own)
     progress(0.95)
     curves = curved_angles(result, problem.cases)
     verdict, reasons = verdict_of(
@@ -305,7 +308,7 @@ def diagnose(
             curves=bool(curves),
             rivals=result.rivals,
             pushes=pushes,
-            pushed_away=gone,
+            pushed_away=pushed_away,
             limbs=cases[0].robot.limbs,
         )
     )
@@ -315,7 +318,8 @@ def diagnose(
     # The form of what no effect explains.
     unexplained: tuple[Unexplained, ...] = ()
     if verdict == "none_of_these":
-        above = _above_floor(channels)
+        above = [name for name, c in channels.items() if not c.at_floor or c.worse]
+        above.sort(key=lambda name: -channels[name].after / channels[name].highest)
         unexplained = curves + sparse_regression(
             problem.cases, sides.after, sides.weights, above, split.fit, split.report
         )
@@ -369,136 +373,6 @@ class _Floors:
         return self.last
 
 
-@dataclass(frozen=True)
-class Residuals:
-    """Residuals of logs before and after effects are compensated.
-
-    Attributes:
-        problem: the logs, with their own zeros and clocks compensated.
-        evidence: with the effects compensated.
-        before: residual (M, W) without them and without nuisance parameters; NaN where masked.
-        after: the same with them.
-        weights: of the entries.
-        floor: noise floor of the model with the effects.
-    """
-
-    problem: Problem
-    evidence: Evidence
-    before: np.ndarray
-    after: np.ndarray
-    weights: RobustWeights
-    floor: NoiseFloor
-
-    def levels(self, judge: np.ndarray) -> dict[str, ChannelLevel]:
-        """Level of each channel over the bins of a mask (M,)."""
-        known = self.evidence
-        judged = replace(known, t=known.t[judge], log=known.log[judge])
-        level = all(
-            c.fixed or c.motion.level or not c.motion.by_reference for c in self.problem.cases
-        )
-        return channel_levels(
-            self.before[judge], self.after[judge], judged, self.floor, on_like_ground=level
-        )
-
-
-def _residuals(
-    problem: Problem,
-    effects: Sequence[Effect],
-    metric: Metric,
-    floor: NoiseFloor,
-    use: np.ndarray,
-) -> Residuals:
-    """Residuals before and after these effects, as the search sees them (`without_sticking`).
-
-    Args:
-        problem: the logs.
-        effects: to compensate.
-        metric: with its weights.
-        floor: noise floor of the model with the effects.
-        use: mask (M,) of the bins that nuisance parameters are fitted on.
-    """
-    before, after = (
-        without_sticking(problem, effects, linearise(problem.cases, these, ()))
-        for these in ((), effects)
-    )
-    weights = metric.robust
-    there = np.isfinite(after.table)
-    # No fit uses the channels that are only evaluated.
-    weight, masked = weights.weight.copy(), weights.masked
-    for c in np.setdiff1d(np.arange(after.layout.width), after.layout.fitted):
-        leg = after.layout.columns[c].leg
-        off = masked.any(axis=1) if leg is None else masked[:, leg]
-        weight[:, c] = there[:, c] & ~(off & bool(after.layout.masked_by[c]))
-    weights = replace(weights, weight=weight)
-    left, plain = (
-        without_nuisance(one, weights.sigma, weights.weight, use) for one in (after, before)
-    )
-    if problem.by_windows:
-        floor = replace(floor, sigma=OF_MEAN * floor.sigma)
-    return Residuals(problem, after, plain, left, weights, floor)
-
-
-def find_harmful_effect(
-    problem: Problem,
-    effects: Sequence[Effect],
-    metric: Metric,
-    floor: NoiseFloor,
-    split: Split,
-) -> tuple[Effect, str] | None:
-    """An effect that harms on bins that no fit has seen, and why; None where none does.
-
-    Either it makes its own channels surely worse (95 % of a block bootstrap). Or a channel is worse
-    with all of the effects (`ChannelLevel.worse`), and best without this one.
-
-    Args:
-        problem: the logs, with their own zeros and clocks compensated.
-        effects: found.
-        metric: with them compensated.
-        floor: noise floor of the model with them.
-        split: of the logs.
-    """
-    sides = _residuals(problem, effects, metric, floor, split.fit)
-    for one in effects:
-        blocks = _own_gains(one, effects, sides, split.report)
-        if type(one).is_compensated() and len(blocks) and _interval(blocks)[1] < 0.0:
-            return one, "it makes its own channels worse on bins that no fit has seen"
-    levels = sides.levels(split.report)
-    worse = next((name for name, level in levels.items() if level.worse), None)
-    if worse is None:
-        return None
-
-    def without(one: Effect) -> float:
-        others = [e for e in effects if e != one]
-        left = _residuals(problem, others, metric, floor, split.fit).after[split.report]
-        return float(np.nanmean(left[:, sides.evidence.layout.of(worse)] ** 2))
-
-    return min(effects, key=without), f"it makes {worse} worse"
-
-
-def are_needed(
-    problem: Problem,
-    effects: Sequence[Effect],
-    others: Sequence[Effect],
-    metric: Metric,
-    floor: NoiseFloor,
-    split: Split,
-) -> bool:
-    """Whether a channel is worse (`ChannelLevel.worse`) with `others` than with `effects`, on bins
-    that no fit has seen.
-
-    Args:
-        problem: the logs, with their own zeros and clocks compensated.
-        effects: found.
-        others: found without some of them.
-        metric: with its weights.
-        floor: noise floor of the model with the others.
-        split: of the logs.
-    """
-    more, less = (_residuals(problem, e, metric, floor, split.fit) for e in (effects, others))
-    levels = replace(less, before=more.after).levels(split.report)
-    return any(level.worse for level in levels.values())
-
-
 def _held_out(
     cases: Sequence[LogUnderModel],
     effects: Sequence[Effect],
@@ -506,8 +380,8 @@ def _held_out(
     floor: NoiseFloor,
     several: bool,
     declared: Sequence[Effect],
-) -> list[tuple[FittedRun, Residuals]]:
-    """Residuals of held-out logs, to which only each log's own zeros and biases are fitted.
+) -> tuple[tuple[FittedRun, ...], Unseen]:
+    """Held-out logs, to which only each log's own zeros and biases are fitted.
 
     Args:
         cases: the logs.
@@ -517,76 +391,15 @@ def _held_out(
         several: whether zeros, biases and clocks belong to each log.
         declared: effects of the model.
     """
-    held_out = []
-    for case in cases:
-        every = inner_bins(case.motion.t)
-        problem = problem_of([case], every, several, declared)
-        fitted, metric = zeros_beside(problem, floor.error, effects)
-        run = _with_lags(fitted, lags)[0]
-        sides = _residuals(replace(problem, cases=[run.case]), effects, metric, floor, every)
-        held_out.append((run, sides))
-    return held_out
-
-
-def _refuted(
-    held_out: Sequence[tuple[FittedRun, Residuals]], effects: Sequence[Effect]
-) -> tuple[Effect, str] | None:
-    """The effect that most surely makes a held-out log worse in the channel that it changes most,
-    and why it harms; None if none does.
-    """
-    against: list[tuple[float, Effect, str]] = []
-    for number, (run, sides) in enumerate(held_out, 1):
-        every = inner_bins(run.case.motion.t)
-        for one in effects:
-            gains = _gains(one, effects, sides, every)
-            most = max(gains, key=lambda name: abs(gains[name].sum()), default="")
-            if most and (highest := _interval(gains[most])[1]) < 0.0:
-                against.append((highest, one, f"it makes {most} of held-out run {number} worse"))
-    return min(against, key=lambda x: x[0])[1:] if against else None
-
-
-def _held_out_levels(held_out: Sequence[tuple[FittedRun, Residuals]]) -> HeldOutRuns:
-    """Levels of the channels over all held-out logs."""
-    runs, sides = zip(*held_out, strict=True)
-    before, after = (
-        np.concatenate([getattr(one, side) for one in sides]) for side in ("before", "after")
-    )
-    bins = [one.evidence.t for one in sides]
-    log = np.repeat(np.arange(len(bins)), [len(t) for t in bins])
-    evidence = replace(sides[-1].evidence, t=np.concatenate(bins), log=log)
-    problem = replace(sides[-1].problem, cases=[run.case for run in runs])
-    whole = replace(sides[-1], problem=problem, evidence=evidence, before=before, after=after)
-    return HeldOutRuns(whole.levels(np.ones(len(log), dtype=bool)), runs)
-
-
-def _gains(
-    one: Effect, effects: Sequence[Effect], sides: Residuals, used: np.ndarray
-) -> dict[str, np.ndarray]:
-    """By channel, what an effect beside the others explains of each block, over the bins of a mask
-    `used` (M,).
-    """
-    weights = sides.weights
-    fewer = [e for e in effects if e != one]
-    others = without_sticking(sides.problem, effects, linearise(sides.problem.cases, fewer, ()))
-    less = without_nuisance(others, weights.sigma, weights.weight, used)
-    weight = np.where(used[:, None], weights.weight, 0.0)
-    return block_gains(less, sides.after, sides.evidence, weights.sigma, weight)
-
-
-def _own_gains(
-    one: Effect, effects: Sequence[Effect], sides: Residuals, used: np.ndarray
-) -> np.ndarray:
-    """The same of the channels that the effect shows in, of all their blocks (K,)."""
-    gains = _gains(one, effects, sides, used)
-    return np.concatenate(
-        [np.zeros(0), *(gains[c] for c in one.traced_at(one.target).channels if c in gains)]
-    )
-
-
-def _interval(blocks: np.ndarray) -> np.ndarray:
-    """95 % interval (2,) of the sum over blocks, by a bootstrap."""
-    drawn = block_bootstrap_counts(len(blocks), np.random.default_rng(0)) @ blocks
-    return np.percentile(drawn, [2.5, 97.5])
+    inner = np.concatenate([inner_bins(case.motion.t) for case in cases])
+    problem = problem_of(cases, inner, several, declared)
+    fitted, metric = zeros_beside(problem, floor.error, effects)
+    runs = _with_lags(fitted, lags)
+    problem = replace(problem, cases=[run.case for run in runs])
+    sides = residuals_with(problem, effects, metric, floor, inner)
+    log = sides.evidence.log
+    parts = {f"held-out run {n + 1}": inner & (log == n) for n in range(len(cases))}
+    return runs, Unseen(sides, np.ones(len(log), dtype=bool), parts)
 
 
 def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[FittedRun, ...]:
@@ -631,20 +444,9 @@ def _shown_between_feet(found: Sequence[Found]) -> tuple[str, ...]:
     return (f"{names}: {ONLY_BETWEEN_FEET}",) if by_feet else ()
 
 
-def _above_floor(channels: dict[str, ChannelLevel]) -> list[str]:
-    """Channels above their floor, or worse than before, the farthest above first."""
-    above = [name for name, c in channels.items() if not c.at_floor or c.worse]
-    return sorted(above, key=lambda name: -channels[name].after / channels[name].highest)
-
-
-def _still_explains(
-    one: Effect, effects: Sequence[Effect], sides: Residuals, pushed: np.ndarray
-) -> bool:
-    """Whether an effect still explains anything outside the bins of a mask `pushed` (M,)."""
-    if not type(one).is_compensated():
-        return True
-    blocks = _own_gains(one, effects, sides, ~pushed)
-    return bool(len(blocks)) and bool(_interval(blocks)[0] > 0.0)
+def _still_explains(one: Effect, sides: Residuals, used: np.ndarray) -> bool:
+    """Whether an effect surely explains anything of the bins of a mask `used` (M,)."""
+    return not type(one).is_compensated() or bool(sides.gained(one, used)[1][0] > 0.0)
 
 
 def logs_under_model(

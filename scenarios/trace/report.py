@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.models.attribution.effect_sizes import Found
-from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.models.residuals.channels import channels
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE

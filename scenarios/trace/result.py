@@ -5,7 +5,7 @@ from typing import Any
 
 from surefoot.models.attribution.diagnose import Diagnosis, plain
 from surefoot.models.attribution.explain import Candidate
-from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.reporting.html import Step
 from surefoot.scenarios.trace.filters import BeforeAfter, DriftCauses
 from surefoot.sim.effects import known_effects

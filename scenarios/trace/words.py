@@ -7,7 +7,7 @@ import numpy as np
 
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
-from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.reporting.tables import cell
 from surefoot.scenarios.trace.filters import DEAD_RECKONING, HARM, REPORTED
 from surefoot.scenarios.trace.result import Filters, Trace

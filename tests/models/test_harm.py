@@ -1,14 +1,20 @@
 """Effects that make a channel worse on bins that no fit has seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.design import without_nuisance
-from surefoot.models.attribution.diagnose import are_needed, find_harmful_effect
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.explain import problem_of
-from surefoot.models.attribution.levels import channel_levels
+from surefoot.models.attribution.judgement import (
+    Unseen,
+    channel_levels,
+    find_harmful_effect,
+    residuals_with,
+)
 from surefoot.models.attribution.metric import metric_of
 from surefoot.models.attribution.noise_floor import noise_floor
 from surefoot.models.attribution.weights import robust_weights
@@ -33,10 +39,16 @@ def floor(case):
     return noise_floor([case])
 
 
-def found(case, floor, *effects):
+def sides(case, floor, *effects):
     known, split = linearise([case], effects, all_keys(case)), split_of([case])
     metric = metric_of([case], known, floor.error, split.fit)
-    return find_harmful_effect(problem_of([case], split.fit, False), effects, metric, floor, split)
+    problem = problem_of([case], split.fit, False)
+    return residuals_with(problem, effects, metric, floor, split.fit), split.report
+
+
+def found(case, floor, *effects):
+    residuals, report = sides(case, floor, *effects)
+    return find_harmful_effect([Unseen(residuals, report, {"unseen bins": report})])
 
 
 def test_what_is_there_harms_nothing(case, floor):
@@ -52,13 +64,14 @@ def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case, floor):
     assert "worse" in why
 
 
-def test_what_is_there_is_needed_and_what_is_not_there_is_not(case, floor):
+def test_a_channel_is_worse_without_what_is_there_and_not_without_what_is_not(case, floor):
+    def worse(effects, instead):
+        residuals, report = sides(case, floor, *effects)
+        return replace(residuals, before=residuals.left_by(instead)).worse(report)
+
     wrong = effect("encoder_offset", "FL_thigh", 0.02)
-    known, split = linearise([case], (), all_keys(case)), split_of([case])
-    metric = metric_of([case], known, floor.error, split.fit)
-    problem = problem_of([case], split.fit, False)
-    assert are_needed(problem, (TRUTH,), (), metric, floor, split)
-    assert not are_needed(problem, (TRUTH, wrong), (TRUTH,), metric, floor, split)
+    assert worse((), (TRUTH,))
+    assert not worse((TRUTH,), (TRUTH, wrong))
 
 
 def test_bins_that_were_not_there_before_do_no_harm(case, floor):

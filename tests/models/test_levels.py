@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.models.attribution.levels import ChannelLevel, _by_chance, scatter_of_rms
+from surefoot.models.attribution.judgement import ChannelLevel, _by_chance, scatter_of_rms
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,7 @@ import pytest
 
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.forces import Push
-from surefoot.models.attribution.levels import ChannelLevel
-from surefoot.models.attribution.verdict import Findings, verdict_of
+from surefoot.models.attribution.judgement import ChannelLevel, Findings, verdict_of
 from surefoot.sim.effects import effect
 
 CALF = Found(effect("link_length", "FL_calf", 0.004), (0.003, 0.005))

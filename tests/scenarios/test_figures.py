@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.models.calibration.mixing import mixing
 from surefoot.models.residuals.channels import channels
 from surefoot.scenarios.estimate.error_series import error_series

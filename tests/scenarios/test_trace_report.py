@@ -10,7 +10,7 @@ import pytest
 
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
-from surefoot.models.attribution.levels import ChannelLevel
+from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.cli.main import _parsed
 from surefoot.scenarios.reporting.tables import as_frame
 from surefoot.scenarios.settings import TraceSettings
