@@ -280,13 +280,14 @@ class Residuals:
         return self.left_by([e for e in self.effects if e != one])
 
     def gained(self, one: Effect, used: np.ndarray) -> tuple[str, np.ndarray]:
-        """The channel that one of the effects changes most, and the 95 % interval (2,) of what it
-        explains there, over the bins of a mask `used` (M,); "" where it changes nothing.
+        """The fitted channel that one of the effects changes most, and the 95 % interval (2,) of what
+        it explains there, over the bins of a mask `used` (M,); "" where it changes nothing.
         """
         weight = np.where(used[:, None], self.weights.weight, 0.0)
         less = self.left_without(one)
         gains = block_gains(less, self.after, self.evidence, self.weights.sigma, weight)
-        most = max(gains, key=lambda name: abs(gains[name].sum()), default="")
+        fitted = [name for name in gains if not channels()[name].evaluation_only]
+        most = max(fitted, key=lambda name: abs(gains[name].sum()), default="")
         return most, _interval(gains[most]) if most else np.zeros(2)
 
     def levels(self, judge: np.ndarray) -> dict[str, ChannelLevel]:
