@@ -5,7 +5,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from surefoot.models.observer.settings import INSTALL_TORCH
+from surefoot.models.observer.settings import INSTALL_TORCH, torch_is_installed
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.scenarios.settings import (
@@ -115,12 +115,10 @@ class LoopCommand(LoopSettings, TraceInputs):
         robot = Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         table, worlds = loop(log, robot, self, declared, read_logs(self.holdout))
-        if not worlds:
-            what = "the loop ends with the trace and the filters that need no observer"
-            print(f"\n{what}: {INSTALL_TORCH}\nreport: {self.out / 'trace' / 'report.html'}")
-            return
         print("\n" + in_terminal(table))
         print("\n" + helped(table, [world.name for world in worlds]))
+        if not torch_is_installed():
+            print(f"\nNo observers are trained: {INSTALL_TORCH}")
         print(f"\nreport: {self.out / 'report.html'}")
 
 

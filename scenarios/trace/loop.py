@@ -7,8 +7,10 @@ gait is more like the log, `after` has the effects only, and there is no `effect
 
 In each world the robot walks in the style of the measured log (`sim.walking.imitation`), or in the
 nearest one with which it does not fall. Observers are trained and calibrated on these walks only,
-and every filter estimates the measured log with that world's model and observers. Sizes that the
-trace found are drawn from their intervals for each walk (`scenarios.trace.training_walks`).
+and every filter estimates the measured log with that world's model and observers. Where the robot
+falls with any style, and without PyTorch, there are no observers: filters that need none are run.
+Sizes that the trace found are drawn from their intervals for each walk
+(`scenarios.trace.training_walks`).
 """
 
 import json
@@ -70,10 +72,10 @@ def loop(
     plan: TrainingPlan = DEFAULT_PLAN,
 ) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
     """Close the loop on one log and write the results into `out`; an interrupted run is resumed.
-    Without PyTorch it ends after the trace, and goes on from there once that is installed.
+    Without PyTorch it trains no observers, and does so once that is installed.
 
     Returns the table, with one row per filter and each metric in each world, and the worlds: only
-    `before` if no effect was found and the plain gait is better; none without PyTorch. Raises
+    `before` if no effect was found and the plain gait is better. Raises
     LogError if the log lacks IMU, joints or reference, and SurefootError if `out` has files of
     another loop and `force` is not given.
 
@@ -113,14 +115,15 @@ def loop(
     model = (*declared_effects(log), *(declared or ()))
     options = TraceOptions(seed, model or declared, holdout=holdout)
     found, spread = _traced(log, robot, out / "trace", options)
-    if not torch_is_installed():
-        return pd.DataFrame(), ()
+    trains = torch_is_installed()
 
     def gait_of_walks() -> dict[str, Any]:
         with percent_bar("gait") as progress:
             return asdict(choose_gait(log, robot, (*model, *found), seed, progress))
 
-    choice = GaitChoice(**_kept(out / "gait.json", gait_of_walks))
+    choice = GaitChoice(False, "Without observers to train, none is chosen.", [])
+    if trains:
+        choice = GaitChoice(**_kept(out / "gait.json", gait_of_walks))
     planned: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
     if found and choice.walked:
         planned["effects"] = (*model, *found), PLAIN_GAIT
@@ -132,16 +135,21 @@ def loop(
         with percent_bar("walking") as progress:
             return asdict(style_that_walks(drawn, seed, plan, progress))
 
-    walked = WalkedStyle(**_kept(out / "style.json", style_of_walks))
+    walked = WalkedStyle()
+    if trains:
+        walked = WalkedStyle(**_kept(out / "style.json", style_of_walks))
     if walked.words:
         print(walked.words)
         choice = replace(choice, words=f"{choice.words} {walked.words}")
     worlds = []
-    for name in [one for one in drawn if one not in walked.fallen]:
-        walks, (effects, _) = with_style_share(drawn[name], walked.share), planned[name]
-        learnt, simulated = _learnt(walks, log, out / name, seed, plan)
+    for name, (effects, _) in planned.items():
+        learnt, simulated, measured = Learnt(), None, None
+        if trains and name not in walked.fallen:
+            walks = with_style_share(drawn[name], walked.share)
+            learnt, simulated = _learnt(walks, log, out / name, seed, plan)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
-        measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)
+        if learnt.observers:
+            measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)
         worlds.append(LoopWorld(name, effects, learnt, comparison, simulated, measured))
     last = worlds[-1].comparison
     assert last.robot is not None
@@ -154,7 +162,9 @@ def loop(
         except ObserverError as error:
             return str(error)
 
-    trained_on_measured = _kept(out / "measured.json", errors_if_trained_on_it)
+    trained_on_measured = "PyTorch is not installed"
+    if trains:
+        trained_on_measured = _kept(out / "measured.json", errors_if_trained_on_it)
     table = write_loop(log, robot, worlds, settings, choice, trained_on_measured)
     return table, tuple(worlds)
 

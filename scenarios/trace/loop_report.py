@@ -60,7 +60,8 @@ class LoopWorld:
         effects: of the simulated robot.
         learnt: observers and bounds from its walks.
         comparison: every filter on the measured log.
-        simulated: parts of the observer's errors on a simulated walk not used for training.
+        simulated: parts of the observer's errors on a simulated walk not used for training; None
+            where no observer is trained.
         measured: the same on the measured walk.
     """
 
@@ -68,8 +69,8 @@ class LoopWorld:
     effects: tuple[Effect, ...]
     learnt: Learnt
     comparison: Comparison
-    simulated: ErrorParts
-    measured: ErrorParts
+    simulated: ErrorParts | None
+    measured: ErrorParts | None
 
 
 def write_loop(
@@ -134,11 +135,14 @@ def _of_observers(
         "errors within them."
     )
     rows: list[dict[str, Any]] = []
+    last: tuple[str, ErrorParts, ErrorParts] | None = None
     for world in worlds:
-        row: dict[str, Any] = {"walks": world.name}
-        row["simulated [m/s]"] = _three(world.simulated["moving"])
-        row["measured [m/s]"] = _three(world.measured["moving"])
-        rows.append(row | _bounds_row(world))
+        if world.simulated is not None and world.measured is not None:
+            last = world.name, world.simulated, world.measured
+            row: dict[str, Any] = {"walks": world.name}
+            row["simulated [m/s]"] = _three(world.simulated["moving"])
+            row["measured [m/s]"] = _three(world.measured["moving"])
+            rows.append(row | _bounds_row(world))
     if isinstance(trained_on_measured, str):
         words += f"\n\nNo observer was trained on the measured walk: {trained_on_measured}."
     else:
@@ -148,20 +152,19 @@ def _of_observers(
             "\n\nThe last row is an observer trained on one half of the measured walk and "
             "evaluated on the other: about the best that a walk as short as this allows."
         )
-    last = worlds[-1]
-    shares = excess(last.simulated, last.measured)
+    observers = Section("Observers", words, pd.DataFrame(rows), file="observers")
+    if last is None:
+        return [observers] if rows else []
+    name, *both = last
+    shares = excess(*both)
     parts = (
-        f"Of the mse observer in the world `{last.name}`, root mean square [m/s]. Share of each "
+        f"Of the mse observer in the world `{name}`, root mean square [m/s]. Share of each "
         "part in the excess of the measured squared errors over the simulated ones: "
-        f"{', '.join(f'{name} {100 * x:.0f} %' for name, x in shares.items())}.\n\n"
+        f"{', '.join(f'{part} {100 * x:.0f} %' for part, x in shares.items())}.\n\n"
         "The errors while the robot moves are the sum of these parts: "
-        f"{'; '.join(f'{name}, {what}' for name, what in ERROR_PARTS.items())}."
+        f"{'; '.join(f'{part}, {what}' for part, what in ERROR_PARTS.items())}."
     )
-    table = parts_table(last.simulated, last.measured)
-    return [
-        Section("Observers", words, pd.DataFrame(rows), file="observers"),
-        Section("Parts of the errors", parts, table, file="parts"),
-    ]
+    return [observers, Section("Parts of the errors", parts, parts_table(*both), file="parts")]
 
 
 def _bounds_row(world: LoopWorld) -> dict[str, Any]:

@@ -151,8 +151,8 @@ class WalkedStyle:
                 f"with which it walks are taken: {100 * self.share:.0f} % of the log's, "
                 f"{100 - 100 * self.share:.0f} % of its own."
             )
-        left_out = f"Left out, since the robot falls with any: {', '.join(self.fallen)}."
-        return f"{said} {left_out}".strip() if self.fallen else said
+        untrained = f"No observers for {', '.join(self.fallen)}: the robot falls with any style."
+        return f"{said} {untrained}".strip() if self.fallen else said
 
 
 def style_that_walks(
@@ -164,7 +164,7 @@ def style_that_walks(
     """The style nearest to the measured one, to NEAREST, with which the robot falls in none of
     these walks, by bisection; walks are those of `simulate_training`, and kept.
 
-    Raises FallsError if it falls in all of them even in its own style.
+    In its own style if it falls in all of them.
 
     Args:
         walks: by name.
@@ -187,7 +187,7 @@ def style_that_walks(
     fallen = falls(0.0, walks)
     names = [name for name in walks if name not in fallen]
     if not names:
-        raise FallsError("loop: the robot falls in simulation, with the log's style and its own")
+        return WalkedStyle(fallen=tuple(fallen))
     low, high = 0.0, 1.0
     if not falls(high, names):
         low = high

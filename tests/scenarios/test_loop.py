@@ -125,7 +125,7 @@ def test_a_robot_that_falls_with_the_logs_style_walks_with_the_nearest(robot, lo
             simulate_training(nearer, 0, SHORT)
 
 
-def test_a_world_in_which_it_falls_with_any_style_is_left_out(robot, log, monkeypatch):
+def test_a_world_in_which_it_falls_with_any_style_has_no_observers(robot, log, monkeypatch):
     def falls_if_heavy(scenario, robot, seed, effects, *others):
         if effects:
             raise Fallen("the robot fell", 1.0, "tilted")
@@ -136,7 +136,7 @@ def test_a_world_in_which_it_falls_with_any_style_is_left_out(robot, log, monkey
     walks = {"before": TrainingWalks(shown, robot), "after": TrainingWalks(shown, robot, heavy)}
     found = style_that_walks(walks, 0, replace(SHORT, walks=0))
     assert found == WalkedStyle(1.0, ("after",))
-    refused("falls in simulation", style_that_walks, {"after": walks["after"]}, 0, SHORT)
+    assert style_that_walks({"after": walks["after"]}, 0, SHORT).fallen == ("after",)
 
 
 @pytest.mark.slow
@@ -152,6 +152,24 @@ def test_a_loop_on_a_style_that_falls_ends_with_a_table(robot, tmp_path, capsys)
     names = [world.name for world in worlds]
     assert {"leg", "coverage"} <= set(table["filter"])
     assert helped(table, names) in (tmp_path / "loop/report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_loop_in_which_the_robot_always_falls_compares_the_filters_that_need_no_observer(
+    robot, log, tmp_path, monkeypatch
+):
+    def falls(*given):
+        raise Fallen("the robot fell", 1.0, "tilted")
+
+    monkeypatch.setattr(kept_walks, "walk", falls)
+    missing = log.columns["q_FL_thigh"] + 0.04
+    measured = log.with_columns({"q_FL_thigh": missing})
+    table, worlds = loop(measured, robot, LoopSettings(tmp_path / "loop"), plan=SHORT)
+    errors = table.set_index("filter").loc["leg"]
+    assert errors["APE_trans [m] after"] < errors["APE_trans [m] before"]
+    assert "coverage" not in set(table["filter"])
+    assert not any(world.learnt.observers for world in worlds)
+    assert (tmp_path / "loop/report.html").is_file()
 
 
 def test_one_sentence_says_which_filters_the_loop_helped():
