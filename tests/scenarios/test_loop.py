@@ -139,11 +139,14 @@ def test_a_world_in_which_it_falls_with_any_style_has_no_observers(robot, log, m
     assert style_that_walks({"after": walks["after"]}, 0, SHORT).fallen == ("after",)
 
 
+TURNS = (Segment(6.0, 0.6), Segment(6.0, 0.5, 0.0, 0.4), Segment(4.0, 0.5, 0.0, -0.4))
+MEASURED = Scenario("measured", TURNS, Ground(0.8), "spot_class")
+
+
 @pytest.mark.slow
 def test_a_loop_on_a_style_that_falls_ends_with_a_table(robot, tmp_path, capsys):
     """Of a log whose hips read 0.4 rad too wide."""
-    segments = (Segment(6.0, 0.6), Segment(6.0, 0.5, 0.0, 0.4), Segment(4.0, 0.5, 0.0, -0.4))
-    log = walk(Scenario("measured", segments, Ground(0.8), "spot_class"), robot, 3)
+    log = walk(MEASURED, robot, 3)
     hips = {f"q_{leg}_hip": log.columns[f"q_{leg}_hip"] + 0.4 for leg in log.legs}
     quick = TrainSettings(model="mlp", steps=150)
     plan = TrainingPlan(walks=2, seconds=12.0, calibration=60.0, training=quick)
@@ -156,14 +159,14 @@ def test_a_loop_on_a_style_that_falls_ends_with_a_table(robot, tmp_path, capsys)
 
 @pytest.mark.slow
 def test_a_loop_in_which_the_robot_always_falls_compares_the_filters_that_need_no_observer(
-    robot, log, tmp_path, monkeypatch
+    robot, tmp_path, monkeypatch
 ):
     def falls(*given):
         raise Fallen("the robot fell", 1.0, "tilted")
 
+    off = effect("encoder_offset", "FL_thigh", 0.04)
+    measured = walk(MEASURED, robot, 3, (off,), declared=False)
     monkeypatch.setattr(kept_walks, "walk", falls)
-    missing = log.columns["q_FL_thigh"] + 0.04
-    measured = log.with_columns({"q_FL_thigh": missing})
     table, worlds = loop(measured, robot, LoopSettings(tmp_path / "loop"), plan=SHORT)
     errors = table.set_index("filter").loc["leg"]
     assert errors["APE_trans [m] after"] < errors["APE_trans [m] before"]
