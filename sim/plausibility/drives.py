@@ -10,8 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.sim.importing.advice import entries, scaled
-from surefoot.sim.plausibility.axes import HARDLY, LIKELY, correlation, sign_change
-from surefoot.sim.plausibility.causes import of_changing_sign
+from surefoot.sim.plausibility.comparison import (
+    HARDLY,
+    LIKELY,
+    match_axes,
+    of_changing_sign,
+    sign_change,
+)
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.streams import LIMITED, still_sections
 from surefoot.sim.plausibility.view import LogView
@@ -41,14 +46,18 @@ class _Explained:
         x: mean values (M,).
         expected: (M,) in the same unit, but for friction or an offset.
         rest: regressors (M, R) of these.
-        alike: two series whose correlation has the sign of the stream.
+        alike: two series (M, 2) whose correlation has the sign of the stream.
+        witness: what is expected, in words.
+        otherwise: cause of another scale.
     """
 
     column: str
     x: np.ndarray
     expected: np.ndarray
     rest: np.ndarray
-    alike: tuple[np.ndarray, np.ndarray]
+    alike: np.ndarray
+    witness: str
+    otherwise: str
 
     def fitted(self, where: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, float]:
         """Least-squares fit (M,), and the factor of what is expected, on the times `where`."""
@@ -62,25 +71,7 @@ class _Explained:
         terms = np.column_stack([self.rest, np.ones(len(self.x))])
         both = np.column_stack([self.x, self.expected])
         x, expected = (both - terms @ np.linalg.lstsq(terms, both, rcond=None)[0]).T
-        return correlation(x, expected)
-
-    def stuck(self, view: LogView, least: float) -> str:
-        """The first section of at least `least` [s] in which it does not change, while what
-        explains it does, in words; "" where there is none.
-        """
-        rows = still_sections(view.t, view.log.frame[self.column].to_numpy(), least)
-        for begin, end in (view.t[[one.start, one.stop - 1]] for one in rows):
-            # After a step of a command, a joint is still moving.
-            during = (view.at > begin + 0.25 * least) & (view.at < end)
-            outside = (view.at < begin) | (view.at > end + 0.25 * least)
-            if min(during.sum(), outside.sum()) < 3:
-                continue
-            fitted = self.fitted(outside)[0]
-            missed = (self.x - fitted) ** 2
-            least_missed = STRAYS**2 * missed[outside].mean()
-            if min(missed[during].mean(), np.ptp(fitted[during]) ** 2) > least_missed:
-                return f"no change from {begin:.2f} to {end:.2f} s"
-        return ""
+        return _correlation(x, expected)
 
 
 @plausibility_rule("torques of a fixed base", "t q tau", when="comparable")
@@ -102,16 +93,17 @@ def driving(view: LogView) -> Iterator[Finding]:
         return
     tau, dq = view.means(log.tau), view.changes(log.q)
     rigid = machine.dynamics.inverse(view.means(log.q), dq, np.gradient(dq, view.at, axis=0))[1]
-    for j, joint in enumerate(log.joints):
+    witness = "what the model asks for"
+    otherwise = "another unit, of the motor's side, or a load that the model lacks"
+    for j, column in enumerate(view.columns("tau")):
         friction = np.column_stack([np.tanh(dq[:, j] / SLIDES), dq[:, j]])
-        both = tau[:, j], rigid[:, j]
-        one = _Explained(f"tau_{joint}", *both, friction, both)
-        if stuck := one.stuck(view, LIMITED):
+        both = np.column_stack([tau[:, j], rigid[:, j]])
+        one = _Explained(column, *both.T, friction, both, witness, otherwise)
+        if stuck := _stuck(view, one, LIMITED):
             seen = f"{stuck} while what it drives goes on"
-            yield Finding((one.column,), seen, "a sensor that hangs")
+            yield Finding((column,), seen, "a sensor that hangs")
         else:
-            cause = "another unit, of the motor's side, or a load that the model lacks"
-            yield from _faults(view, one, "what the model asks for", cause)
+            yield from _sign_and_scale(view, one)
 
 
 @plausibility_rule("commands of a fixed base", "t q q_des", when="comparable")
@@ -125,38 +117,66 @@ def followed(view: LogView) -> Iterator[Finding]:
     Reason: nothing but its drive moves a joint of an arm as far.
     Remedy: sign, unit or gain of q_des.
     """
-    log = view.log
     if not view.on_fixed_base:
         return
-    q, asked = view.means(log.q), view.means(log.q_des)
-    half = 0.5 * MOVE
-    moved, sent = (view.after(x, half) - view.after(x, -half) for x in (log.q, log.q_des))
-    offset = np.ones((len(q), 1))
-    for j, joint in enumerate(log.joints):
-        both = asked[:, j], q[:, j]
-        one = _Explained(f"q_des_{joint}", *both, offset, (sent[:, j], moved[:, j]))
-        if stuck := one.stuck(view, COMMANDED):
-            seen = f"{stuck} while q_{joint} goes on"
-            yield Finding((one.column,), seen, "a command that was not logged")
-        else:
-            yield from _faults(
-                view, one, f"the moves of q_{joint}", "another unit than its angle's"
+    q, asked = view.means(view.log.q), view.means(view.log.q_des)
+    sent, moved = (
+        view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in (view.log.q_des, view.log.q)
+    )
+    offset, otherwise = np.ones((len(q), 1)), "another unit than its angle's"
+    for j, column in enumerate(view.columns("q_des")):
+        angle = column.replace("q_des_", "q_", 1)
+        moves = np.column_stack([sent[:, j], moved[:, j]])
+        witness = f"the moves of {angle}"
+        one = _Explained(column, asked[:, j], q[:, j], offset, moves, witness, otherwise)
+        if stuck := _stuck(view, one, COMMANDED):
+            yield Finding(
+                (column,), f"{stuck} while {angle} goes on", "a command that was not logged"
             )
+        else:
+            yield from _sign_and_scale(view, one)
 
 
-def _faults(view: LogView, one: _Explained, expected: str, other: str) -> Iterator[Finding]:
-    """Check sign and scale of a stream; `other` is the cause of another scale."""
+def _stuck(view: LogView, one: _Explained, least: float) -> str:
+    """The first section of at least `least` [s] in which a stream does not change, while what
+    explains it does, in words; "" where there is none.
+    """
+    rows = still_sections(view.t, view.log.frame[one.column].to_numpy(), least)
+    for begin, end in (view.t[[section.start, section.stop - 1]] for section in rows):
+        # After a step of a command, a joint is still moving.
+        during = (view.at > begin + 0.25 * least) & (view.at < end)
+        outside = (view.at < begin) | (view.at > end + 0.25 * least)
+        if min(during.sum(), outside.sum()) < 3:
+            continue
+        fitted = one.fitted(outside)[0]
+        missed = (one.x - fitted) ** 2
+        goes_on = min(missed[during].mean(), np.ptp(fitted[during]) ** 2)
+        if goes_on > STRAYS**2 * missed[outside].mean():
+            return f"no change from {begin:.2f} to {end:.2f} s"
+    return ""
+
+
+def _sign_and_scale(view: LogView, one: _Explained) -> Iterator[Finding]:
+    """Check sign and scale of a stream."""
     if not (one.x.std() > 0.0 and one.expected.std() > 0.0):
         return
     fitted, scale = one.fitted()
-    alike, when = correlation(*one.alike), sign_change(view.at, *one.alike, LIKELY)
+    alike, since = _correlation(*one.alike.T), sign_change(view.at, *one.alike.T, LIKELY)
     # What is expected alone is inconclusive for a machine that pushes against something.
-    explained = correlation(one.x, fitted) > LIKELY
-    column = (one.column,)
-    if when is not None:
-        yield of_changing_sign(one.column, when, expected)
+    explained = _correlation(one.x, fitted) > LIKELY
+    if since is not None:
+        yield of_changing_sign(one.column, since, one.witness)
     elif explained and alike < -HARDLY:
-        seen = f"correlation with {expected} {alike:.2f}"
-        yield Finding(column, seen, "wrong sign", entries(column, sign=-1.0))
+        seen, changes = (
+            f"correlation with {one.witness} {alike:.2f}",
+            entries((one.column,), sign=-1.0),
+        )
+        yield Finding((one.column,), seen, "wrong sign", changes)
     elif explained and abs(one.beside_rest) > LIKELY and not DRIVEN[0] < scale < DRIVEN[1]:
-        yield Finding(column, f"{scale:.3g} times {expected}", other, scaled(one.column, scale))
+        seen = f"{scale:.3g} times {one.witness}"
+        yield Finding((one.column,), seen, one.otherwise, scaled(one.column, scale))
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Correlation of a (M,) and b (M,); 0 where one is constant."""
+    return float(match_axes(a[:, None], b[:, None]).own[0])

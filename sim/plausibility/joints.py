@@ -4,11 +4,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from surefoot.sim.importing.advice import Changes, entries, scaled
+from surefoot.sim.importing.advice import entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.axes import HARDLY, LIKELY, SCALED, SURELY, match_axes, sign_change
-from surefoot.sim.plausibility.causes import in_another_unit, of_changing_sign
+from surefoot.sim.plausibility.comparison import (
+    HARDLY,
+    LIKELY,
+    SCALED,
+    SURELY,
+    in_another_unit,
+    match_axes,
+    of_changing_sign,
+    sign_change,
+)
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.view import LogView
 
@@ -53,70 +61,66 @@ def rates(view: LogView) -> Iterator[Finding]:
     logged, moved = view.means(log.dq), view.changes(log.q)
     size, error = np.sqrt(np.mean(moved**2, axis=0)), view.between_samples(log.dq, log.q)
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
-    names, slow = [log.joints[j] for j in moves], size[moves] < _MOVES
+    names, slow = np.array(log.joints)[moves], size[moves] < _MOVES
     logged, moved = logged[:, moves], moved[:, moves]
     match = match_axes(logged, moved)
-    slope = logged.std(axis=0) / moved.std(axis=0)
-    # What does not correlate says nothing of the size.
-    error = error[moves] + 1.0 - match.own
-    exchanged = (np.array(match.order) != np.arange(len(names))) & ~slow
-    exchanged &= match.best - np.abs(match.own) > _ANOTHERS
-    opposite, good = [], []
-    for i, (name, own) in enumerate(zip(names, match.own, strict=True)):
-        since = sign_change(view.at, logged[:, i], moved[:, i])
+    own, slope = match.own, logged.std(axis=0) / moved.std(axis=0)
+    changes = [sign_change(view.at, *both) for both in zip(logged.T, moved.T, strict=True)]
+    steady = np.array([since is None for since in changes], dtype=bool)
+    swapped = steady & match.exchanged & ~slow & (match.best - np.abs(own) > _ANOTHERS)
+    opposite = steady & ~swapped & (own < np.where(slow, -LIKELY, -HARDLY))
+    good = steady & ~swapped & (own > np.where(slow, SURELY, LIKELY))
+    inverted = opposite & (slope < _INVERTED * (np.median(slope[good]) if good.any() else 1.0))
+    for name, since in zip(names, changes, strict=True):
         if since is not None:
             yield of_changing_sign(f"dq_{name}", since, f"the change of q_{name}")
-        elif not exchanged[i] and own < (-LIKELY if slow[i] else -HARDLY):
-            opposite.append(i)
-        elif own > (SURELY if slow[i] else LIKELY) and not exchanged[i]:
-            good.append(i)
-        elif not slow[i] and (own < HARDLY or exchanged[i]):
-            seen = f"correlation with the change of q_{name} {own:.2f}"
+    for i in np.flatnonzero(swapped | (steady & ~slow & ~opposite & (own < HARDLY))):
+        column, seen = f"dq_{names[i]}", f"correlation with the change of q_{names[i]} {own[i]:.2f}"
+        if match.best[i] > LIKELY and swapped[i]:
+            its = names[match.order[i]]
+            seen += f", of q_{its} {match.best[i]:.2f}"
+            cause, mended = f"it is the rate of {its}: swapped", entries((f"dq_{its}",), of=column)
+        else:
             cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-            changes: Changes = {}
-            if match.best[i] > LIKELY and exchanged[i]:
-                its = names[match.order[i]]
-                seen += f", of q_{its} {match.best[i]:.2f}"
-                cause = f"it is the rate of {its}: swapped"
-                changes = entries((f"dq_{its}",), of=f"dq_{name}")
-            yield Finding((f"dq_{name}",), seen, cause, changes)
-    usual = float(np.median(slope[good])) if good else 1.0
-    inverted = [i for i in opposite if slope[i] < _INVERTED * usual]
-    for i in inverted:
-        seen = f"correlation with the change of q {match.own[i]:.2f}, at {slope[i]:.2g} of its size"
+            mended = {}
+        yield Finding((column,), seen, cause, mended)
+    for i in np.flatnonzero(inverted):
+        seen = f"correlation with the change of q {own[i]:.2f}, at {slope[i]:.2g} of its size"
         yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
-    flipped = [i for i in opposite if i not in inverted]
-    of_angle = legs.opposite_angles(view) if flipped else set()
+    flipped = np.flatnonzero(opposite & ~inverted)
+    of_angle = legs.opposite_angles(view) if flipped.size else set()
     for kind in ("q", "dq"):
         which = [i for i in flipped if (f"q_{names[i]}" in of_angle) == (kind == "q")]
         if which:
             columns = tuple(f"{kind}_{names[i]}" for i in which)
-            seen = f"correlation of dq with the change of q {match.own[which].max():.2f} at best"
-            whole = ", or time runs backwards" * (len(which) == len(names))
-            yield Finding(columns, seen, f"wrong sign{whole}", entries(columns, sign=-1.0))
-    if good and view.resolves:
-        yield from _rates_scaled([names[i] for i in good], slope[good], error[good])
+            seen = f"correlation of dq with the change of q {own[which].max():.2f} at best"
+            cause = "wrong sign" + ", or time runs backwards" * (len(which) == len(names))
+            yield Finding(columns, seen, cause, entries(columns, sign=-1.0))
+    if good.any() and view.resolves:
+        # What does not correlate says nothing of the size.
+        yield from _rates_scaled(names[good], slope[good], (error[moves] + 1.0 - own)[good])
 
 
-def _rates_scaled(names: list[str], slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:
+def _rates_scaled(names: np.ndarray, slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:
     """Check the scale of rates of G joints, as the slope (G,) over the changes of angles, with the
     error (G,) of that.
     """
     typical = float(np.median(slope))
     together = np.abs(slope / typical - 1.0) < 2.0 * SCALED
     # What lies between samples makes rates smaller, never larger.
-    common = not -SCALED - np.median(error) < typical - 1.0 < SCALED
-    if common and 2 * together.sum() > len(names):
-        which = [name for name, one in zip(names, together, strict=True) if one]
-        columns, angles = (tuple(f"{kind}_{name}" for name in which) for kind in ("dq", "q"))
+    as_expected = -SCALED - np.median(error) < typical - 1.0 < SCALED
+    if as_expected or 2 * together.sum() <= len(names):
+        typical = 1.0
+    else:
+        columns, angles = (
+            tuple(f"{kind}_{name}" for name in names[together]) for kind in ("dq", "q")
+        )
         seen = f"{typical:.3g} times the change of q"
         if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
             yield Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
         else:
             otherwise = "scaled, or stamps at a wrong rate"
             yield Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
-    else:
-        typical = 1.0
     for i in np.flatnonzero(np.abs(slope / typical - 1.0) > 2.0 * SCALED + error):
         column, seen = f"dq_{names[i]}", f"{slope[i]:.3g} times the change of q_{names[i]}"
         too_large = float(slope[i]) / typical
@@ -133,25 +137,21 @@ def units(view: LogView) -> Iterator[Finding]:
     Remedy: unit = "deg".
     """
     log = view.log
-    if view.robot is None:
+    turned = np.median(np.abs(log.q), axis=0) > 2.0 * np.pi
+    if view.robot is None or not turned.any():
         return
-    q = log.q
-    turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > 2.0 * np.pi]
-    if 2 * len(turned) > len(log.joints):
-        turned = list(log.joints)  # hips may stay below
-    if turned:
-        worst = float(np.abs(q).max())
-        seen = f"up to {worst:.4g} rad"
-        units = {f"q_{j}": {"unit": "deg"} for j in turned}
-        if log.has("dq") and view.comparable:
-            size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
-            if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * SCALED:
-                units |= {f"dq_{j}": {"unit": "deg/s"} for j in turned}
-        cause = "in deg, not rad, or not unwrapped"
-        yield Finding(tuple(units), seen, cause, {"columns": units})
+    if 2 * turned.sum() > len(turned):
+        turned[:] = True  # hips may stay below
+    units = {column: {"unit": "deg"} for column in view.columns("q", turned)}
+    if log.has("dq") and view.comparable:
+        size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
+        if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * SCALED:
+            units |= {column: {"unit": "deg/s"} for column in view.columns("dq", turned)}
+    seen, cause = f"up to {np.abs(log.q).max():.4g} rad", "in deg, not rad, or not unwrapped"
+    yield Finding(tuple(units), seen, cause, {"columns": units})
 
 
-@plausibility_rule("joint range", "q", finds="symptom")
+@plausibility_rule("joint range", "q")
 def stops(view: LogView) -> Iterator[Finding]:
     """Check that angles are within the limits of the robot's joints.
 
@@ -161,27 +161,23 @@ def stops(view: LogView) -> Iterator[Finding]:
         instant.
     Remedy: joint_sign, joint_offset, the order of the columns, the robot's name.
     """
-    log = view.log
+    q, names = view.log.q, view.log.joints
     if view.robot is None:
         return
-    q = log.q
     low, high = view.robot.joint_range.T
-    beyond = np.maximum(low - q, q - high)
-    share = np.mean(beyond > BEYOND, axis=0)
+    share, mirrored = (np.mean(np.maximum(low - x, x - high) > BEYOND, axis=0) for x in (q, -q))
     over = np.flatnonzero(share > BEYOND_SHARE)
     if not over.size:
         return
     worst = over[np.argmax(share[over])]
     limits = f"{low[worst]:.2f} to {high[worst]:.2f} rad of {view.robot.name}"
-    seen = f"{log.joints[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
+    seen = f"{names[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
     seen += f" {np.median(q[:, worst]):.2f} rad"
-    within = np.mean(np.maximum(low + q, -q - high) > BEYOND, axis=0) < BEYOND_SHARE
-    names = [log.joints[j] for j in over]
     cause, changes = "wrong zero, swapped joints, or another robot", {}
-    if within[over].all():
+    if np.all(mirrored[over] < BEYOND_SHARE):
         cause = "wrong sign, swapped joints, or another robot"
-        changes = {"robot": {"joint_sign": dict.fromkeys(names, -1.0)}}
-    yield Finding(tuple(f"q_{name}" for name in names), seen, cause, changes)
+        changes = {"robot": {"joint_sign": {names[j]: -1.0 for j in over}}}
+    yield Finding(view.columns("q", over), seen, cause, changes)
 
 
 @plausibility_rule("torque", "tau")
@@ -201,7 +197,7 @@ def torques(view: LogView) -> Iterator[Finding]:
     if over.size:
         j = over[np.argmax(strong[over] / limit[over])]
         seen = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
-        columns = tuple(f"tau_{view.log.joints[k]}" for k in over)
+        columns = view.columns("tau", over)
         thousand = np.median(strong[over] / limit[over]) > 30.0
         changes = entries(columns, unit="mN m") if thousand else {}
         cause = "in mN m, not N m" if thousand else "another unit, or another robot"
@@ -217,16 +213,14 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
     Reason: joints of legs push both ways.
     Remedy: torques with their signs.
     """
-    if view.robot is None or len(view.log.joints) < _SEVERAL:
-        return
     tau = view.log.tau
-    if tau.std(axis=0).min() > 0.0 and tau.min() >= 0.0:
-        columns = tuple(f"tau_{j}" for j in view.log.joints)
-        seen = f"no negative torque of {len(columns)} joints in any row"
-        yield Finding(columns, seen, "magnitudes, without their sign")
+    several = view.robot is not None and tau.shape[1] >= _SEVERAL
+    if several and tau.std(axis=0).min() > 0.0 and tau.min() >= 0.0:
+        seen = f"no negative torque of {tau.shape[1]} joints in any row"
+        yield Finding(view.columns("tau"), seen, "magnitudes, without their sign")
 
 
-@plausibility_rule("zeros", "q", when="comparable", finds="symptom")
+@plausibility_rule("zeros", "q", when="comparable")
 def zeros(view: LogView) -> Iterator[Finding]:
     """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
@@ -272,6 +266,6 @@ def commands(view: LogView) -> Iterator[Finding]:
     log = view.log
     size = np.median(np.abs(log.q_des)) / max(float(np.median(np.abs(log.q))), 1e-6)
     if size > 10.0:
-        columns = tuple(f"q_des_{j}" for j in log.joints)
+        columns = view.columns("q_des")
         seen = f"{size:.3g} times the measured angles"
         yield Finding(columns, seen, "in deg, not rad", entries(columns, unit="deg"))

@@ -2,14 +2,13 @@
 delays.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
 
-from surefoot.sim.plausibility.attitude import LATE
-from surefoot.sim.plausibility.axes import MENDED
+from surefoot.sim.plausibility.comparison import LATE, MENDED
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.loads import leaning
 from surefoot.sim.plausibility.stance import Stance
@@ -109,6 +108,10 @@ class ComparedMotion:
         """The misfit of each leg (L,)."""
         return np.array([self.misfit(u[:, [i]], contact[:, [i]]) for i in range(u.shape[1])])
 
+    def all_misfits(self, u: np.ndarray, contact: np.ndarray) -> list[float]:
+        """The misfit of the legs together, and of each (1 + L)."""
+        return [self.misfit(u, contact), *self.misfits(u, contact)]
+
 
 @plausibility_rule("legs", "t gyro contact", beside="q ref foot")
 def kinematics(view: LogView) -> Iterator[Finding]:
@@ -154,18 +157,12 @@ def _motion(view: LogView, legs: Stance) -> ComparedMotion:
 
 def _late(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
     """Find a delay of joints and contacts together relative to gyro and reference."""
-
-    def left(seconds: float) -> list[float]:
-        then = _earlier(view, legs, motion, seconds)
-        return [then.misfit(legs.body_velocity(then.gyro), legs.contact)]
-
     if motion.truth is None:
         return []
-    (late,), (share,) = _lags(left, LATEST_LEGS)
+    (late, *_), (share, *_) = _lags(lambda s: _of_late_legs(view, legs, motion, s), LATEST_LEGS)
     if abs(late) < view.least_lag(2.0 * LATE) or not share < MENDED:
         return []
-    which = "after" if late > 0 else "before"
-    seen = f"move {abs(late):.2f} s {which} the reference and the IMU"
+    seen = f"move {abs(late):.2f} s {'after' if late > 0 else 'before'} the reference and the IMU"
     return [Finding(("q", "contact"), seen, "another clock, or lost rows")]
 
 
@@ -173,27 +170,23 @@ def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Fin
     """Find a delay of contacts relative to joints, of all or of one, and of single legs relative to
     the others.
     """
-    u, names = legs.body_velocity(motion.gyro), view.log.legs
-
-    def of_contacts(seconds: float) -> list[float]:
-        rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
-        contact = view.log.contact[np.clip(rows, 0, len(view.t) - 1)]
-        return [motion.misfit(u, contact), *motion.misfits(u, contact)]
-
-    def of_legs(seconds: float) -> np.ndarray:
-        then = _earlier(view, legs, motion, seconds)
-        return then.misfits(legs.body_velocity(then.gyro), legs.contact)
-
     if motion.truth is None:
         return []
+    u = legs.body_velocity(motion.gyro)
+
+    def of_late_contacts(seconds: float) -> list[float]:
+        rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
+        return motion.all_misfits(u, view.log.contact[np.clip(rows, 0, len(view.t) - 1)])
+
+    (late, *contact_late), (share, *by_contact) = _lags(of_late_contacts, LATEST_STREAM)
+    (_, *leg_late), (_, *by_leg) = _lags(
+        lambda s: _of_late_legs(view, legs, motion, s), LATEST_STREAM
+    )
     least, found = view.least_lag(LATE_STREAM), []
-    (late, *contact_late), (share, *by_contact) = _lags(of_contacts, LATEST_STREAM)
-    leg_late, by_leg = _lags(of_legs, LATEST_STREAM)
     if abs(late) > least and share < MENDED:
-        columns = tuple(f"contact_{leg}" for leg in names)
         cause = "a filter, or another clock" if late > 0 else "early, or joints are late"
-        return [Finding(columns, _less(1.0 / share, _moved(late)), cause)]
-    for i, leg in enumerate(names):
+        return [Finding(view.columns("contact"), _less(1.0 / share, _moved(late)), cause)]
+    for i, leg in enumerate(view.log.legs):
         if abs(contact_late[i]) > least and by_contact[i] < min(by_leg[i], MENDED):
             seen = _less(1.0 / by_contact[i], _moved(contact_late[i]))
             cause = f"{'late' if contact_late[i] > 0 else 'early'}, unlike the other contacts"
@@ -202,22 +195,18 @@ def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Fin
             when = "after" if leg_late[i] > 0 else "before"
             seen = f"{leg} moves {abs(leg_late[i]):.2f} s {when} the body"
             found.append(Finding((f"q_{leg}", f"contact_{leg}"), seen, "a clock of its own"))
-    return found if 2 * len(found) <= len(names) else []
+    return found if 2 * len(found) <= len(view.log.legs) else []
 
 
-def _moved(late: float) -> str:
-    return f"if taken {abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
-
-
-def _earlier(view: LogView, legs: Stance, motion: ComparedMotion, late: float) -> ComparedMotion:
-    """The motion to compare with legs that are late by some seconds."""
+def _of_late_legs(view: LogView, legs: Stance, motion: ComparedMotion, late: float) -> list[float]:
+    """All misfits of legs that are late [s], with the motion of that much earlier."""
+    assert motion.truth is not None
     then = np.clip(legs.which - round(late / STEP), 0, len(view.at) - 1)
-    return ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
+    earlier = ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
+    return earlier.all_misfits(legs.body_velocity(earlier.gyro), legs.contact)
 
 
-def _lags(
-    left: Callable[[float], Sequence[float] | np.ndarray], latest: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _lags(left: Callable[[float], list[float]], latest: float) -> tuple[np.ndarray, np.ndarray]:
     """The delays (D,) [s], up to `latest`, with the smallest misfits, and their ratios to those at
     0; 0 and 1 where there is no minimum.
 
@@ -231,6 +220,14 @@ def _lags(
     found = (best > 0) & (best < len(tried) - 1) & (base > 0.0)
     share = misfits.min(axis=0) / np.where(found, base, 1.0)
     return np.where(found, tried[best], 0.0), np.where(found, share, 1.0)
+
+
+def _moved(late: float) -> str:
+    return f"if taken {abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
+
+
+def _less(gain: float, how: str = "if corrected") -> str:
+    return f"the mean square velocity of standing feet is {gain:.3g} times less {how}"
 
 
 def _put_right(view: LogView, legs: Stance, motion: ComparedMotion, base: float) -> list[Finding]:
@@ -255,61 +252,67 @@ def _swapped(
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    names = view.log.legs
-    own = list(range(len(names)))
-    chains = _chains(view)
-    u = _by_each_leg(view, legs, motion.gyro, chains)
-    best = (base, own, ("",))
-    for order in sorted(permutations(own), key=lambda one: sum(i != j for i, j in enumerate(one))):
-        pick = list(order)
-        ways = [(("contact_",), u[:, own, own], legs.contact[:, pick])]
-        if chains is not None:
-            ways += [
-                (("q_",), u[:, own, pick], legs.contact),
-                (("q_", "contact_"), u[:, own, pick], legs.contact[:, pick]),
-            ]
-        for what, moved, contact in ways if pick != own else ():
-            left = motion.misfit(moved, contact)
-            if left < CLEARER * best[0]:
-                best = (left, pick, what)
-    left, order, what = best
-    columns, cause = tuple(f"contact_{leg}" for leg in names), "inverted: 1 means lifted"
+    names, every = view.log.legs, list(range(len(view.log.legs)))
+    u = _by_each_leg(view, legs, motion.gyro)
+    left, order, swapped = base, every, ("",)
+    # First those that exchange fewer legs.
+    orders = sorted(permutations(every), key=lambda one: sum(i != j for i, j in enumerate(one)))
+    with_joints = ("q_",), ("q_", "contact_")
+    ways = ("contact_",), *(with_joints if _chains(view) is not None else ())
+    for one, kinds in product(map(list, orders[1:]), ways):
+        joints, contacts = (one if kind in kinds else every for kind in ("q_", "contact_"))
+        misfit = motion.misfit(u[:, every, joints], legs.contact[:, contacts])
+        if misfit < CLEARER * left:
+            left, order, swapped = misfit, one, kinds
     # In a trot, the other diagonal stands while this one is lifted, so both may fit.
-    inverted = motion.misfit(u[:, own, own], ~legs.contact)
+    inverted = motion.misfit(u[:, every, every], ~legs.contact)
     likelier = 3.0 if legs.contact.mean() < DUTY else 1.0 / 3.0
     if motion.truth is not None and inverted < min(MENDED * base, likelier * left):
-        left = inverted
-    elif left > MENDED * base:
+        columns, gain = view.columns("contact"), base / inverted
+        return gain, [Finding(columns, _less(gain), "inverted: 1 means lifted")]
+    if left > MENDED * base:
         return 1.0, []
-    else:
-        wrong = [(names[i], names[j]) for i, j in enumerate(order) if i != j]
-        columns = tuple(f"{kind}{i}" for kind in what for i, _ in wrong)
-        parts = {"q_": "joints", "contact_": "contacts"}
-        cause = f"swapped legs ({' and '.join(parts[kind] for kind in what)}): "
-        cause += ", ".join(f"{i} is {j}" for i, j in wrong)
+    wrong = [(names[i], names[j]) for i, j in enumerate(order) if i != j]
+    columns = tuple(f"{kind}{i}" for kind in swapped for i, _ in wrong)
+    what = " and ".join({"q_": "joints", "contact_": "contacts"}[kind] for kind in swapped)
+    cause = f"swapped legs ({what}): {', '.join(f'{i} is {j}' for i, j in wrong)}"
     return base / left, [Finding(columns, _less(base / left), cause)]
 
 
-def _less(gain: float, how: str = "if corrected") -> str:
-    return f"the mean square velocity of standing feet is {gain:.3g} times less {how}"
-
-
-def _by_each_leg(
-    view: LogView, legs: Stance, gyro: np.ndarray, chains: np.ndarray | None
-) -> np.ndarray:
+def _by_each_leg(view: LogView, legs: Stance, gyro: np.ndarray) -> np.ndarray:
     """Velocity (K, L, L, 3) of the body by leg i if it had the joints of leg j."""
-    k = np.arange(len(view.log.legs))
+    k, chains = np.arange(len(view.log.legs)), _chains(view)
     out = np.empty((len(gyro), len(k), len(k), 3))
     out[:, k, k] = legs.body_velocity(gyro)
-    if chains is None or view.robot is None:
+    if chains is None:
         return out
     for shift in k[1:]:
         order = (k + shift) % len(k)
-        columns = np.arange(view.log.q.shape[1])
-        columns[chains] = chains[order]
-        moved = legs.with_joints(view.robot, view.log.q, columns)
+        moved = _read_otherwise(view, legs, chains, chains[order])
         out[:, k, order] = moved.body_velocity(gyro)
     return out
+
+
+def _read_otherwise(
+    view: LogView,
+    legs: Stance,
+    chains: np.ndarray,
+    others: np.ndarray,
+    sign: np.ndarray | float = 1.0,
+    offset: np.ndarray | float = 0.0,
+) -> Stance:
+    """The feet if joints `chains` (L, C) had the angles of `others` (L, C), times signs (C,), and
+    an offset (C,) [rad] more.
+    """
+    robot, q = view.robot, view.log.q
+    assert robot is not None
+
+    def feet(rows: np.ndarray) -> np.ndarray:
+        read = q[rows]
+        read[:, chains] = q[rows][:, others] * sign + offset
+        return robot.feet_I(read)
+
+    return legs.with_feet(feet)
 
 
 def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float, list[Finding]]:
@@ -317,22 +320,20 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    robot, chains = view.robot, _chains(view)
-    if robot is None or chains is None or motion.truth is None or chains.shape[1] > 3:
+    chains = _chains(view)
+    if chains is None or motion.truth is None or chains.shape[1] > 3:
         return 1.0, []
-    (few, motion), q = _few(legs, motion), view.log.q
+    few, motion = _few(legs, motion)
     size = chains.shape[1]
     base = motion.misfits(few.body_velocity(motion.gyro), few.contact)
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
     orders = [*permutations(range(size))] if (base > MISFIT).any() else [tuple(range(size))]
-    ways = [*product(orders, product((1.0, -1.0), repeat=size))]
+    ways = [*product(orders, map(np.array, product((1.0, -1.0), repeat=size)))]
     misfits, leans = np.empty((2, len(ways), len(chains)))
-    for way, (order, signs) in enumerate(ways):
-        columns, sign = np.arange(q.shape[1]), np.ones(q.shape[1])
-        columns[chains], sign[chains] = chains[:, order], signs
-        other = few.with_joints(robot, q, columns, sign)
+    for way, (order, sign) in enumerate(ways):
+        other = _read_otherwise(view, few, chains, chains[:, order], sign)
         misfits[way] = motion.misfits(other.body_velocity(motion.gyro), few.contact)
-        leans[way] = leaning(view, robot, few, columns, sign)
+        leans[way] = leaning(view, few, chains, chains[:, order], sign)
     best, left = misfits.argmin(axis=0), misfits.min(axis=0)
     good = base[base < FAIR]
     as_good = AS_GOOD * max(float(good.max()), MISFIT) if good.size else np.inf
@@ -343,15 +344,17 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     for way in dict.fromkeys(best[mends].tolist()):
         which = mends & (best == way)
         joints = np.array(view.log.joints)[chains[which]]
-        order, signs = ways[way]
-        swapped = [k for k, other in enumerate(order) if k != other]
-        flipped = [k for k, sign in enumerate(signs) if sign < 0]
-        columns = tuple(f"q_{name}" for name in joints[:, sorted({*swapped, *flipped})].flat)
+        order, sign = np.array(ways[way][0]), ways[way][1]
+        swapped, flipped = np.flatnonzero(order != np.arange(size)), sign < 0
+        columns = tuple(
+            f"q_{name}" for name in joints[:, flipped | (order != np.arange(size))].flat
+        )
         pairs = ", ".join(f"{joints[0, k]} is {joints[0, order[k]]}" for k in swapped)
-        causes = [f"swapped joints ({pairs})"] * bool(swapped) + ["wrong sign"] * bool(flipped)
-        changes = {"robot": {"joint_sign": dict.fromkeys(joints[:, flipped].flat, -1.0)}}
+        causes = [f"swapped joints ({pairs})"] * bool(pairs) + ["wrong sign"] * bool(flipped.any())
+        signs = {"robot": {"joint_sign": dict.fromkeys(joints[:, flipped].flat, -1.0)}}
         seen = _less(float(np.median(base[which] / left[which])))
-        findings.append(Finding(columns, seen, " and ".join(causes), changes if flipped else {}))
+        changes = signs if flipped.any() else {}
+        findings.append(Finding(columns, seen, " and ".join(causes), changes))
     mended = np.nansum(np.where(mends, left, base))
     return float(np.nansum(base) / max(mended, 1e-12)), findings
 
@@ -413,16 +416,15 @@ def _zeros(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]
 
     `joints.zeros` finds that of a single joint.
     """
-    robot, log, chains = view.robot, view.log, _chains(view)
-    if robot is None or chains is None:
+    chains = _chains(view)
+    if chains is None:
         return []
     few, motion = _few(legs, motion)
     base = motion.misfits(few.body_velocity(motion.gyro), few.contact)
     misfits = np.empty((chains.shape[1], len(OFFSETS), len(chains)))
     for k, n in np.ndindex(misfits.shape[:2]):
-        offset = np.zeros(log.q.shape[1])
-        offset[chains[:, k]] = OFFSETS[n]
-        other = few.with_joints(robot, log.q, offset=offset)
+        offset = OFFSETS[n] * np.eye(chains.shape[1])[k]
+        other = _read_otherwise(view, few, chains, chains, offset=offset)
         misfits[k, n] = motion.misfits(other.body_velocity(motion.gyro), few.contact)
     if not np.isfinite(misfits).all():
         return []
@@ -432,14 +434,12 @@ def _zeros(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]
     for k in np.argsort(np.median(left, axis=1)):
         which = np.flatnonzero(mended[k])
         if 2 * len(which) > len(chains):
-            columns += [f"q_{log.joints[chains[i, k]]}" for i in which]
+            columns += view.columns("q", chains[which, k])
             added = sorted({float(OFFSETS[misfits[k, :, i].argmin()]) for i in which})
-            gain = 1.0 / float(np.median(left[k, which]))
-            seen.append(
-                f"{gain:.1f} times less with {' or '.join(f'{x:+g}' for x in added)} rad added"
-            )
+            gain, words = 1.0 / float(np.median(left[k, which])), [f"{x:+g}" for x in added]
+            seen.append(f"{gain:.1f} times less with {' or '.join(words)} rad added")
     if not columns:
         return []
-    words = f"the mean square velocity of standing feet is {', or '.join(seen)}"
+    words = f"the mean square velocity of standing feet is {', '.join(seen)}"
     cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
     return [Finding(tuple(columns), words, cause)]
