@@ -159,6 +159,11 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b / size, -1.0, 1.0))))
 
 
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Correlation of a (M,) and b (M,); 0 where one is constant."""
+    return float(match_axes(a[:, None], b[:, None]).own[0])
+
+
 def sign_change(
     at: np.ndarray, logged: np.ndarray, moved: np.ndarray, always: float = SURELY
 ) -> float | None:

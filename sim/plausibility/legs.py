@@ -324,11 +324,11 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     if chains is None or motion.truth is None or chains.shape[1] > 3:
         return 1.0, []
     few, motion = _few(legs, motion)
-    size = chains.shape[1]
+    own = np.arange(chains.shape[1])
     base = motion.misfits(few.body_velocity(motion.gyro), few.contact)
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
-    orders = [*permutations(range(size))] if (base > MISFIT).any() else [tuple(range(size))]
-    ways = [*product(orders, map(np.array, product((1.0, -1.0), repeat=size)))]
+    orders = permutations(own) if (base > MISFIT).any() else [own]
+    ways = [*product(map(np.array, orders), map(np.array, product((1.0, -1.0), repeat=len(own))))]
     misfits, leans = np.empty((2, len(ways), len(chains)))
     for way, (order, sign) in enumerate(ways):
         other = _read_otherwise(view, few, chains, chains[:, order], sign)
@@ -342,18 +342,16 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     mends = (best > 0) & (left < np.minimum(most, as_good))
     findings = []
     for way in dict.fromkeys(best[mends].tolist()):
-        which = mends & (best == way)
+        which, (order, sign) = mends & (best == way), ways[way]
         joints = np.array(view.log.joints)[chains[which]]
-        order, sign = np.array(ways[way][0]), ways[way][1]
-        swapped, flipped = np.flatnonzero(order != np.arange(size)), sign < 0
-        columns = tuple(
-            f"q_{name}" for name in joints[:, flipped | (order != np.arange(size))].flat
-        )
-        pairs = ", ".join(f"{joints[0, k]} is {joints[0, order[k]]}" for k in swapped)
-        causes = [f"swapped joints ({pairs})"] * bool(pairs) + ["wrong sign"] * bool(flipped.any())
-        signs = {"robot": {"joint_sign": dict.fromkeys(joints[:, flipped].flat, -1.0)}}
+        swapped, flipped = order != own, sign < 0
+        columns = tuple(f"q_{joint}" for joint in joints[:, swapped | flipped].flat)
+        pairs = zip(joints[0, swapped], joints[0, order[swapped]], strict=True)
+        words = ", ".join(f"{joint} is {other}" for joint, other in pairs)
+        causes = [f"swapped joints ({words})"] * bool(words) + ["wrong sign"] * bool(flipped.any())
+        signs = dict.fromkeys(joints[:, flipped].flat, -1.0)
         seen = _less(float(np.median(base[which] / left[which])))
-        changes = signs if flipped.any() else {}
+        changes = {"robot": {"joint_sign": signs}} if signs else {}
         findings.append(Finding(columns, seen, " and ".join(causes), changes))
     mended = np.nansum(np.where(mends, left, base))
     return float(np.nansum(base) / max(mended, 1e-12)), findings

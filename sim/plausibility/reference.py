@@ -92,32 +92,28 @@ def velocity(view: LogView) -> Iterator[Finding]:
     if not view.ok.any():
         return
     logged, moved = view.means(view.log.ref_v)[view.ok], view.ref_v[view.ok]
-    power, missed = np.sum(moved**2), np.sum((logged - moved) ** 2)
-    rests = power < len(moved) * _WALKS**2 and np.abs(logged).max() < 1.0
-    if rests or missed < SCALED * power:
+    size, moves, missed = (float(np.sum(x**2)) for x in (logged, moved, logged - moved))
+    rests = moves < len(moved) * _WALKS**2 and np.abs(logged).max() < 1.0
+    if rests or missed < SCALED * moves:
         return
-    size = float(np.sqrt(np.sum(logged**2) / max(power, 1e-12)))
-    if abs(np.log(max(size, 1e-9))) > np.log1p(SCALED):
-        seen = f"{size:.3g} times the change of positions"
-        yield Finding(REF_V, seen, *in_another_unit("ref_v", REF_V, size, "scaled, or ref_p is"))
+    ratio = float(np.sqrt(max(size, 1e-18) / max(moves, 1e-12)))
+    if abs(np.log(ratio)) > np.log1p(SCALED):
+        cause, changes = in_another_unit("ref_v", REF_V, ratio, "scaled, or ref_p is")
+        yield Finding(REF_V, f"{ratio:.3g} times the change of positions", cause, changes)
         return
-    seen, cause = (
-        f"{100 * missed / power:.0f} % of its mean square is not the change of positions",
-        "",
-    )
+    seen = f"{100 * missed / moves:.0f} % of its mean square is not the change of positions"
     match = match_axes(logged, moved)
     late, shifted = view.delay(logged, moved, LATE, LATEST)
     if np.sum((logged - view.v_I[view.ok]) ** 2) < 0.3 * missed:
-        cause = "in the body's axes, not the world's"
+        yield Finding(REF_V, seen, "in the body's axes, not the world's")
     elif late and shifted > max(SURELY, match.best.mean()):
         seen = f"{1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
         seen += " against the change of ref_p"
-        cause = "a filter, or stamps of another clock"
-    elif not match.wrong:
-        cause = "another clock, another body, or a filter that lags"
-    yield (
-        Finding(REF_V, seen, cause) if cause else match.finding("ref_v", "the change of positions")
-    )
+        yield Finding(REF_V, seen, "a filter, or stamps of another clock")
+    elif match.wrong:
+        yield match.finding("ref_v", "the change of positions")
+    else:
+        yield Finding(REF_V, seen, "another clock, another body, or a filter that lags")
 
 
 @plausibility_rule("reference's point", "t accel gyro ref", when="trusts_reference")

@@ -13,7 +13,6 @@ from surefoot.sim.plausibility import (
     attitude,
     clock,
     contacts,
-    drives,
     imu,
     joints,
     legs,
@@ -37,7 +36,7 @@ RULES: tuple[Rule, ...] = (
     # Two readings of one quantity.
     clock.leaps, joints.rates, joints.commands, streams.spikes,
     attitude.attitude, reference.velocity, imu.gyro,
-    drives.driving, drives.followed, streams.coarse, streams.noisy,
+    joints.driving, joints.followed, streams.coarse, streams.noisy,
     # IMU, reference and legs together.
     imu.accelerometer, imu.averaged, reference.point, reference.motion,
     imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.late_torques,
