@@ -76,22 +76,14 @@ class ComparedMotion:
         truth = None if self.truth is None else self.truth[some]
         return ComparedMotion(self.gyro[some], truth, self.used[some])
 
-    def where_turning(self) -> "ComparedMotion":
-        """Use only the times at which the body turns most: there legs differ."""
-        rate = np.linalg.norm(self.gyro, axis=1)
-        return replace(self, used=self.used & (rate > np.quantile(rate, _TURNING)))
-
-    def misfit(self, u: np.ndarray, contact: np.ndarray) -> float:
+    def misfit(self, legs: Stance) -> float:
         """Mean squared error of the legs' velocity, relative to the body's, without the worst
         tenth.
 
         NaN where too few legs are in contact. Without a truth, the legs are compared with their
         mean.
-
-        u: (K, L, 3) velocity of the body by each leg [m/s]; contact: (K, L), bool.
         """
-        on = contact & self.used[:, None]
-        truth = self.truth
+        u, on, truth = legs.body_velocity(self.gyro), legs.contact & self.used[:, None], self.truth
         if truth is None:
             on = on & (on.sum(axis=1, keepdims=True) > 1)
             count = np.maximum(on.sum(axis=1, keepdims=True), 1)
@@ -104,13 +96,14 @@ class ComparedMotion:
         size = np.broadcast_to(np.sum(truth**2, axis=1)[:, None], on.shape)[on]
         return float(missed.mean() / size.mean())
 
-    def misfits(self, u: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    def misfits(self, legs: Stance) -> np.ndarray:
         """The misfit of each leg (L,)."""
-        return np.array([self.misfit(u[:, [i]], contact[:, [i]]) for i in range(u.shape[1])])
+        each = [slice(i, i + 1) for i in range(legs.contact.shape[1])]
+        return np.array([self.misfit(legs.of_legs(one)) for one in each])
 
-    def all_misfits(self, u: np.ndarray, contact: np.ndarray) -> list[float]:
+    def all_misfits(self, legs: Stance) -> list[float]:
         """The misfit of the legs together, and of each (1 + L)."""
-        return [self.misfit(u, contact), *self.misfits(u, contact)]
+        return [self.misfit(legs), *self.misfits(legs)]
 
 
 @plausibility_rule("legs", "t gyro contact", beside="q ref foot")
@@ -136,15 +129,14 @@ def kinematics(view: LogView) -> Iterator[Finding]:
     if legs is None or len(view.log.legs) < 2:
         return
     whole = _motion(view, legs)
-    turning = whole.where_turning()
-    u = legs.body_velocity(turning.gyro)
-    base = turning.misfit(u, legs.contact)
-    found = _late(view, legs, whole) if base > MISFIT else []
-    found = found or _put_right(view, legs, turning, base) or _late_parts(view, legs, whole)
-    if not found and turning.truth is not None:
-        found = _of_another_robot(u, legs.contact, turning, base) if base > MISFIT else []
+    few, turning = _few(legs, whole)
+    misfit = turning.misfit(few) > MISFIT
+    found = _late(view, legs, whole) if misfit else []
+    found = found or _put_right(view, few, turning, misfit) or _late_parts(view, legs, whole)
+    if not found and whole.truth is not None:
+        found = _of_another_robot(few, turning) if misfit else []
         found = found or _climbing(view, legs)
-        found = found or (_zeros(view, legs, turning) if base > MISFIT else [])
+        found = found or (_zeros(view, few, turning) if misfit else [])
     yield from found
 
 
@@ -172,11 +164,11 @@ def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Fin
     """
     if motion.truth is None:
         return []
-    u = legs.body_velocity(motion.gyro)
 
     def of_late_contacts(seconds: float) -> list[float]:
         rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
-        return motion.all_misfits(u, view.log.contact[np.clip(rows, 0, len(view.t) - 1)])
+        contact = view.log.contact[np.clip(rows, 0, len(view.t) - 1)]
+        return motion.all_misfits(replace(legs, contact=contact))
 
     (late, *contact_late), (share, *by_contact) = _lags(of_late_contacts, LATEST_STREAM)
     (_, *leg_late), (_, *by_leg) = _lags(
@@ -203,7 +195,7 @@ def _of_late_legs(view: LogView, legs: Stance, motion: ComparedMotion, late: flo
     assert motion.truth is not None
     then = np.clip(legs.which - round(late / STEP), 0, len(view.at) - 1)
     earlier = ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
-    return earlier.all_misfits(legs.body_velocity(earlier.gyro), legs.contact)
+    return earlier.all_misfits(legs)
 
 
 def _lags(left: Callable[[float], list[float]], latest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -230,11 +222,11 @@ def _less(gain: float, how: str = "if corrected") -> str:
     return f"the mean square velocity of standing feet is {gain:.3g} times less {how}"
 
 
-def _put_right(view: LogView, legs: Stance, motion: ComparedMotion, base: float) -> list[Finding]:
-    """Find the correction with the smallest misfit: other legs, or other signs and orders of
-    joints.
+def _put_right(view: LogView, legs: Stance, motion: ComparedMotion, misfit: bool) -> list[Finding]:
+    """Find the correction with the smallest misfit: other legs where there is a `misfit` of all
+    together, or other signs and orders of joints.
     """
-    gain, found = _swapped(view, legs, motion, base) if base > MISFIT else (1.0, [])
+    gain, found = _swapped(view, legs, motion) if misfit else (1.0, [])
     more, misread = _misread(view, legs, motion)
     return misread if more > gain else found
 
@@ -245,27 +237,28 @@ def _chains(view: LogView) -> np.ndarray | None:
     return np.array(chains) if len({len(chain) for chain in chains}) == 1 else None
 
 
-def _swapped(
-    view: LogView, legs: Stance, motion: ComparedMotion, base: float
-) -> tuple[float, list[Finding]]:
+def _swapped(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float, list[Finding]]:
     """Find swapped legs, by joints, contacts or both, or inverted contacts.
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    names, every = view.log.legs, list(range(len(view.log.legs)))
-    u = _by_each_leg(view, legs, motion.gyro)
-    left, order, swapped = base, every, ("",)
+    names, chains, base = view.log.legs, _chains(view), motion.misfit(legs)
+    every = range(len(names))
+    left, order, swapped = base, list(every), ("",)
     # First those that exchange fewer legs.
     orders = sorted(permutations(every), key=lambda one: sum(i != j for i, j in enumerate(one)))
-    with_joints = ("q_",), ("q_", "contact_")
-    ways = ("contact_",), *(with_joints if _chains(view) is not None else ())
-    for one, kinds in product(map(list, orders[1:]), ways):
-        joints, contacts = (one if kind in kinds else every for kind in ("q_", "contact_"))
-        misfit = motion.misfit(u[:, every, joints], legs.contact[:, contacts])
-        if misfit < CLEARER * left:
-            left, order, swapped = misfit, one, kinds
+    for one in map(list, orders[1:]):
+        contacts = replace(legs, contact=legs.contact[:, one])
+        ways = {("contact_",): contacts}
+        if chains is not None:
+            joints = _read_otherwise(view, legs, chains, chains[one])
+            both = replace(joints, contact=contacts.contact)
+            ways |= {("q_",): joints, ("q_", "contact_"): both}
+        for kinds, moved in ways.items():
+            if (misfit := motion.misfit(moved)) < CLEARER * left:
+                left, order, swapped = misfit, one, kinds
     # In a trot, the other diagonal stands while this one is lifted, so both may fit.
-    inverted = motion.misfit(u[:, every, every], ~legs.contact)
+    inverted = motion.misfit(replace(legs, contact=~legs.contact))
     likelier = 3.0 if legs.contact.mean() < DUTY else 1.0 / 3.0
     if motion.truth is not None and inverted < min(MENDED * base, likelier * left):
         columns, gain = view.columns("contact"), base / inverted
@@ -277,20 +270,6 @@ def _swapped(
     what = " and ".join({"q_": "joints", "contact_": "contacts"}[kind] for kind in swapped)
     cause = f"swapped legs ({what}): {', '.join(f'{i} is {j}' for i, j in wrong)}"
     return base / left, [Finding(columns, _less(base / left), cause)]
-
-
-def _by_each_leg(view: LogView, legs: Stance, gyro: np.ndarray) -> np.ndarray:
-    """Velocity (K, L, L, 3) of the body by leg i if it had the joints of leg j."""
-    k, chains = np.arange(len(view.log.legs)), _chains(view)
-    out = np.empty((len(gyro), len(k), len(k), 3))
-    out[:, k, k] = legs.body_velocity(gyro)
-    if chains is None:
-        return out
-    for shift in k[1:]:
-        order = (k + shift) % len(k)
-        moved = _read_otherwise(view, legs, chains, chains[order])
-        out[:, k, order] = moved.body_velocity(gyro)
-    return out
 
 
 def _read_otherwise(
@@ -323,17 +302,15 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     chains = _chains(view)
     if chains is None or motion.truth is None or chains.shape[1] > 3:
         return 1.0, []
-    few, motion = _few(legs, motion)
-    own = np.arange(chains.shape[1])
-    base = motion.misfits(few.body_velocity(motion.gyro), few.contact)
+    own, base = np.arange(chains.shape[1]), motion.misfits(legs)
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
     orders = permutations(own) if (base > MISFIT).any() else [own]
     ways = [*product(map(np.array, orders), map(np.array, product((1.0, -1.0), repeat=len(own))))]
     misfits, leans = np.empty((2, len(ways), len(chains)))
     for way, (order, sign) in enumerate(ways):
-        other = _read_otherwise(view, few, chains, chains[:, order], sign)
-        misfits[way] = motion.misfits(other.body_velocity(motion.gyro), few.contact)
-        leans[way] = leaning(view, few, chains, chains[:, order], sign)
+        other = _read_otherwise(view, legs, chains, chains[:, order], sign)
+        misfits[way] = motion.misfits(other)
+        leans[way] = leaning(view, legs, chains, chains[:, order], sign)
     best, left = misfits.argmin(axis=0), misfits.min(axis=0)
     good = base[base < FAIR]
     as_good = AS_GOOD * max(float(good.max()), MISFIT) if good.size else np.inf
@@ -360,27 +337,25 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
 def opposite_angles(view: LogView) -> set[str]:
     """Columns of angles that put standing feet right with the opposite sign."""
     legs = view.stance
-    found = [] if legs is None else _misread(view, legs, _motion(view, legs).where_turning())[1]
+    found = [] if legs is None else _misread(view, *_few(legs, _motion(view, legs)))[1]
     return {column for one in found if one.cause == "wrong sign" for column in one.streams}
 
 
 def _few(legs: Stance, motion: ComparedMotion) -> tuple[Stance, ComparedMotion]:
-    """Feet and motion at some of the times, at which alternatives are tried."""
-    used = np.flatnonzero(motion.used)
-    some = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(int))]
+    """Feet and motion at some of the times at which the body turns most, where legs differ; at
+    these, alternatives are tried.
+    """
+    rate = np.linalg.norm(motion.gyro, axis=1)
+    used = np.flatnonzero(motion.used & (rate > np.quantile(rate, _TURNING)))
+    some = used[np.linspace(0, len(used) - 1, min(len(used), _TRIED)).astype(int)]
     return legs.at(some), motion.rows(some)
 
 
-def _of_another_robot(
-    u: np.ndarray, contact: np.ndarray, motion: ComparedMotion, base: float
-) -> list[Finding]:
-    """Find legs of another length, or that have nothing to do with the body's motion.
-
-    u: (K, L, 3) velocity of the body by each leg [m/s]; contact: (K, L), bool.
-    """
-    truth = motion.truth
+def _of_another_robot(legs: Stance, motion: ComparedMotion) -> list[Finding]:
+    """Find legs of another length, or that have nothing to do with the body's motion."""
+    truth, u, misfit = motion.truth, legs.body_velocity(motion.gyro), motion.misfit(legs)
     assert truth is not None
-    on = contact & (motion.used & (np.linalg.norm(truth, axis=1) > _MOVES))[:, None]
+    on = legs.contact & (motion.used & (np.linalg.norm(truth, axis=1) > _MOVES))[:, None]
     by_legs, by_body = u[on][:, :2], np.broadcast_to(truth[:, None], u.shape)[on][:, :2]
     size = np.sum(by_legs**2, axis=1)
     keep = size < np.quantile(size, 0.9)
@@ -391,8 +366,8 @@ def _of_another_robot(
         seen = f"legs move the body {ratio:.2f} times as fast as the reference"
         cause = "another robot's log (its legs have another length), or units of positions"
         return [Finding(("q", "ref_p"), seen, cause)]
-    if base > HOPELESS:
-        seen = f"standing feet have {100 * base:.0f} % of the body's mean square velocity"
+    if misfit > HOPELESS:
+        seen = f"standing feet have {100 * misfit:.0f} % of the body's mean square velocity"
         return [Finding(("q", "contact"), seen, "wrong joints, contacts or robot; or it slides")]
     return []
 
@@ -417,13 +392,12 @@ def _zeros(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]
     chains = _chains(view)
     if chains is None:
         return []
-    few, motion = _few(legs, motion)
-    base = motion.misfits(few.body_velocity(motion.gyro), few.contact)
+    base = motion.misfits(legs)
     misfits = np.empty((chains.shape[1], len(OFFSETS), len(chains)))
     for k, n in np.ndindex(misfits.shape[:2]):
         offset = OFFSETS[n] * np.eye(chains.shape[1])[k]
-        other = _read_otherwise(view, few, chains, chains, offset=offset)
-        misfits[k, n] = motion.misfits(other.body_velocity(motion.gyro), few.contact)
+        other = _read_otherwise(view, legs, chains, chains, offset=offset)
+        misfits[k, n] = motion.misfits(other)
     if not np.isfinite(misfits).all():
         return []
     left = misfits.min(axis=1) / base  # by joint of a leg, and leg

@@ -52,6 +52,11 @@ class Stance:
             self.foot[some], self.rate[some],
         )  # fmt: skip
 
+    def of_legs(self, some: slice) -> "Stance":
+        """Select some of the L legs."""
+        contact, foot, rate = (x[:, some] for x in (self.contact, self.foot, self.rate))
+        return replace(self, contact=contact, foot=foot, rate=rate)
+
     def with_feet(self, feet: Feet) -> "Stance":
         """The same times with other positions of the feet."""
         rate = (feet(self.rows[2]) - feet(self.rows[0])) / self.span[:, None, None]

@@ -477,23 +477,20 @@ def derived(view: LogView) -> Iterator[Finding]:
     """
     log = view.log
     if log.has("q") and log.has("dq") and not any(d.startswith("dq") for d in log.meta.derived):
-        dq, step = log.dq, np.diff(view.t)[:, None]
-        change = np.diff(log.q, axis=0) / step
+        change = np.diff(log.q, axis=0) / np.diff(view.t)[:, None]
         central = np.gradient(log.q, view.t, axis=0)
-        made = np.zeros(dq.shape[1], dtype=bool)
-        for one, rows in ((change, dq[1:]), (change, dq[:-1]), (central, dq)):
-            made |= np.sum((one - rows) ** 2, axis=0) < 1e-8 * np.sum(dq**2, axis=0)
+        made = np.zeros(len(log.joints), dtype=bool)
+        for one, rates in ((change, log.dq[1:]), (change, log.dq[:-1]), (central, log.dq)):
+            made |= np.sum((one - rates) ** 2, axis=0) < 1e-8 * np.sum(log.dq**2, axis=0)
         if made.any():
             seen = "the difference of q from row to row, to 1e-4 of its size"
-            columns = tuple(f"dq_{j}" for j, m in zip(log.joints, made, strict=True) if m)
-            yield Finding(columns, seen, "computed from q, not measured")
+            yield Finding(view.columns("dq", made), seen, "computed from q, not measured")
     law = log.meta.motor_law
-    if law and log.has("tau") and log.has("q") and log.has("q_des") and log.has("dq"):
+    if law and all(log.has(group) for group in ("tau", "q", "q_des", "dq")):
         commanded = np.asarray(law["kp"]) * (log.q_des - log.q) - np.asarray(law["kd"]) * log.dq
         if np.any(log.tau) and np.sum((commanded - log.tau) ** 2) < 1e-8 * np.sum(log.tau**2):
-            columns = tuple(f"tau_{j}" for j in log.joints)
             seen = "the motor law of q_des, q and dq, to 1e-4 of its size"
-            yield Finding(columns, seen, "commanded, not measured")
+            yield Finding(view.columns("tau"), seen, "commanded, not measured")
 
 
 def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
