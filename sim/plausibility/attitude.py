@@ -128,44 +128,44 @@ def attitude(view: LogView) -> Iterator[Finding]:
         s.
     Remedy: the order or sign of ref_q's columns; [reference] offset; surefoot align.
     """
-    own, lean = float(view.gyro_match.own.mean()), _leaning(view)
-    late, shifted = view.delay(view.turning[view.ok], view.gyro[view.ok], LATE, LATEST)
-    if shifted < max(SURELY, own + _CLEARLY):
-        late = 0.0
-    if lean < TILT and (late or (not view.gyro_match.wrong and own > HARDLY)):
-        if late:
-            yield _late(view, late)
+    as_is, lean = float(view.gyro_match.paired.mean()), _leaning(view)
+    lag, shifted = view.delay(view.turning[view.ok], view.gyro[view.ok], LATE, LATEST)
+    if shifted < max(SURELY, as_is + _CLEARLY):
+        lag = 0.0
+    if lean < TILT and (lag or (not view.gyro_match.wrong and as_is > HARDLY)):
+        if lag:
+            yield _late(view, lag)
         return
-    reading = _other_reading(view, shifted if late else own, lean)
+    reading = _other_reading(view, shifted if lag else as_is, lean)
     if reading is None:
         return
-    numbers = number_words(view.gyro_match.own)
+    numbers = number_words(view.gyro_match.paired)
     seen = f"correlation of its turning with the gyro {numbers} about x, y, z, "
     seen += f"its vertical {lean:.0f} deg from gravity"
-    if late and reading.of_world:
-        world, clock = reading.changes["reference"], _on_time(view, late)["reference"]
-        cause = f"{reading.words}, and {_clock(late)}"
+    if lag and reading.of_world:
+        world, clock = reading.changes["reference"], _on_time(view, lag)["reference"]
+        cause = f"{reading.words}, and {_clock(lag)}"
         yield Finding((*REF_P, *REF_Q), seen, cause, {"reference": {**world, **clock}})
     else:
         yield Finding(REF_Q, seen, reading.words, reading.changes)
 
 
-def _late(view: LogView, late: float) -> Finding:
+def _late(view: LogView, lag: float) -> Finding:
     """The finding for a reference that is late relative to the gyro [s]."""
-    seen = f"turns {abs(late):.2f} s {'after' if late > 0 else 'before'} the gyro"
+    seen = f"turns {abs(lag):.2f} s {'after' if lag > 0 else 'before'} the gyro"
     by_force, alike = view.delay(view.accel[view.ok], view.felt[view.ok], LATE, LATEST)
-    if alike > SURELY and abs(by_force) < 0.5 * abs(late):
+    if alike > SURELY and abs(by_force) < 0.5 * abs(lag):
         seen = f"{seen}, and the accelerometer does not"
         return Finding(GYRO, seen, "a filter, or another clock, of the gyro alone")
-    return Finding((*REF_P, *REF_Q), seen, _clock(late), _on_time(view, late))
+    return Finding((*REF_P, *REF_Q), seen, _clock(lag), _on_time(view, lag))
 
 
-def _clock(late: float) -> str:
-    return f"the reference's clock is {'late' if late > 0 else 'early'}"
+def _clock(lag: float) -> str:
+    return f"the reference's clock is {'late' if lag > 0 else 'early'}"
 
 
-def _on_time(view: LogView, late: float) -> Changes:
-    offset = view.log.meta.model.get(REFERENCE_OFFSET, 0.0) - late
+def _on_time(view: LogView, lag: float) -> Changes:
+    offset = view.log.meta.model.get(REFERENCE_OFFSET, 0.0) - lag
     return {"reference": {"offset": round(offset, 3)}}
 
 
@@ -195,7 +195,7 @@ def _other_reading(view: LogView, as_is: float, lean: float) -> Reading | None:
     for one in OTHER_READINGS:
         # A body turns alike in any world.
         turned = (one.read(begin).inv() * one.read(end)).as_rotvec()
-        fits = as_is if one.of_world else float(match_axes(gyro, turned).own.mean())
+        fits = as_is if one.of_world else float(match_axes(gyro, turned).paired.mean())
         leans = _leaning(view, one.read)
         if leans < _UPRIGHT and fits > LIKELY:
             # Readings with the same rotation rate differ in the direction of gravity.
@@ -206,7 +206,7 @@ def _other_reading(view: LogView, as_is: float, lean: float) -> Reading | None:
     match = view.gyro_match
     if lean >= TILT:
         return best
-    if fits < max(match.own.mean() + 0.3, match.best.mean() - 0.05):
+    if fits < max(match.paired.mean() + 0.3, match.best.mean() - 0.05):
         return None
     return None if match.wrong and _gyro_at_fault(view) else best
 

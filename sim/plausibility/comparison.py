@@ -59,14 +59,14 @@ class AxesMatch:
     Attributes:
         order: expected column that matches each measured one best (D,).
         sign: of the match (D,).
-        own: correlation of each column with its own (D,).
+        paired: correlation of each column with its own (D,).
         best: correlation with the matched one (D,).
         scale: slope of measured over expected for the match (D,).
     """
 
     order: np.ndarray
     sign: np.ndarray
-    own: np.ndarray
+    paired: np.ndarray
     best: np.ndarray
     scale: np.ndarray
 
@@ -84,13 +84,13 @@ class AxesMatch:
     def wrong(self) -> tuple[int, ...]:
         """Axes that measure another one, or with the opposite sign."""
         turned = self.exchanged | (self.sign < 0)
-        wrong = turned & (self.best > LIKELY) & (self.best - self.own > GAIN)
+        wrong = turned & (self.best > LIKELY) & (self.best - self.paired > GAIN)
         return tuple(np.flatnonzero(wrong).tolist())
 
     @property
     def alike(self) -> bool:
         """Whether all axes that move are the expected ones."""
-        return not self.wrong and bool(np.median(self.own) > HARDLY)
+        return not self.wrong and bool(np.median(self.paired) > HARDLY)
 
     @property
     def words(self) -> str:
@@ -109,16 +109,16 @@ class AxesMatch:
         entry: dict[str, dict[str, Any]] = {}
         for kind in kinds:
             for i in self.wrong:
-                axis, own = (f"{kind}_{'xyz'[k]}" for k in (self.order[i], i))
-                of = {"of": own} if own != axis else {}
+                axis, column = (f"{kind}_{'xyz'[k]}" for k in (self.order[i], i))
+                of = {"of": column} if column != axis else {}
                 entry[axis] = of | ({"sign": -1.0} if self.sign[i] < 0 else {})
         return {"columns": entry}
 
     def finding(self, kind: str, witness: str) -> Finding:
         """The finding for axes of a vector that do not measure what a witness says of them."""
         columns = tuple(f"{kind}_{'xyz'[i]}" for i in self.wrong)
-        own = ", ".join(f"{'xyz'[i]} {self.own[i]:.2f}" for i in self.wrong)
-        seen = f"correlation with {witness} {own}"
+        paired = ", ".join(f"{'xyz'[i]} {self.paired[i]:.2f}" for i in self.wrong)
+        seen = f"correlation with {witness} {paired}"
         return Finding(columns, seen, self.words, self.corrected(kind))
 
 
@@ -161,7 +161,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
     """Correlation of a (M,) and b (M,); 0 where one is constant."""
-    return float(match_axes(a[:, None], b[:, None]).own[0])
+    return float(match_axes(a[:, None], b[:, None]).paired[0])
 
 
 def sign_change(
@@ -194,19 +194,21 @@ def of_changing_sign(column: str, since: float, expected: str) -> Finding:
     return Finding((column,), seen, "its sign, or that of its angle, changes during the log")
 
 
-def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> tuple[float, float]:
-    """Delay [s] of `late` (M, D) relative to `witness` (M, D), and their mean correlation at it.
+def lag_of(
+    lagging: np.ndarray, witness: np.ndarray, step: float, most: float
+) -> tuple[float, float]:
+    """Delay [s] of `lagging` (M, D) relative to `witness` (M, D), and their mean correlation at it.
 
     Rows are `step` apart, and the delay is at most `most` in size. Columns have equal weight.
     """
-    reach = min(round(most / step), len(late) // 3)
-    rows = len(late) - 2 * reach
+    reach = min(round(most / step), len(lagging) // 3)
+    rows = len(lagging) - 2 * reach
     shifts = np.arange(-reach, reach + 1)
-    # Standardise each window of `late` by itself: a common mean and size would favour windows with
-    # more motion, and shift the maximum for slow motion by half a step.
+    # Standardise each window of `lagging` by itself: a common mean and size would favour windows
+    # with more motion, and shift the maximum for slow motion by half a step.
     b = _standardised(witness[reach : reach + rows])
     scores = [
-        float(np.mean(_standardised(late[first : first + rows]) * b)) for first in shifts + reach
+        float(np.mean(_standardised(lagging[first : first + rows]) * b)) for first in shifts + reach
     ]
     k = int(np.argmax(scores))
     if k in (0, len(scores) - 1):
@@ -217,8 +219,8 @@ def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> t
     return step * float(shifts[k] + part), top
 
 
-def delay_between(t: np.ndarray, late: np.ndarray, witness: np.ndarray, most: float) -> float:
-    """Delay [s], at most `most`, of `late` (N, D) relative to `witness` (N, D), at t (N,) [s];
+def delay_between(t: np.ndarray, lagging: np.ndarray, witness: np.ndarray, most: float) -> float:
+    """Delay [s], at most `most`, of `lagging` (N, D) relative to `witness` (N, D), at t (N,) [s];
     0 where they do not correlate.
     """
     if len(t) < _FEWEST_ROWS:
@@ -226,7 +228,7 @@ def delay_between(t: np.ndarray, late: np.ndarray, witness: np.ndarray, most: fl
     t = with_short_gaps(t, 2.0 * most)
     step = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], step)
-    a, b = (np.column_stack([np.interp(even, t, one) for one in x.T]) for x in (late, witness))
+    a, b = (np.column_stack([np.interp(even, t, one) for one in x.T]) for x in (lagging, witness))
     delay, alike = lag_of(a, b, step, most + step)
     return delay if alike > HARDLY else 0.0
 

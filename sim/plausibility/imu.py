@@ -129,7 +129,7 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> 
     if not view.trusts_reference:
         cause = "wrong sign, of the axis or of gravity alone: in its entry of the map"
         return Finding(columns, seen, f"{cause} sign = -1 or offset = {offset}")
-    moved = match_axes(view.accel[view.ok], view.felt[view.ok]).own
+    moved = match_axes(view.accel[view.ok], view.felt[view.ok]).paired
     if moved[axis] > 0.5:
         cause = "gravity has the wrong sign, the motion the right one"
         return Finding(columns, seen, cause, entries(columns, offset=offset))
@@ -155,15 +155,15 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     in_body = match_axes(accel, felt)
     # Motion is periodic: half a stride later, a swaying axis is its own negative.
     in_world = match_axes(view.ref_a[view.ok], R_GI.apply(accel) + GRAVITY_G)
-    fits = max(in_body.own.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
-    late, shifted = view.delay(accel, felt, LATE_STREAM, LATEST_ACCEL)
-    as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).own[:2]
+    fits = max(in_body.paired.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
+    lag, shifted = view.delay(accel, felt, LATE_STREAM, LATEST_ACCEL)
+    as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).paired[:2]
     size = float(np.sqrt(np.sum(accel.var(axis=0)) / max(np.sum(felt.var(axis=0)), 1e-12)))
-    if late and shifted > max(HARDLY, fits) and other_point(view) is None:
-        seen = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
+    if lag and shifted > max(HARDLY, fits) and other_point(view) is None:
+        seen = f"{abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
         yield Finding((*ACCEL, *REF_P), seen, cause)
-    elif as_world.min() > LIKELY and (as_world - in_body.own[:2]).mean() > 0.5 * GAIN:
+    elif as_world.min() > LIKELY and (as_world - in_body.paired[:2]).mean() > 0.5 * GAIN:
         seen = f"correlation with the reference's accelerations in G {number_words(as_world)}"
         yield Finding(ACCEL, seen, "in the world's axes, not the body's")
     elif size < QUIET:
@@ -285,7 +285,7 @@ def gyro(view: LogView) -> Iterator[Finding]:
         yield from _gyro_scaled(match)
         yield from _gyro_biased(view)
     elif view.resolves:
-        seen = f"correlation of turning {number_words(match.own)} about x, y, z"
+        seen = f"correlation of turning {number_words(match.paired)} about x, y, z"
         cause = "another body, other axes or another clock; try surefoot align"
         yield Finding((*GYRO, "ref_q"), seen, cause)
 

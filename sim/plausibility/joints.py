@@ -86,18 +86,21 @@ def rates(view: LogView) -> Iterator[Finding]:
     names, slow = np.array(log.joints)[moves], size[moves] < _MOVES
     logged, moved = logged[:, moves], moved[:, moves]
     match = match_axes(logged, moved)
-    own, slope = match.own, logged.std(axis=0) / moved.std(axis=0)
+    paired, slope = match.paired, logged.std(axis=0) / moved.std(axis=0)
     changes = [sign_change(view.at, *both) for both in zip(logged.T, moved.T, strict=True)]
     steady = np.array([since is None for since in changes], dtype=bool)
-    swapped = steady & match.exchanged & ~slow & (match.best - np.abs(own) > _ANOTHERS)
-    opposite = steady & ~swapped & (own < np.where(slow, -LIKELY, -HARDLY))
-    good = steady & ~swapped & (own > np.where(slow, SURELY, LIKELY))
+    swapped = steady & match.exchanged & ~slow & (match.best - np.abs(paired) > _ANOTHERS)
+    opposite = steady & ~swapped & (paired < np.where(slow, -LIKELY, -HARDLY))
+    good = steady & ~swapped & (paired > np.where(slow, SURELY, LIKELY))
     inverted = opposite & (slope < _INVERTED * (np.median(slope[good]) if good.any() else 1.0))
     for name, since in zip(names, changes, strict=True):
         if since is not None:
             yield of_changing_sign(f"dq_{name}", since, f"the change of q_{name}")
-    for i in np.flatnonzero(swapped | (steady & ~slow & ~opposite & (own < HARDLY))):
-        column, seen = f"dq_{names[i]}", f"correlation with the change of q_{names[i]} {own[i]:.2f}"
+    for i in np.flatnonzero(swapped | (steady & ~slow & ~opposite & (paired < HARDLY))):
+        column, seen = (
+            f"dq_{names[i]}",
+            f"correlation with the change of q_{names[i]} {paired[i]:.2f}",
+        )
         if match.best[i] > LIKELY and swapped[i]:
             its = names[match.order[i]]
             seen += f", of q_{its} {match.best[i]:.2f}"
@@ -107,7 +110,7 @@ def rates(view: LogView) -> Iterator[Finding]:
             mended = {}
         yield Finding((column,), seen, cause, mended)
     for i in np.flatnonzero(inverted):
-        seen = f"correlation with the change of q {own[i]:.2f}, at {slope[i]:.2g} of its size"
+        seen = f"correlation with the change of q {paired[i]:.2f}, at {slope[i]:.2g} of its size"
         yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
     flipped = np.flatnonzero(opposite & ~inverted)
     of_angle = legs.opposite_angles(view) if flipped.size else set()
@@ -115,12 +118,12 @@ def rates(view: LogView) -> Iterator[Finding]:
         which = [i for i in flipped if (f"q_{names[i]}" in of_angle) == (kind == "q")]
         if which:
             columns = tuple(f"{kind}_{names[i]}" for i in which)
-            seen = f"correlation of dq with the change of q {own[which].max():.2f} at best"
+            seen = f"correlation of dq with the change of q {paired[which].max():.2f} at best"
             cause = "wrong sign" + ", or time runs backwards" * (len(which) == len(names))
             yield Finding(columns, seen, cause, entries(columns, sign=-1.0))
     if good.any() and view.resolves:
         # What does not correlate says nothing of the size.
-        yield from _rates_scaled(names[good], slope[good], (error[moves] + 1.0 - own)[good])
+        yield from _rates_scaled(names[good], slope[good], (error[moves] + 1.0 - paired)[good])
 
 
 def _rates_scaled(names: np.ndarray, slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:

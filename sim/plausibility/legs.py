@@ -151,10 +151,10 @@ def _late(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
     """Find a delay of joints and contacts together relative to gyro and reference."""
     if motion.truth is None:
         return []
-    (late, *_), (share, *_) = _lags(lambda s: _of_late_legs(view, legs, motion, s), LATEST_LEGS)
-    if abs(late) < view.least_lag(2.0 * LATE) or not share < MENDED:
+    (lag, *_), (share, *_) = _lags(lambda s: _of_lagging_legs(view, legs, motion, s), LATEST_LEGS)
+    if abs(lag) < view.least_lag(2.0 * LATE) or not share < MENDED:
         return []
-    seen = f"move {abs(late):.2f} s {'after' if late > 0 else 'before'} the reference and the IMU"
+    seen = f"move {abs(lag):.2f} s {'after' if lag > 0 else 'before'} the reference and the IMU"
     return [Finding(("q", "contact"), seen, "another clock, or lost rows")]
 
 
@@ -165,35 +165,37 @@ def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Fin
     if motion.truth is None:
         return []
 
-    def of_late_contacts(seconds: float) -> list[float]:
+    def of_lagging_contacts(seconds: float) -> list[float]:
         rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
         contact = view.log.contact[np.clip(rows, 0, len(view.t) - 1)]
         return motion.all_misfits(replace(legs, contact=contact))
 
-    (late, *contact_late), (share, *by_contact) = _lags(of_late_contacts, LATEST_STREAM)
-    (_, *leg_late), (_, *by_leg) = _lags(
-        lambda s: _of_late_legs(view, legs, motion, s), LATEST_STREAM
+    (lag, *contact_lag), (share, *by_contact) = _lags(of_lagging_contacts, LATEST_STREAM)
+    (_, *leg_lag), (_, *by_leg) = _lags(
+        lambda s: _of_lagging_legs(view, legs, motion, s), LATEST_STREAM
     )
     least, found = view.least_lag(LATE_STREAM), []
-    if abs(late) > least and share < MENDED:
-        cause = "a filter, or another clock" if late > 0 else "early, or joints are late"
-        return [Finding(view.columns("contact"), _less(1.0 / share, _moved(late)), cause)]
+    if abs(lag) > least and share < MENDED:
+        cause = "a filter, or another clock" if lag > 0 else "early, or joints are late"
+        return [Finding(view.columns("contact"), _less(1.0 / share, _moved(lag)), cause)]
     for i, leg in enumerate(view.log.legs):
-        if abs(contact_late[i]) > least and by_contact[i] < min(by_leg[i], MENDED):
-            seen = _less(1.0 / by_contact[i], _moved(contact_late[i]))
-            cause = f"{'late' if contact_late[i] > 0 else 'early'}, unlike the other contacts"
+        if abs(contact_lag[i]) > least and by_contact[i] < min(by_leg[i], MENDED):
+            seen = _less(1.0 / by_contact[i], _moved(contact_lag[i]))
+            cause = f"{'late' if contact_lag[i] > 0 else 'early'}, unlike the other contacts"
             found.append(Finding((f"contact_{leg}",), seen, cause))
-        elif abs(leg_late[i]) > least and by_leg[i] < MENDED:
-            when = "after" if leg_late[i] > 0 else "before"
-            seen = f"{leg} moves {abs(leg_late[i]):.2f} s {when} the body"
+        elif abs(leg_lag[i]) > least and by_leg[i] < MENDED:
+            when = "after" if leg_lag[i] > 0 else "before"
+            seen = f"{leg} moves {abs(leg_lag[i]):.2f} s {when} the body"
             found.append(Finding((f"q_{leg}", f"contact_{leg}"), seen, "a clock of its own"))
     return found if 2 * len(found) <= len(view.log.legs) else []
 
 
-def _of_late_legs(view: LogView, legs: Stance, motion: ComparedMotion, late: float) -> list[float]:
+def _of_lagging_legs(
+    view: LogView, legs: Stance, motion: ComparedMotion, lag: float
+) -> list[float]:
     """All misfits of legs that are late [s], with the motion of that much earlier."""
     assert motion.truth is not None
-    then = np.clip(legs.which - round(late / STEP), 0, len(view.at) - 1)
+    then = np.clip(legs.which - round(lag / STEP), 0, len(view.at) - 1)
     earlier = ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
     return earlier.all_misfits(legs)
 
@@ -205,7 +207,7 @@ def _lags(left: Callable[[float], list[float]], latest: float) -> tuple[np.ndarr
     `left` gives D misfits for a delay.
     """
     tried = STEP * np.arange(-round(latest / STEP), round(latest / STEP) + 1)
-    misfits = np.array([left(float(late)) for late in tried])
+    misfits = np.array([left(float(lag)) for lag in tried])
     base = misfits[len(tried) // 2]
     misfits = np.where(np.isfinite(misfits), misfits, np.inf)
     best = misfits.argmin(axis=0)
@@ -214,8 +216,8 @@ def _lags(left: Callable[[float], list[float]], latest: float) -> tuple[np.ndarr
     return np.where(found, tried[best], 0.0), np.where(found, share, 1.0)
 
 
-def _moved(late: float) -> str:
-    return f"if taken {abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
+def _moved(lag: float) -> str:
+    return f"if taken {abs(lag):.2f} s {'earlier' if lag > 0 else 'later'}"
 
 
 def _less(gain: float, how: str = "if corrected") -> str:
@@ -302,10 +304,12 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     chains = _chains(view)
     if chains is None or motion.truth is None or chains.shape[1] > 3:
         return 1.0, []
-    own, base = np.arange(chains.shape[1]), motion.misfits(legs)
+    in_order, base = np.arange(chains.shape[1]), motion.misfits(legs)
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
-    orders = permutations(own) if (base > MISFIT).any() else [own]
-    ways = [*product(map(np.array, orders), map(np.array, product((1.0, -1.0), repeat=len(own))))]
+    orders = permutations(in_order) if (base > MISFIT).any() else [in_order]
+    ways = [
+        *product(map(np.array, orders), map(np.array, product((1.0, -1.0), repeat=len(in_order))))
+    ]
     misfits, leans = np.empty((2, len(ways), len(chains)))
     for way, (order, sign) in enumerate(ways):
         other = _read_otherwise(view, legs, chains, chains[:, order], sign)
@@ -321,7 +325,7 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     for way in dict.fromkeys(best[mends].tolist()):
         which, (order, sign) = mends & (best == way), ways[way]
         joints = np.array(view.log.joints)[chains[which]]
-        swapped, flipped = order != own, sign < 0
+        swapped, flipped = order != in_order, sign < 0
         columns = tuple(f"q_{joint}" for joint in joints[:, swapped | flipped].flat)
         pairs = zip(joints[0, swapped], joints[0, order[swapped]], strict=True)
         words = ", ".join(f"{joint} is {other}" for joint, other in pairs)

@@ -57,9 +57,9 @@ def late_torques(view: LogView) -> Iterator[Finding]:
     if len(loads) < FEWEST or not walks.any():
         return
     steps = contact[:, walks].astype(float)
-    late, alike = view.delay(loads[:, walks], steps, LATE_STREAM, LATEST_STREAM)
-    if late and alike > LIKELY:
-        seen = f"load legs {abs(late):.3f} s {'after' if late > 0 else 'before'} they stand"
+    lag, alike = view.delay(loads[:, walks], steps, LATE_STREAM, LATEST_STREAM)
+    if lag and alike > LIKELY:
+        seen = f"load legs {abs(lag):.3f} s {'after' if lag > 0 else 'before'} they stand"
         yield Finding(
             view.columns("tau"), seen, "a filter, or another clock (or that of the contacts)"
         )

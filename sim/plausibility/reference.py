@@ -103,11 +103,11 @@ def velocity(view: LogView) -> Iterator[Finding]:
         return
     seen = f"{100 * missed / moves:.0f} % of its mean square is not the change of positions"
     match = match_axes(logged, moved)
-    late, shifted = view.delay(logged, moved, LATE, LATEST)
+    lag, shifted = view.delay(logged, moved, LATE, LATEST)
     if np.sum((logged - view.v_I[view.ok]) ** 2) < 0.3 * missed:
         yield Finding(REF_V, seen, "in the body's axes, not the world's")
-    elif late and shifted > max(SURELY, match.best.mean()):
-        seen = f"{1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
+    elif lag and shifted > max(SURELY, match.best.mean()):
+        seen = f"{1e3 * abs(lag):.0f} ms {'late' if lag > 0 else 'early'}"
         seen += " against the change of ref_p"
         yield Finding(REF_V, seen, "a filter, or stamps of another clock")
     elif match.wrong:

@@ -246,7 +246,7 @@ def interpolated(view: LogView) -> Iterator[Finding]:
 
 
 @plausibility_rule("late", beside="t ref")
-def late(view: LogView) -> Iterator[Finding]:
+def lagging(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
     Compares: dq with the change of q, ref_v with that of ref_p.

@@ -104,12 +104,12 @@ class LogView:
         return least + 0.5 * self.step
 
     def delay(
-        self, late: np.ndarray, witness: np.ndarray, least: float, most: float
+        self, lagging: np.ndarray, witness: np.ndarray, least: float, most: float
     ) -> tuple[float, float]:
-        """Delay [s] of `late` (M, D) relative to `witness` (M, D), 0 where it is smaller than
+        """Delay [s] of `lagging` (M, D) relative to `witness` (M, D), 0 where it is smaller than
         `least`, and their correlation at it; at most `most` [s].
         """
-        found, alike = lag_of(late, witness, STEP, most)
+        found, alike = lag_of(lagging, witness, STEP, most)
         return (found if abs(found) > self.least_lag(least) else 0.0), alike
 
     def means(self, x: np.ndarray) -> np.ndarray:

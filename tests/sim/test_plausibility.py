@@ -212,7 +212,7 @@ def differenced(log: Log, pattern: str) -> Log:
     return log.with_columns({c: np.gradient(log.frame[c[1:]], log.t) for c in names})
 
 
-def late(log: Log, seconds: float, pattern: str) -> Log:
+def lagging(log: Log, seconds: float, pattern: str) -> Log:
     rows, names = round(seconds * log.rate), columns_of(log, pattern)
     frame = log.frame.iloc[rows:].reset_index(drop=True)
     frame[names] = log.frame[names].iloc[: len(frame)].to_numpy()
@@ -420,7 +420,8 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         partial(in_world, R_WG=turned("x", 12)), "accelerometer", "not level"),
     "reference that sinks": (sinking, "legs", "sinks by 0.30 m/s"),
     "reference of a point before the IMU": (
-        lambda log: of_another_point(log, 0.5, 0.0, 0.0), "reference's point", "of a point at (0.5"),
+        lambda log: of_another_point(log, 0.5, 0.0, 0.0),
+        "reference's point", "of a point at (0.5"),
     "reference of a point above the IMU": (
         lambda log: of_another_point(log, 0.0, 0.0, 0.5),
         "reference's point", "0.50) m in the IMU's axes"),
@@ -485,7 +486,7 @@ CASES = (
         for name, (columns, change, rule, words) in COLUMN_CASES.items()
     }
     | {
-        name: (partial(late, seconds=seconds, pattern=columns), rule, words)
+        name: (partial(lagging, seconds=seconds, pattern=columns), rule, words)
         for name, (seconds, columns, rule, words) in LATE_CASES.items()
     }
 )
@@ -574,8 +575,8 @@ WORLDS = {  # rotation to the recorded world
 @pytest.mark.parametrize("world", WORLDS)
 def test_another_world_is_one_finding_on_another_clock_too(log, world, seconds):
     broken = without(in_world(log, WORLDS[world]), "ref_v")
-    lagging = "ref_" if seconds > 0.0 else f"(gyro|accel|{JOINTS}|contact)"
-    found = check_log(late(broken, abs(seconds), lagging), SPOT)[0]
+    columns = "ref_" if seconds > 0.0 else f"(gyro|accel|{JOINTS}|contact)"
+    found = check_log(lagging(broken, abs(seconds), columns), SPOT)[0]
     advised = Rotation.from_quat(found.changes["reference"]["q_GW"], scalar_first=True)
     assert (advised * WORLDS[world]).magnitude() < 1e-5
     assert abs(found.changes["reference"].get("offset", 0.0) + 0.0) == pytest.approx(
@@ -770,15 +771,15 @@ def test_axes_are_matched_whatever_their_order_sign_and_size():
     assert match_axes(b, b).wrong == ()
 
 
-@pytest.mark.parametrize("late", [-0.314, 0.0, 0.127])
-def test_a_lag_is_found_between_samples(late):
+@pytest.mark.parametrize("lag", [-0.314, 0.0, 0.127])
+def test_a_lag_is_found_between_samples(lag):
     t = np.arange(0.0, 30.0, 0.02)
 
     def motion(at):
         return np.column_stack([np.sin(2 * at) + np.sin(3.1 * at), np.cos(1.3 * at)])
 
-    found, alike = lag_of(motion(t - late), motion(t), 0.02, 1.0)
-    assert found == pytest.approx(late, abs=2e-3)
+    found, alike = lag_of(motion(t - lag), motion(t), 0.02, 1.0)
+    assert found == pytest.approx(lag, abs=2e-3)
     assert alike > 0.98
 
 
