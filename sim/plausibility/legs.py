@@ -246,7 +246,7 @@ def _swapped(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     """
     names, chains, base = view.log.legs, _chains(view), motion.misfit(legs)
     every = range(len(names))
-    left, order, swapped = base, list(every), ("",)
+    left, order, swapped = base, list(every), ()
     # First those that exchange fewer legs.
     orders = sorted(permutations(every), key=lambda one: sum(i != j for i, j in enumerate(one)))
     for one in map(list, orders[1:]):
@@ -307,9 +307,8 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     in_order, base = np.arange(chains.shape[1]), motion.misfits(legs)
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
     orders = permutations(in_order) if (base > MISFIT).any() else [in_order]
-    ways = [
-        *product(map(np.array, orders), map(np.array, product((1.0, -1.0), repeat=len(in_order))))
-    ]
+    signs = product((1.0, -1.0), repeat=len(in_order))
+    ways = [(np.array(order), np.array(sign)) for order, sign in product(orders, signs)]
     misfits, leans = np.empty((2, len(ways), len(chains)))
     for way, (order, sign) in enumerate(ways):
         other = _read_otherwise(view, legs, chains, chains[:, order], sign)
@@ -330,9 +329,9 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
         pairs = zip(joints[0, swapped], joints[0, order[swapped]], strict=True)
         words = ", ".join(f"{joint} is {other}" for joint, other in pairs)
         causes = [f"swapped joints ({words})"] * bool(words) + ["wrong sign"] * bool(flipped.any())
-        signs = dict.fromkeys(joints[:, flipped].flat, -1.0)
+        negative = dict.fromkeys(joints[:, flipped].flat, -1.0)
         seen = _less(float(np.median(base[which] / left[which])))
-        changes = {"robot": {"joint_sign": signs}} if signs else {}
+        changes = {"robot": {"joint_sign": negative}} if negative else {}
         findings.append(Finding(columns, seen, " and ".join(causes), changes))
     mended = np.nansum(np.where(mends, left, base))
     return float(np.nansum(base) / max(mended, 1e-12)), findings

@@ -107,25 +107,31 @@ def frozen(view: LogView) -> Iterator[Finding]:
         least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
         for name, x in columns.items():
             sections = still_sections(view.t, x, least)
-            q, dq = _of_joint(view, kind, name) if sections else (None, None)
-            if (
-                kind in ("q", "dq")
-                and q is not None
-                and dq is not None
-                and _comparable(view, q, dq)
-            ):
-                hangs = [rows for rows in sections if _contradict(view.t, q, dq, rows, kind == "q")]
-            else:
-                # The joints of an arm rest one by one.
-                joint = kind in ("q", "dq", "tau")
-                rests = joint and (view.robot is None or _rests(view.t, q, dq))
-                hangs = [] if rests else [r for r in sections[:1] if _others_move(kinds, name, r)]
-            if hangs:
+            if sections and (hangs := _hanging(view, kinds, kind, name, sections)):
                 t = view.t[hangs[0]]
                 seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s"
                 hanging["one value in every row" if len(t) == len(x) else seen].append(name)
     for seen, names in hanging.items():
         yield Finding(tuple(names), f"{seen} while others move", "a sensor that hangs")
+
+
+def _hanging(
+    view: LogView,
+    kinds: dict[str, dict[str, np.ndarray]],
+    kind: str,
+    name: str,
+    sections: list[slice],
+) -> list[slice]:
+    """Of the sections in which a column is constant, those in which what goes with it moves;
+    `kinds` are columns (N,) by kind and name.
+    """
+    q, dq = _of_joint(view, kind, name)
+    if kind in ("q", "dq") and q is not None and dq is not None and _comparable(view, q, dq):
+        return [rows for rows in sections if _contradict(view.t, q, dq, rows, kind == "q")]
+    # The joints of an arm rest one by one.
+    if kind in ("q", "dq", "tau") and (view.robot is None or _rests(view.t, q, dq)):
+        return []
+    return [rows for rows in sections[:1] if _others_move(kinds, name, rows)]
 
 
 def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
