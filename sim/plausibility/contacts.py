@@ -7,6 +7,7 @@ import numpy as np
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.streams import still_sections
 from surefoot.sim.plausibility.view import LogView
+from surefoot.sim.sensors.stances import changes
 
 FARTHEST_STILL = 0.3
 """Distance that a standing body may sway or be lowered [m]; beyond it, the robot walks or is
@@ -162,7 +163,7 @@ def _lasting(t: np.ndarray, contact: np.ndarray) -> int:
 
 def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First rows of the states of a contact (N,), and which of them are lasting."""
-    start = np.concatenate([[0], np.flatnonzero(np.diff(contact.astype(int))) + 1])
+    start = np.concatenate([[0], changes(contact)])
     return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 

@@ -17,6 +17,7 @@ from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
 from surefoot.sim.plausibility.comparison import LATE, MENDED, REF_V, delay_between
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.view import RESTS, LogView
+from surefoot.sim.sensors.stances import changes
 
 NOISE = {"gyro": 0.2, "accel": 2.0, "q": 0.03, "dq": 1.5, "ref_p": 0.01, "foot": 0.005}
 """Largest noise between rows of a sensor that works, by kind [rad/s, m/s^2, rad, rad/s, m, m], from
@@ -290,10 +291,8 @@ def _late(
         seen = f"{1e3 * abs(delay):.1f} ms {'late' if delay > 0 else 'early'}"
         # A reference has a clock of its own.
         lags = {columns[0] if one else "dq": round(delay, 4)}
-        cause, changes = "a filter, or stamps of another clock", {"even": {"late": lags}}
-        yield Finding(
-            columns, f"{seen} against the change of {of}", cause, changes if rates else {}
-        )
+        cause, mended = "a filter, or stamps of another clock", {"even": {"late": lags}}
+        yield Finding(columns, f"{seen} against the change of {of}", cause, mended if rates else {})
 
 
 @plausibility_rule("noise", beside="t gyro accel dq", when="comparable")
@@ -519,9 +518,8 @@ def still_sections(t: np.ndarray, x: np.ndarray, least: float) -> list[slice]:
 
     t (N,) [s] are the times of the rows.
     """
-    change = np.flatnonzero(np.diff(x) != 0.0)
-    first = np.concatenate([[0], change + 1])
-    last = np.concatenate([change, [len(x) - 1]])
+    first = np.concatenate([[0], changes(x)])
+    last = np.append(first[1:], len(x)) - 1
     long = np.flatnonzero(t[last] - t[first] >= least)
     order = long[np.argsort(first[long] - last[long], kind="stable")]
     return [slice(int(first[k]), int(last[k]) + 1) for k in order[:_MOST_HOLDS]]
