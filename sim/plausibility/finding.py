@@ -81,8 +81,12 @@ class Rule:
 def plausibility_rule(
     name: str, needs: str = "", beside: str = "", when: _When = None, is_note: bool = False
 ) -> Callable[[_Find], Rule]:
-    """Make a function that finds violations in a log a `Rule`; arguments are as of it, `needs` and
-    `beside` each in one text.
+    """Make a function that finds violations in a log a `Rule`.
+
+    Args:
+        name: of the rule.
+        needs, beside: as of `Rule`, each in one text.
+        when, is_note: as of `Rule`.
     """
     return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, is_note)
 

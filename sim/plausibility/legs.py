@@ -282,8 +282,15 @@ def _read_otherwise(
     sign: np.ndarray | float = 1.0,
     offset: np.ndarray | float = 0.0,
 ) -> Stance:
-    """The feet if joints `chains` (L, C) had the angles of `others` (L, C), times signs (C,), and
-    an offset (C,) [rad] more.
+    """The feet for another reading of the joints.
+
+    Args:
+        view: of the log.
+        legs: their times.
+        chains: joints of each leg (L, C).
+        others: those whose angles are taken for theirs (L, C).
+        sign: of these (C,).
+        offset: (C,) [rad] added to them.
     """
     robot, q = view.robot, view.log.q
     assert robot is not None

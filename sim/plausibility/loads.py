@@ -53,8 +53,10 @@ def late_torques(view: LogView) -> Iterator[Finding]:
     Remedy: the filter or clock of tau, or of the contacts.
     """
     loads, contact = _loads(view)
+    if len(loads) < FEWEST:
+        return
     walks = (contact.std(axis=0) > 0.2) & (loads.std(axis=0) > 0.0)
-    if len(loads) < FEWEST or not walks.any():
+    if not walks.any():
         return
     steps = contact[:, walks].astype(float)
     lag, alike = view.delay(loads[:, walks], steps, LATE_STREAM, LATEST_STREAM)

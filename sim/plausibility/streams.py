@@ -123,8 +123,14 @@ def _hanging(
     name: str,
     sections: list[slice],
 ) -> list[slice]:
-    """Of the sections in which a column is constant, those in which what goes with it moves;
-    `kinds` are columns (N,) by kind and name.
+    """Sections in which a column is constant although what goes with it moves.
+
+    Args:
+        view: of the log.
+        kinds: columns (N,) by kind and name.
+        kind: of the column.
+        name: of the column.
+        sections: rows in which it is constant.
     """
     q, dq = _of_joint(view, kind, name)
     if kind in ("q", "dq") and q is not None and dq is not None and _comparable(view, q, dq):
@@ -280,8 +286,14 @@ def lagging(view: LogView) -> Iterator[Finding]:
 def _late(
     view: LogView, columns: tuple[str, ...], x: np.ndarray, witness: np.ndarray, delay: float
 ) -> Iterator[Finding]:
-    """The finding for columns with readings x (N, D) that are late [s] relative to what they should
-    be (N, D), if that explains how they differ.
+    """Check whether a delay explains how columns differ from what they should read.
+
+    Args:
+        view: of the log.
+        columns: their names.
+        x: their readings (N, D).
+        witness: what these should be (N, D).
+        delay: of the readings [s].
     """
     rates, one = columns[0].startswith("dq"), len(columns) < len(view.log.joints)
     shifted = np.column_stack([np.interp(view.t + delay, view.t, y) for y in x.T])
