@@ -58,7 +58,7 @@ _TRIED = 600
 
 @dataclass(frozen=True)
 class ComparedMotion:
-    """ComparedMotion that legs are compared with.
+    """Motion of the body that legs are compared with.
 
     Attributes:
         gyro: (K, 3) [rad/s].

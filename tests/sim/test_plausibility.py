@@ -25,7 +25,7 @@ from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.plausibility import RULES, check_log, rules_table
 from surefoot.sim.plausibility.comparison import lag_of, match_axes
-from surefoot.sim.plausibility.finding import PARAGRAPHS, Finding
+from surefoot.sim.plausibility.finding import PARAGRAPHS, Finding, Rule
 from surefoot.sim.plausibility.streams import _drop_outs
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -825,6 +825,12 @@ def test_the_fewer_columns_a_rule_compares_the_earlier_it_is_asked():
 def test_a_note_and_a_fault_of_a_stream_are_both_found(log):
     found = check_log(exchanged(changed(log, "gyro_z", clipped), ("gyro_x", "gyro_y")), SPOT)
     assert {"saturated", "gyro"} <= {one.rule for one in found}
+
+
+def test_every_rule_has_a_place_in_the_order():
+    files = [x for name, x in sys.modules.items() if name.startswith("surefoot.sim.plausibility.")]
+    declared = {one.name for file in files for one in vars(file).values() if isinstance(one, Rule)}
+    assert declared == {rule.name for rule in RULES}
 
 
 def test_every_rule_says_why():
