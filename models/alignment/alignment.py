@@ -30,7 +30,7 @@ from surefoot.sim.importing.reference_check import without_jumps
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.log.schema import LOG_NAME
-from surefoot.sim.plausibility.axes import match_axes
+from surefoot.sim.plausibility.comparison import match_axes
 from surefoot.sim.plausibility.reference import FASTEST_LEGS
 
 _OTHER_EPOCH = 10.0

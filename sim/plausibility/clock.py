@@ -7,7 +7,7 @@ import numpy as np
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import legs_moving, set_forward
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.axes import LIKELY, SCALED
+from surefoot.sim.plausibility.comparison import LIKELY, SCALED
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.view import RESTS, LogView
 
@@ -88,7 +88,7 @@ def _leaps_from_row_to_row(view: LogView) -> bool:
     return bool(step.size) and float(np.median(step)) > LEAPS
 
 
-@plausibility_rule("single rows", "t", finds="note")
+@plausibility_rule("single rows", "t", is_note=True)
 def single_rows(view: LogView) -> Iterator[Finding]:
     """Find single missing rows, which can be interpolated.
 

@@ -7,6 +7,7 @@ import numpy as np
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.streams import still_sections
 from surefoot.sim.plausibility.view import LogView
+from surefoot.sim.sensors.stances import changes
 
 FARTHEST_STILL = 0.3
 """Distance that a standing body may sway or be lowered [m]; beyond it, the robot walks or is
@@ -64,12 +65,11 @@ def flickering(view: LogView) -> Iterator[Finding]:
     Remedy: [contact] debounce, or a threshold that is further from the noise; `import` compares
         sources of contacts.
     """
-    log = view.log
-    rate = np.array([_changes(view.t, x) for x in log.contact.T]) / (view.t[-1] - view.t[0])
-    if (bad := np.flatnonzero(rate > FLICKERS)).size:
-        columns = tuple(f"contact_{log.legs[i]}" for i in bad)
-        seen = f"{rate[bad].max():.0f} changes a second"
-        yield Finding(columns, seen, "noise about the threshold: on, off and debounce of [contact]")
+    rate = np.array([_changes(view.t, x) for x in view.log.contact.T]) / np.ptp(view.t)
+    if (rate > FLICKERS).any():
+        cause = "noise about the threshold: on, off and debounce of [contact]"
+        columns = view.columns("contact", rate > FLICKERS)
+        yield Finding(columns, f"{rate.max():.0f} changes a second", cause)
 
 
 @plausibility_rule("contacts", "contact")
@@ -86,20 +86,19 @@ def dead(view: LogView) -> Iterator[Finding]:
     Remedy: the threshold of [contact] for that foot, or another source of contacts, which `import`
         compares; leave a dead contact out.
     """
-    log, contact = view.log, view.log.contact
-    if len(log.legs) < 2:
+    contact = view.log.contact
+    if contact.shape[1] < 2:
         return
     steps = np.array([_lasting(view.t, one) for one in contact.T])
     wrong = _never_changes(view, steps)
     for state in (1, 0):
-        found = np.flatnonzero(wrong & (contact[0] == state))
-        if found.size:
+        columns = view.columns("contact", wrong & (contact[0] == state))
+        if columns:
             seen = f"always {state} although the robot walks"
-            columns = tuple(f"contact_{log.legs[i]}" for i in found)
             yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
     usual = float(np.median(steps))
-    for i in np.flatnonzero(contact.any(axis=0) & ~contact.all(axis=0)):
-        column = (f"contact_{log.legs[i]}",)
+    for i in np.flatnonzero(np.ptp(contact.astype(int), axis=0)):
+        column = (f"contact_{view.log.legs[i]}",)
         # Of two feet, neither is unlike most.
         if len(steps) > 2 and usual >= MOST_SURE and 0 < steps[i] < MISSES * usual:
             seen = f"changes {steps[i]} times, where most feet do {usual:.0f} times"
@@ -121,9 +120,8 @@ def _never_changes(view: LogView, steps: np.ndarray) -> np.ndarray:
     count = np.abs(np.diff(contact.astype(int), axis=0)).sum(axis=0)
     moves = _moving_in_contact(view)
     # A robot that has just begun to walk has not lifted every foot.
-    walks = int(np.sum(steps >= STRIDE)) >= 2
-    wrong = np.where(contact[0], int(np.sum(count >= OTHERS_CHANGE)) >= 2, walks)
-    wrong = np.where(np.isfinite(moves), moves > MOVES, wrong) & (count == 0)
+    walks = np.where(contact[0], np.sum(count >= OTHERS_CHANGE), np.sum(steps >= STRIDE)) >= 2
+    wrong = np.where(np.isfinite(moves), moves > MOVES, walks) & (count == 0)
     if not (count.any() or wrong.any()) and log.has("reference"):
         far = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
         # Its feet move under it, so that it is not carried.
@@ -165,11 +163,11 @@ def _lasting(t: np.ndarray, contact: np.ndarray) -> int:
 
 def _states(t: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First rows of the states of a contact (N,), and which of them are lasting."""
-    start = np.concatenate([[0], np.flatnonzero(np.diff(contact.astype(int))) + 1])
+    start = np.concatenate([[0], changes(contact)])
     return start, np.diff(t[[*start, len(t) - 1]]) >= LASTING
 
 
-@plausibility_rule("contact heights", "contact", beside="q foot accel", finds="symptom")
+@plausibility_rule("contact heights", "contact", beside="q foot accel")
 def inverted(view: LogView) -> Iterator[Finding]:
     """Check that feet in contact are lower than lifted ones.
 
@@ -192,9 +190,8 @@ def inverted(view: LogView) -> Iterator[Finding]:
     wrong = np.flatnonzero((higher > HIGHER) & (alike > _CLEAR) & (lifted > STRIDE))
     # By chance of posture, one foot may seem so for a stride or two, though less clearly.
     if wrong.size > 1 or np.any((lifted[wrong] >= OTHERS_CHANGE) | (alike[wrong] > 2.0 * _CLEAR)):
-        columns = tuple(f"contact_{view.log.legs[i]}" for i in wrong)
         seen = f"feet are {1e3 * higher[wrong].mean():.0f} mm higher in contact than lifted"
         # In a trot, one diagonal stands while the other swings.
         all_of_them = "inverted: 1 means lifted, or left and right are swapped"
         cause = all_of_them if len(wrong) > 1 else "inverted, or another leg's"
-        yield Finding(columns, seen, cause)
+        yield Finding(view.columns("contact", wrong), seen, cause)

@@ -1,19 +1,16 @@
-"""Plausibility rules, what they declare, and what they find in a log."""
+"""What plausibility rules declare, and what they find in a log."""
 
 import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from surefoot.sim.importing.advice import Changes, advice_words
-from surefoot.sim.plausibility.view import LogView
 
-_OF_NEED = {"gyro": "imu", "accel": "imu", "ref": "reference"}
-"""Group of columns of a log by what a rule needs, where it has another name."""
 _When = Literal["comparable", "compares_turning", "trusts_reference"] | None
-_Finds = Literal["cause", "symptom", "note"]
+_Find = Callable[..., Iterator["Finding"]]
 PARAGRAPHS = ("Compares", "Threshold", "Reason", "Remedy")
 """Titles of the paragraphs that explain a rule."""
 
@@ -54,38 +51,19 @@ class Rule:
 
     Attributes:
         name: unique.
-        find: the function.
+        find: the function, of a `LogView`.
         needs: columns or their prefixes; the rule is skipped where one is missing or in doubt.
         beside: columns or prefixes that may be missing, but must not be in doubt.
         when: property of the view without which there is nothing to compare.
-        finds: the "cause" of what is wrong; a "symptom" that several causes have; a "note" on what
-            is good to know, which puts no column in doubt.
+        is_note: whether it is only good to know, and puts no column in doubt.
     """
 
     name: str
-    find: Callable[[LogView], Iterator[Finding]]
+    find: _Find
     needs: tuple[str, ...]
     beside: tuple[str, ...]
     when: _When
-    finds: _Finds
-
-    @property
-    def place(self) -> tuple[bool, int]:
-        """Its place among all rules: symptoms last; the fewer columns beside `t` it compares, the
-        earlier, since fewer may be at fault.
-        """
-        return self.finds == "symptom", len({*self.needs, *self.beside} - {"t"})
-
-    def findings(self, view: LogView, doubted: set[str]) -> list[Finding]:
-        """What it finds in a log, besides what is only about columns in doubt."""
-        asked = (*self.needs, *self.beside)
-        if any(d == n or d.startswith(f"{n}_") for d in doubted for n in asked):
-            return []
-        missing = any(n != "t" and not view.log.has(_OF_NEED.get(n, n)) for n in self.needs)
-        if missing or not (self.when is None or getattr(view, self.when)):
-            return []
-        found = (one for one in self.find(view) if not doubted.issuperset(one.streams))
-        return [replace(one, rule=self.name) for one in found]
+    is_note: bool
 
     @property
     def explained(self) -> dict[str, str]:
@@ -101,16 +79,16 @@ class Rule:
 
 
 def plausibility_rule(
-    name: str, needs: str = "", beside: str = "", when: _When = None, finds: _Finds = "cause"
-) -> Callable[[Callable[[LogView], Iterator[Finding]]], Rule]:
+    name: str, needs: str = "", beside: str = "", when: _When = None, is_note: bool = False
+) -> Callable[[_Find], Rule]:
     """Make a function that finds violations in a log a `Rule`.
 
     Args:
         name: of the rule.
         needs, beside: as of `Rule`, each in one text.
-        when, finds: as of `Rule`.
+        when, is_note: as of `Rule`.
     """
-    return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, finds)
+    return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, is_note)
 
 
 def _named(columns: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.importing.advice import entries, quaternion
-from surefoot.sim.plausibility.axes import (
+from surefoot.sim.plausibility.comparison import (
     ACCEL,
     GAIN,
     GYRO,
@@ -21,12 +21,12 @@ from surefoot.sim.plausibility.axes import (
     SURELY,
     AxesMatch,
     angle_between,
+    in_another_unit,
     match_axes,
     number_words,
 )
-from surefoot.sim.plausibility.causes import axes_put_right, in_another_unit, in_other_axes
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.place import SPEEDING, other_point, speed_changes
+from surefoot.sim.plausibility.reference import SPEEDING, other_point, speed_changes
 from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, STEP, LogView
 
 ZERO_G = 0.8
@@ -96,7 +96,6 @@ def gravity(view: LogView) -> Iterator[Finding]:
     accel = view.log.accel
     mean, spread = accel.mean(axis=0), float(accel.std(axis=0).max())
     size = float(np.linalg.norm(mean))
-    up, source = _up(view)
     seen = f"mean ({number_words(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
     cause, changes = in_another_unit("accel", ACCEL, size / GRAVITY, "")
     if 0.8 < size / GRAVITY**2 < 1.2:
@@ -105,11 +104,16 @@ def gravity(view: LogView) -> Iterator[Finding]:
         cause = "gravity was taken off: an acceleration, not the specific force that filters need"
     elif np.linalg.norm(accel, axis=1).std() < SAME_SIZE * size < 0.1 * spread and not cause:
         cause = "a direction: its size is the same in every row"
-    lean = 0.0 if up is None else angle_between(mean, up)
+    up, lean = view.up_by_body, 0.0
+    if up is None and view.log.has("reference"):
+        up = view.R_GI.inv().apply([0.0, 0.0, 1.0]).mean(axis=0)
+    if up is not None:
+        lean = angle_between(mean, up)
     if cause:
         yield Finding(ACCEL, seen, cause, changes)
     elif up is not None and lean > MOST_LEAN:
-        seen = f"{seen}, {lean:.0f} deg from up by {source}"
+        witness = "the reference" if view.up_by_body is None else "the body"
+        seen = f"{seen}, {lean:.0f} deg from up by {witness}"
         yield _imu_turned(view) or _turned_over(view, mean, up, seen)
     elif not LEANING * GRAVITY < size < GRAVITY + ZERO_G:
         yield Finding(ACCEL, seen, f"scaled by {size / GRAVITY:.3g}, or a bias")
@@ -117,33 +121,21 @@ def gravity(view: LogView) -> Iterator[Finding]:
 
 def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> Finding:
     """Explain why the mean specific force does not point up."""
-    axis = int(np.argmax(np.abs(up)))
-    found = int(np.argmax(np.abs(mean)))
+    axis, found = (int(np.argmax(np.abs(x))) for x in (up, mean))
     if found != axis:
         cause = f"swapped axes: gravity is on {'xyz'[found]}, up is {'xyz'[axis]}"
-        return Finding((f"accel_{'xyz'[axis]}", f"accel_{'xyz'[found]}"), seen, cause)
-    column = ACCEL[axis]
-    offset = round(2.0 * float(np.sign(up[axis])) * GRAVITY, 2)
+        return Finding((ACCEL[axis], ACCEL[found]), seen, cause)
+    columns, offset = (ACCEL[axis],), round(2.0 * float(np.sign(up[axis])) * GRAVITY, 2)
     if not view.trusts_reference:
         cause = "wrong sign, of the axis or of gravity alone: in its entry of the map"
-        return Finding((column,), seen, f"{cause} sign = -1 or offset = {offset}")
-    moved = match_axes(view.accel[view.ok], view.felt[view.ok]).own
+        return Finding(columns, seen, f"{cause} sign = -1 or offset = {offset}")
+    moved = match_axes(view.accel[view.ok], view.felt[view.ok]).paired
     if moved[axis] > 0.5:
         cause = "gravity has the wrong sign, the motion the right one"
-        return Finding((column,), seen, cause, entries((column,), offset=offset))
-    columns = tuple(ACCEL[i] for i in np.flatnonzero(moved < -0.5)) or (column,)
+        return Finding(columns, seen, cause, entries(columns, offset=offset))
+    columns = view.columns("accel", moved < -0.5) or columns
     why = ": gravity was logged for specific force" if len(columns) == 3 else " (z down?)"
     return Finding(columns, seen, f"wrong sign{why}", entries(columns, sign=-1.0))
-
-
-def _up(view: LogView) -> tuple[np.ndarray | None, str]:
-    """Up in I (3,), and its source: the body, else the reference."""
-    if view.up_by_body is not None:
-        return view.up_by_body, "the body"
-    if view.log.has("reference"):
-        up = view.R_GI.inv().apply([0.0, 0.0, 1.0]).mean(axis=0)
-        return up / max(float(np.linalg.norm(up)), 1e-9), "the reference"
-    return None, ""
 
 
 @plausibility_rule("accelerometer", "t accel gyro ref", when="trusts_reference")
@@ -163,15 +155,15 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     in_body = match_axes(accel, felt)
     # Motion is periodic: half a stride later, a swaying axis is its own negative.
     in_world = match_axes(view.ref_a[view.ok], R_GI.apply(accel) + GRAVITY_G)
-    fits = max(in_body.own.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
-    late, shifted = view.delay(accel, felt, LATE_STREAM, LATEST_ACCEL)
-    as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).own[:2]
+    fits = max(in_body.paired.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
+    lag, shifted = view.delay(accel, felt, LATE_STREAM, LATEST_ACCEL)
+    as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).paired[:2]
     size = float(np.sqrt(np.sum(accel.var(axis=0)) / max(np.sum(felt.var(axis=0)), 1e-12)))
-    if late and shifted > max(HARDLY, fits) and other_point(view) is None:
-        seen = f"{abs(late):.2f} s {'late' if late > 0 else 'early'} against the reference's motion"
+    if lag and shifted > max(HARDLY, fits) and other_point(view) is None:
+        seen = f"{abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
         yield Finding((*ACCEL, *REF_P), seen, cause)
-    elif as_world.min() > LIKELY and (as_world - in_body.own[:2]).mean() > 0.5 * GAIN:
+    elif as_world.min() > LIKELY and (as_world - in_body.paired[:2]).mean() > 0.5 * GAIN:
         seen = f"correlation with the reference's accelerations in G {number_words(as_world)}"
         yield Finding(ACCEL, seen, "in the world's axes, not the body's")
     elif size < QUIET:
@@ -181,16 +173,22 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     elif _shakes(view, in_world) and (
         in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
     ):
-        found = in_other_axes(in_world, "ref_p", "the accelerometer")
+        found = in_world.finding("ref_p", "the accelerometer")
         down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
         yield replace(found, cause=f"{down}{found.cause}")
     elif _shakes(view, in_body):
-        yield in_other_axes(in_body, "accel", "the reference's motion")
+        yield in_body.finding("accel", "the reference's motion")
     elif abs(np.log(in_world.scaled)) > np.log1p(SCALED_ACCEL):
         seen = f"accelerates {in_world.scaled:.3g} times as fast as the accelerometer"
         yield Finding(REF_P, seen, "scaled, another unit, or stamps at a wrong rate")
     else:
         yield from _constant_force(accel - felt, R_GI)
+
+
+def _shakes(view: LogView, match: AxesMatch) -> bool:
+    """Whether a match has wrong axes, and the reference shakes along these."""
+    shaken = np.minimum(view.ref_a[view.ok].std(axis=0), view.felt[view.ok].std(axis=0))
+    return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
 
 
 def _constant_force(missed: np.ndarray, R_GI: Rotation) -> Iterator[Finding]:
@@ -240,12 +238,6 @@ def averaged(view: LogView) -> Iterator[Finding]:
         yield Finding((*GYRO, *ACCEL), seen, cause)
 
 
-def _shakes(view: LogView, match: AxesMatch) -> bool:
-    """Whether a match has wrong axes, and the reference shakes along these."""
-    shaken = np.minimum(view.ref_a[view.ok].std(axis=0), view.felt[view.ok].std(axis=0))
-    return bool(match.wrong) and float(shaken[list(match.wrong)].min()) > SHAKES
-
-
 @plausibility_rule("gyro's unit", "gyro", when="comparable")
 def gyro_unit(view: LogView) -> Iterator[Finding]:
     """Check that a gyro measures something, in rad/s.
@@ -287,27 +279,34 @@ def gyro(view: LogView) -> Iterator[Finding]:
     match = view.gyro_match
     if turned := _imu_turned(view):
         yield turned
-        return
-    if match.wrong:
-        yield in_other_axes(match, "gyro", "the reference's turning")
-        return
-    if not match.alike:
-        if view.resolves:
-            seen = f"correlation of turning {number_words(match.own)} about x, y, z"
-            cause = "another body, other axes or another clock; try surefoot align"
-            yield Finding((*GYRO, "ref_q"), seen, cause)
-        return
-    weak = (match.best > SURELY) & (np.abs(np.log(match.scale)) > np.log1p(2.0 * SCALED))
+    elif match.wrong:
+        yield match.finding("gyro", "the reference's turning")
+    elif match.alike:
+        yield from _gyro_scaled(match)
+        yield from _gyro_biased(view)
+    elif view.resolves:
+        seen = f"correlation of turning {number_words(match.paired)} about x, y, z"
+        cause = "another body, other axes or another clock; try surefoot align"
+        yield Finding((*GYRO, "ref_q"), seen, cause)
+
+
+def _gyro_scaled(match: AxesMatch) -> Iterator[Finding]:
+    """Check the scale of a gyro that matches the reference: of all axes, or of a single one."""
+    unlike = (match.best > SURELY) & (np.abs(np.log(match.scale)) > np.log1p(2.0 * SCALED))
     factor, columns = match.scaled, GYRO
-    if weak.sum() == 1:
-        factor, columns = float(match.scale[weak][0]), (GYRO[int(np.argmax(weak))],)
+    if unlike.sum() == 1:
+        one = int(np.argmax(unlike))
+        factor, columns = float(match.scale[one]), (GYRO[one],)
     if abs(factor - 1.0) > SCALED:
         seen = f"{factor:.3g} times as fast as the reference turns"
         yield Finding(columns, seen, *in_another_unit("gyro", columns, factor, "scaled"))
+
+
+def _gyro_biased(view: LogView) -> Iterator[Finding]:
+    """Check the mean of a gyro against the reference's turning, some strides at a time."""
     off = (view.gyro - view.turning)[view.ok]
     blocks = np.array_split(off, max(1, round(len(off) * STEP / _BLOCK)))
-    means = np.array([one.mean(axis=0) for one in blocks])
-    most = np.quantile(np.abs(means), 0.9, axis=0)
+    most = np.quantile(np.abs([one.mean(axis=0) for one in blocks]), 0.9, axis=0)
     for i in np.flatnonzero(most > ZERO_RATE):
         seen = f"up to {most[i]:.2f} rad/s off the reference's turning for {_BLOCK:g} s"
         yield Finding((GYRO[i],), seen, "a bias")
@@ -333,7 +332,7 @@ def _imu_turned(view: LogView) -> Finding | None:
     if np.array_equal(axes, np.round(axes)):
         match = AxesMatch.of(axes)
         cause = f"the IMU is turned in the body: {match.words}"
-        return Finding(columns, seen, cause, axes_put_right(match, "gyro", "accel"))
+        return Finding(columns, seen, cause, match.corrected("gyro", "accel"))
     cause = "the IMU is turned in the body; surefoot align finds q_IM closer"
     if view.robot is not None:
         q_BI = Rotation.from_matrix(view.robot.R_BI @ axes.T)
@@ -351,8 +350,7 @@ def _axes_of_imu(view: LogView) -> np.ndarray | None:
     a, b = gyro - gyro.mean(axis=0), turning - turning.mean(axis=0)
     found = Rotation.align_vectors(a, b)[0].as_matrix()
     match = view.gyro_match
-    mirrored = np.zeros((3, 3))
-    mirrored[range(3), match.order] = match.sign
+    mirrored = np.eye(3)[match.order] * match.sign[:, None]
     if np.linalg.det(mirrored) < 0 and len(match.wrong) and match.best.min() > LIKELY:
         found = mirrored
     if np.abs(found - np.round(found)).max() < np.sin(np.radians(TURNED_IMU)):

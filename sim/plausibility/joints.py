@@ -1,15 +1,31 @@
-"""Checks of joints: rates against angles, range and torque limits of the robot, units."""
+"""Checks of joints and their drives: rates against angles, range and torque limits, units.
+
+On a fixed base torques are compared with inverse dynamics along the motion, commanded angles with
+the measured ones, in the same way: sign, scale, and whether the stream goes on where what it
+explains does.
+"""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.sim.importing.advice import Changes, entries, scaled
+from surefoot.sim.importing.advice import entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.axes import HARDLY, LIKELY, SCALED, SURELY, match_axes, sign_change
-from surefoot.sim.plausibility.causes import in_another_unit, of_changing_sign
+from surefoot.sim.plausibility.comparison import (
+    HARDLY,
+    LIKELY,
+    SCALED,
+    SURELY,
+    correlation,
+    in_another_unit,
+    match_axes,
+    of_changing_sign,
+    sign_change,
+)
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
+from surefoot.sim.plausibility.streams import LIMITED, still_sections
 from surefoot.sim.plausibility.view import LogView
 
 BEYOND = 0.1
@@ -37,6 +53,20 @@ _INVERTED = 0.5
 """Scale, relative to the other rates', below which a rate of the opposite sign is a vibration that
 a filter inverts: a moving average passes 0.22 of it at most.
 """
+DRIVEN = (0.4, 2.0)
+"""Range of the scale relative to what is expected: measured drives have 0.6 to 1.3, because of
+friction and inaccurate published masses; a torque of the motor's side is smaller by the gear ratio.
+"""
+STRAYS = 3.0
+"""Ratio to the usual error from which a constant torque or command is stuck."""
+SLIDES = 0.05
+"""Rate below which dry friction does not reach its full size [rad/s]."""
+MOVE = 0.5
+"""Time over which moves of a joint are compared with those of its command [s]; servos are 0.1 s
+late.
+"""
+COMMANDED = 1.0
+"""Time without a change of a command, while its joint moves, from which it is stuck [s]."""
 
 
 @plausibility_rule("joint rates", "t q dq", when="comparable")
@@ -53,70 +83,69 @@ def rates(view: LogView) -> Iterator[Finding]:
     logged, moved = view.means(log.dq), view.changes(log.q)
     size, error = np.sqrt(np.mean(moved**2, axis=0)), view.between_samples(log.dq, log.q)
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
-    names, slow = [log.joints[j] for j in moves], size[moves] < _MOVES
+    names, slow = np.array(log.joints)[moves], size[moves] < _MOVES
     logged, moved = logged[:, moves], moved[:, moves]
     match = match_axes(logged, moved)
-    slope = logged.std(axis=0) / moved.std(axis=0)
-    # What does not correlate says nothing of the size.
-    error = error[moves] + 1.0 - match.own
-    exchanged = (np.array(match.order) != np.arange(len(names))) & ~slow
-    exchanged &= match.best - np.abs(match.own) > _ANOTHERS
-    opposite, good = [], []
-    for i, (name, own) in enumerate(zip(names, match.own, strict=True)):
-        since = sign_change(view.at, logged[:, i], moved[:, i])
+    paired, slope = match.paired, logged.std(axis=0) / moved.std(axis=0)
+    changes = [sign_change(view.at, *both) for both in zip(logged.T, moved.T, strict=True)]
+    steady = np.array([since is None for since in changes], dtype=bool)
+    swapped = steady & match.exchanged & ~slow & (match.best - np.abs(paired) > _ANOTHERS)
+    opposite = steady & ~swapped & (paired < np.where(slow, -LIKELY, -HARDLY))
+    good = steady & ~swapped & (paired > np.where(slow, SURELY, LIKELY))
+    inverted = opposite & (slope < _INVERTED * (np.median(slope[good]) if good.any() else 1.0))
+    for name, since in zip(names, changes, strict=True):
         if since is not None:
             yield of_changing_sign(f"dq_{name}", since, f"the change of q_{name}")
-        elif not exchanged[i] and own < (-LIKELY if slow[i] else -HARDLY):
-            opposite.append(i)
-        elif own > (SURELY if slow[i] else LIKELY) and not exchanged[i]:
-            good.append(i)
-        elif not slow[i] and (own < HARDLY or exchanged[i]):
-            seen = f"correlation with the change of q_{name} {own:.2f}"
+    for i in np.flatnonzero(swapped | (steady & ~slow & ~opposite & (paired < HARDLY))):
+        column, seen = (
+            f"dq_{names[i]}",
+            f"correlation with the change of q_{names[i]} {paired[i]:.2f}",
+        )
+        if match.best[i] > LIKELY and swapped[i]:
+            its = names[match.order[i]]
+            seen += f", of q_{its} {match.best[i]:.2f}"
+            cause, mended = f"it is the rate of {its}: swapped", entries((f"dq_{its}",), of=column)
+        else:
             cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-            changes: Changes = {}
-            if match.best[i] > LIKELY and exchanged[i]:
-                its = names[match.order[i]]
-                seen += f", of q_{its} {match.best[i]:.2f}"
-                cause = f"it is the rate of {its}: swapped"
-                changes = entries((f"dq_{its}",), of=f"dq_{name}")
-            yield Finding((f"dq_{name}",), seen, cause, changes)
-    usual = float(np.median(slope[good])) if good else 1.0
-    inverted = [i for i in opposite if slope[i] < _INVERTED * usual]
-    for i in inverted:
-        seen = f"correlation with the change of q {match.own[i]:.2f}, at {slope[i]:.2g} of its size"
+            mended = {}
+        yield Finding((column,), seen, cause, mended)
+    for i in np.flatnonzero(inverted):
+        seen = f"correlation with the change of q {paired[i]:.2f}, at {slope[i]:.2g} of its size"
         yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
-    flipped = [i for i in opposite if i not in inverted]
-    of_angle = legs.opposite_angles(view) if flipped else set()
+    flipped = np.flatnonzero(opposite & ~inverted)
+    of_angle = legs.opposite_angles(view) if flipped.size else set()
     for kind in ("q", "dq"):
         which = [i for i in flipped if (f"q_{names[i]}" in of_angle) == (kind == "q")]
         if which:
             columns = tuple(f"{kind}_{names[i]}" for i in which)
-            seen = f"correlation of dq with the change of q {match.own[which].max():.2f} at best"
-            whole = ", or time runs backwards" * (len(which) == len(names))
-            yield Finding(columns, seen, f"wrong sign{whole}", entries(columns, sign=-1.0))
-    if good and view.resolves:
-        yield from _rates_scaled([names[i] for i in good], slope[good], error[good])
+            seen = f"correlation of dq with the change of q {paired[which].max():.2f} at best"
+            cause = "wrong sign" + ", or time runs backwards" * (len(which) == len(names))
+            yield Finding(columns, seen, cause, entries(columns, sign=-1.0))
+    if good.any() and view.resolves:
+        # What does not correlate says nothing of the size.
+        yield from _rates_scaled(names[good], slope[good], (error[moves] + 1.0 - paired)[good])
 
 
-def _rates_scaled(names: list[str], slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:
+def _rates_scaled(names: np.ndarray, slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:
     """Check the scale of rates of G joints, as the slope (G,) over the changes of angles, with the
     error (G,) of that.
     """
     typical = float(np.median(slope))
     together = np.abs(slope / typical - 1.0) < 2.0 * SCALED
     # What lies between samples makes rates smaller, never larger.
-    common = not -SCALED - np.median(error) < typical - 1.0 < SCALED
-    if common and 2 * together.sum() > len(names):
-        which = [name for name, one in zip(names, together, strict=True) if one]
-        columns, angles = (tuple(f"{kind}_{name}" for name in which) for kind in ("dq", "q"))
+    as_expected = -SCALED - np.median(error) < typical - 1.0 < SCALED
+    if as_expected or 2 * together.sum() <= len(names):
+        typical = 1.0
+    else:
+        columns, angles = (
+            tuple(f"{kind}_{name}" for name in names[together]) for kind in ("dq", "q")
+        )
         seen = f"{typical:.3g} times the change of q"
         if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
             yield Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
         else:
             otherwise = "scaled, or stamps at a wrong rate"
             yield Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
-    else:
-        typical = 1.0
     for i in np.flatnonzero(np.abs(slope / typical - 1.0) > 2.0 * SCALED + error):
         column, seen = f"dq_{names[i]}", f"{slope[i]:.3g} times the change of q_{names[i]}"
         too_large = float(slope[i]) / typical
@@ -133,25 +162,21 @@ def units(view: LogView) -> Iterator[Finding]:
     Remedy: unit = "deg".
     """
     log = view.log
-    if view.robot is None:
+    turned = np.median(np.abs(log.q), axis=0) > 2.0 * np.pi
+    if view.robot is None or not turned.any():
         return
-    q = log.q
-    turned = [j for j, x in zip(log.joints, q.T, strict=True) if np.median(np.abs(x)) > 2.0 * np.pi]
-    if 2 * len(turned) > len(log.joints):
-        turned = list(log.joints)  # hips may stay below
-    if turned:
-        worst = float(np.abs(q).max())
-        seen = f"up to {worst:.4g} rad"
-        units = {f"q_{j}": {"unit": "deg"} for j in turned}
-        if log.has("dq") and view.comparable:
-            size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
-            if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * SCALED:
-                units |= {f"dq_{j}": {"unit": "deg/s"} for j in turned}
-        cause = "in deg, not rad, or not unwrapped"
-        yield Finding(tuple(units), seen, cause, {"columns": units})
+    if 2 * turned.sum() > len(turned):
+        turned[:] = True  # hips may stay below
+    units = {column: {"unit": "deg"} for column in view.columns("q", turned)}
+    if log.has("dq") and view.comparable:
+        size, moved = (x.std(axis=0) for x in (view.means(log.dq), view.changes(log.q)))
+        if abs(float(np.median(size / np.maximum(moved, 1e-12))) - 1.0) < 2.0 * SCALED:
+            units |= {column: {"unit": "deg/s"} for column in view.columns("dq", turned)}
+    seen, cause = f"up to {np.abs(log.q).max():.4g} rad", "in deg, not rad, or not unwrapped"
+    yield Finding(tuple(units), seen, cause, {"columns": units})
 
 
-@plausibility_rule("joint range", "q", finds="symptom")
+@plausibility_rule("joint range", "q")
 def stops(view: LogView) -> Iterator[Finding]:
     """Check that angles are within the limits of the robot's joints.
 
@@ -161,27 +186,23 @@ def stops(view: LogView) -> Iterator[Finding]:
         instant.
     Remedy: joint_sign, joint_offset, the order of the columns, the robot's name.
     """
-    log = view.log
+    q, names = view.log.q, view.log.joints
     if view.robot is None:
         return
-    q = log.q
     low, high = view.robot.joint_range.T
-    beyond = np.maximum(low - q, q - high)
-    share = np.mean(beyond > BEYOND, axis=0)
+    share, mirrored = (np.mean(np.maximum(low - x, x - high) > BEYOND, axis=0) for x in (q, -q))
     over = np.flatnonzero(share > BEYOND_SHARE)
     if not over.size:
         return
     worst = over[np.argmax(share[over])]
     limits = f"{low[worst]:.2f} to {high[worst]:.2f} rad of {view.robot.name}"
-    seen = f"{log.joints[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
+    seen = f"{names[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
     seen += f" {np.median(q[:, worst]):.2f} rad"
-    within = np.mean(np.maximum(low + q, -q - high) > BEYOND, axis=0) < BEYOND_SHARE
-    names = [log.joints[j] for j in over]
     cause, changes = "wrong zero, swapped joints, or another robot", {}
-    if within[over].all():
+    if np.all(mirrored[over] < BEYOND_SHARE):
         cause = "wrong sign, swapped joints, or another robot"
-        changes = {"robot": {"joint_sign": dict.fromkeys(names, -1.0)}}
-    yield Finding(tuple(f"q_{name}" for name in names), seen, cause, changes)
+        changes = {"robot": {"joint_sign": {names[j]: -1.0 for j in over}}}
+    yield Finding(view.columns("q", over), seen, cause, changes)
 
 
 @plausibility_rule("torque", "tau")
@@ -201,7 +222,7 @@ def torques(view: LogView) -> Iterator[Finding]:
     if over.size:
         j = over[np.argmax(strong[over] / limit[over])]
         seen = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
-        columns = tuple(f"tau_{view.log.joints[k]}" for k in over)
+        columns = view.columns("tau", over)
         thousand = np.median(strong[over] / limit[over]) > 30.0
         changes = entries(columns, unit="mN m") if thousand else {}
         cause = "in mN m, not N m" if thousand else "another unit, or another robot"
@@ -217,16 +238,14 @@ def magnitudes(view: LogView) -> Iterator[Finding]:
     Reason: joints of legs push both ways.
     Remedy: torques with their signs.
     """
-    if view.robot is None or len(view.log.joints) < _SEVERAL:
-        return
     tau = view.log.tau
-    if tau.std(axis=0).min() > 0.0 and tau.min() >= 0.0:
-        columns = tuple(f"tau_{j}" for j in view.log.joints)
-        seen = f"no negative torque of {len(columns)} joints in any row"
-        yield Finding(columns, seen, "magnitudes, without their sign")
+    several = view.robot is not None and tau.shape[1] >= _SEVERAL
+    if several and tau.std(axis=0).min() > 0.0 and tau.min() >= 0.0:
+        seen = f"no negative torque of {tau.shape[1]} joints in any row"
+        yield Finding(view.columns("tau"), seen, "magnitudes, without their sign")
 
 
-@plausibility_rule("zeros", "q", when="comparable", finds="symptom")
+@plausibility_rule("zeros", "q", when="comparable")
 def zeros(view: LogView) -> Iterator[Finding]:
     """Check that left and right legs are held alike; a single joint that differs has a wrong
     zero.
@@ -272,6 +291,135 @@ def commands(view: LogView) -> Iterator[Finding]:
     log = view.log
     size = np.median(np.abs(log.q_des)) / max(float(np.median(np.abs(log.q))), 1e-6)
     if size > 10.0:
-        columns = tuple(f"q_des_{j}" for j in log.joints)
+        columns = view.columns("q_des")
         seen = f"{size:.3g} times the measured angles"
         yield Finding(columns, seen, "in deg, not rad", entries(columns, unit="deg"))
+
+
+@dataclass(frozen=True)
+class _Explained:
+    """A stream of a joint on a fixed base, and what explains it.
+
+    Attributes:
+        column: its name.
+        x: mean values (M,).
+        expected: (M,) in the same unit, but for friction or an offset.
+        rest: regressors (M, R) of these.
+        alike: two series (M,) whose correlation has the sign of the stream.
+        holds: time without a change, while what it explains goes on, from which it is stuck [s].
+        words: for what is expected, what goes on, why it is stuck, and why its scale is another.
+    """
+
+    column: str
+    x: np.ndarray
+    expected: np.ndarray
+    rest: np.ndarray
+    alike: tuple[np.ndarray, np.ndarray]
+    holds: float
+    words: tuple[str, str, str, str]
+
+    def fitted(self, where: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, float]:
+        """Least-squares fit (M,), and the factor of what is expected, on the times `where`."""
+        terms = np.column_stack([self.expected, self.rest])
+        sizes = np.linalg.lstsq(terms[where], self.x[where], rcond=None)[0]
+        return terms @ sizes, float(sizes[0])
+
+    @property
+    def beside_rest(self) -> float:
+        """Correlation of stream and expectation without what the rest explains of both."""
+        terms = np.column_stack([self.rest, np.ones(len(self.x))])
+        both = np.column_stack([self.x, self.expected])
+        return correlation(*(both - terms @ np.linalg.lstsq(terms, both, rcond=None)[0]).T)
+
+
+@plausibility_rule("torques of a fixed base", "t q tau", when="comparable")
+def driving(view: LogView) -> Iterator[Finding]:
+    """Check that the torques of drives on a fixed base explain its motion.
+
+    Compares: torques with what the machine's model asks for along the motion, and friction
+        beside it.
+    Threshold: correlation below -{HARDLY:g}; a sign that changes on the way; not
+        {DRIVEN[0]:g} to {DRIVEN[1]:g} times as large; no change for {LIMITED:g} s while
+        {STRAYS:g} times as much is missed as else.
+    Reason: three measured machines have 0.6 to 1.3 times what their models ask for.
+    Remedy: sign, unit or gain of tau; torques of the output, not of the motor.
+    """
+    log, machine = view.log, view.machine
+    if machine is None or machine.dynamics is None or not machine.fixed:
+        return
+    if any(d.startswith("tau") for d in log.meta.derived):
+        return
+    words = ("what the model asks for", "what it drives", "a sensor that hangs",
+             "another unit, of the motor's side, or a load that the model lacks")  # fmt: skip
+    tau, dq = view.means(log.tau), view.changes(log.q)
+    rigid = machine.dynamics.inverse(view.means(log.q), dq, np.gradient(dq, view.at, axis=0))[1]
+    for column, x, expected, rate in zip(view.columns("tau"), tau.T, rigid.T, dq.T, strict=True):
+        friction = np.column_stack([np.tanh(rate / SLIDES), rate])
+        one = _Explained(column, x, expected, friction, (x, expected), LIMITED, words)
+        yield from _drive_faults(view, one)
+
+
+@plausibility_rule("commands of a fixed base", "t q q_des", when="comparable")
+def followed(view: LogView) -> Iterator[Finding]:
+    """Check that the joints of a machine on a fixed base follow their commands.
+
+    Compares: q_des with q, joint by joint, and their moves within {MOVE:g} s.
+    Threshold: correlation below -{HARDLY:g}; a sign that changes on the way; not
+        {DRIVEN[0]:g} to {DRIVEN[1]:g} times as far; no change for {COMMANDED:g} s while the
+        joint goes {STRAYS:g} times as far off as else.
+    Reason: nothing but its drive moves a joint of an arm as far.
+    Remedy: sign, unit or gain of q_des.
+    """
+    if not view.on_fixed_base:
+        return
+    both = view.log.q_des, view.log.q
+    (sent, moved) = (view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in both)
+    (asked, reached) = (view.means(x) for x in both)
+    for j, joint in enumerate(view.log.joints):
+        words = (f"the moves of q_{joint}", f"q_{joint}", "a command that was not logged",
+                 "another unit than its angle's")  # fmt: skip
+        offset, moves = np.ones((len(view.at), 1)), (sent[:, j], moved[:, j])
+        column, x, expected = f"q_des_{joint}", asked[:, j], reached[:, j]
+        one = _Explained(column, x, expected, offset, moves, COMMANDED, words)
+        yield from _drive_faults(view, one)
+
+
+def _drive_faults(view: LogView, one: _Explained) -> Iterator[Finding]:
+    """Check that a stream changes when what explains it does, its sign and its scale."""
+    column, (witness, what, why_stuck, otherwise) = (one.column,), one.words
+    if stuck := _stuck(view, one):
+        yield Finding(column, f"{stuck} while {what} goes on", why_stuck)
+        return
+    if not (one.x.std() > 0.0 and one.expected.std() > 0.0):
+        return
+    fitted, scale = one.fitted()
+    alike, since = correlation(*one.alike), sign_change(view.at, *one.alike, LIKELY)
+    # What is expected alone is inconclusive for a machine that pushes against something.
+    explained = correlation(one.x, fitted) > LIKELY
+    if since is not None:
+        yield of_changing_sign(one.column, since, witness)
+    elif explained and alike < -HARDLY:
+        seen = f"correlation with {witness} {alike:.2f}"
+        yield Finding(column, seen, "wrong sign", entries(column, sign=-1.0))
+    elif explained and abs(one.beside_rest) > LIKELY and not DRIVEN[0] < scale < DRIVEN[1]:
+        seen = f"{scale:.3g} times {witness}"
+        yield Finding(column, seen, otherwise, scaled(one.column, scale))
+
+
+def _stuck(view: LogView, one: _Explained) -> str:
+    """The first section in which a stream does not change, while what explains it does, in words;
+    "" where there is none.
+    """
+    sections = still_sections(view.t, view.log.frame[one.column].to_numpy(), one.holds)
+    for begin, end in (view.t[[rows.start, rows.stop - 1]] for rows in sections):
+        # After a step of a command, a joint is still moving.
+        during = (view.at > begin + 0.25 * one.holds) & (view.at < end)
+        outside = (view.at < begin) | (view.at > end + 0.25 * one.holds)
+        if min(during.sum(), outside.sum()) < 3:
+            continue
+        fitted = one.fitted(outside)[0]
+        missed = (one.x - fitted) ** 2
+        goes_on = min(missed[during].mean(), np.ptp(fitted[during]) ** 2)
+        if goes_on > STRAYS**2 * missed[outside].mean():
+            return f"no change from {begin:.2f} to {end:.2f} s"
+    return ""

@@ -2,14 +2,13 @@
 delays.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
 
-from surefoot.sim.plausibility.attitude import LATE
-from surefoot.sim.plausibility.axes import MENDED
+from surefoot.sim.plausibility.comparison import LATE, MENDED
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.loads import leaning
 from surefoot.sim.plausibility.stance import Stance
@@ -59,7 +58,7 @@ _TRIED = 600
 
 @dataclass(frozen=True)
 class ComparedMotion:
-    """ComparedMotion that legs are compared with.
+    """Motion of the body that legs are compared with.
 
     Attributes:
         gyro: (K, 3) [rad/s].
@@ -77,22 +76,14 @@ class ComparedMotion:
         truth = None if self.truth is None else self.truth[some]
         return ComparedMotion(self.gyro[some], truth, self.used[some])
 
-    def where_turning(self) -> "ComparedMotion":
-        """Use only the times at which the body turns most: there legs differ."""
-        rate = np.linalg.norm(self.gyro, axis=1)
-        return replace(self, used=self.used & (rate > np.quantile(rate, _TURNING)))
-
-    def misfit(self, u: np.ndarray, contact: np.ndarray) -> float:
+    def misfit(self, legs: Stance) -> float:
         """Mean squared error of the legs' velocity, relative to the body's, without the worst
         tenth.
 
         NaN where too few legs are in contact. Without a truth, the legs are compared with their
         mean.
-
-        u: (K, L, 3) velocity of the body by each leg [m/s]; contact: (K, L), bool.
         """
-        on = contact & self.used[:, None]
-        truth = self.truth
+        u, on, truth = legs.body_velocity(self.gyro), legs.contact & self.used[:, None], self.truth
         if truth is None:
             on = on & (on.sum(axis=1, keepdims=True) > 1)
             count = np.maximum(on.sum(axis=1, keepdims=True), 1)
@@ -105,9 +96,14 @@ class ComparedMotion:
         size = np.broadcast_to(np.sum(truth**2, axis=1)[:, None], on.shape)[on]
         return float(missed.mean() / size.mean())
 
-    def misfits(self, u: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    def misfits(self, legs: Stance) -> np.ndarray:
         """The misfit of each leg (L,)."""
-        return np.array([self.misfit(u[:, [i]], contact[:, [i]]) for i in range(u.shape[1])])
+        each = [slice(i, i + 1) for i in range(legs.contact.shape[1])]
+        return np.array([self.misfit(legs.of_legs(one)) for one in each])
+
+    def all_misfits(self, legs: Stance) -> list[float]:
+        """The misfit of the legs together, and of each (1 + L)."""
+        return [self.misfit(legs), *self.misfits(legs)]
 
 
 @plausibility_rule("legs", "t gyro contact", beside="q ref foot")
@@ -133,15 +129,14 @@ def kinematics(view: LogView) -> Iterator[Finding]:
     if legs is None or len(view.log.legs) < 2:
         return
     whole = _motion(view, legs)
-    turning = whole.where_turning()
-    u = legs.body_velocity(turning.gyro)
-    base = turning.misfit(u, legs.contact)
-    found = _late(view, legs, whole) if base > MISFIT else []
-    found = found or _put_right(view, legs, turning, base) or _late_parts(view, legs, whole)
-    if not found and turning.truth is not None:
-        found = _of_another_robot(u, legs.contact, turning, base) if base > MISFIT else []
+    few, turning = _few(legs, whole)
+    misfit = turning.misfit(few) > MISFIT
+    found = _late(view, legs, whole) if misfit else []
+    found = found or _put_right(view, few, turning, misfit) or _late_parts(view, legs, whole)
+    if not found and whole.truth is not None:
+        found = _of_another_robot(few, turning) if misfit else []
         found = found or _climbing(view, legs)
-        found = found or (_zeros(view, legs, turning) if base > MISFIT else [])
+        found = found or (_zeros(view, few, turning) if misfit else [])
     yield from found
 
 
@@ -154,18 +149,12 @@ def _motion(view: LogView, legs: Stance) -> ComparedMotion:
 
 def _late(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
     """Find a delay of joints and contacts together relative to gyro and reference."""
-
-    def left(seconds: float) -> list[float]:
-        then = _earlier(view, legs, motion, seconds)
-        return [then.misfit(legs.body_velocity(then.gyro), legs.contact)]
-
     if motion.truth is None:
         return []
-    (late,), (share,) = _lags(left, LATEST_LEGS)
-    if abs(late) < view.least_lag(2.0 * LATE) or not share < MENDED:
+    (lag, *_), (share, *_) = _lags(lambda s: _of_lagging_legs(view, legs, motion, s), LATEST_LEGS)
+    if abs(lag) < view.least_lag(2.0 * LATE) or not share < MENDED:
         return []
-    which = "after" if late > 0 else "before"
-    seen = f"move {abs(late):.2f} s {which} the reference and the IMU"
+    seen = f"move {abs(lag):.2f} s {'after' if lag > 0 else 'before'} the reference and the IMU"
     return [Finding(("q", "contact"), seen, "another clock, or lost rows")]
 
 
@@ -173,58 +162,52 @@ def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Fin
     """Find a delay of contacts relative to joints, of all or of one, and of single legs relative to
     the others.
     """
-    u, names = legs.body_velocity(motion.gyro), view.log.legs
-
-    def of_contacts(seconds: float) -> list[float]:
-        rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
-        contact = view.log.contact[np.clip(rows, 0, len(view.t) - 1)]
-        return [motion.misfit(u, contact), *motion.misfits(u, contact)]
-
-    def of_legs(seconds: float) -> np.ndarray:
-        then = _earlier(view, legs, motion, seconds)
-        return then.misfits(legs.body_velocity(then.gyro), legs.contact)
-
     if motion.truth is None:
         return []
+
+    def of_lagging_contacts(seconds: float) -> list[float]:
+        rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
+        contact = view.log.contact[np.clip(rows, 0, len(view.t) - 1)]
+        return motion.all_misfits(replace(legs, contact=contact))
+
+    (lag, *contact_lag), (share, *by_contact) = _lags(of_lagging_contacts, LATEST_STREAM)
+    (_, *leg_lag), (_, *by_leg) = _lags(
+        lambda s: _of_lagging_legs(view, legs, motion, s), LATEST_STREAM
+    )
     least, found = view.least_lag(LATE_STREAM), []
-    (late, *contact_late), (share, *by_contact) = _lags(of_contacts, LATEST_STREAM)
-    leg_late, by_leg = _lags(of_legs, LATEST_STREAM)
-    if abs(late) > least and share < MENDED:
-        columns = tuple(f"contact_{leg}" for leg in names)
-        cause = "a filter, or another clock" if late > 0 else "early, or joints are late"
-        return [Finding(columns, _less(1.0 / share, _moved(late)), cause)]
-    for i, leg in enumerate(names):
-        if abs(contact_late[i]) > least and by_contact[i] < min(by_leg[i], MENDED):
-            seen = _less(1.0 / by_contact[i], _moved(contact_late[i]))
-            cause = f"{'late' if contact_late[i] > 0 else 'early'}, unlike the other contacts"
+    if abs(lag) > least and share < MENDED:
+        cause = "a filter, or another clock" if lag > 0 else "early, or joints are late"
+        return [Finding(view.columns("contact"), _less(1.0 / share, _moved(lag)), cause)]
+    for i, leg in enumerate(view.log.legs):
+        if abs(contact_lag[i]) > least and by_contact[i] < min(by_leg[i], MENDED):
+            seen = _less(1.0 / by_contact[i], _moved(contact_lag[i]))
+            cause = f"{'late' if contact_lag[i] > 0 else 'early'}, unlike the other contacts"
             found.append(Finding((f"contact_{leg}",), seen, cause))
-        elif abs(leg_late[i]) > least and by_leg[i] < MENDED:
-            when = "after" if leg_late[i] > 0 else "before"
-            seen = f"{leg} moves {abs(leg_late[i]):.2f} s {when} the body"
+        elif abs(leg_lag[i]) > least and by_leg[i] < MENDED:
+            when = "after" if leg_lag[i] > 0 else "before"
+            seen = f"{leg} moves {abs(leg_lag[i]):.2f} s {when} the body"
             found.append(Finding((f"q_{leg}", f"contact_{leg}"), seen, "a clock of its own"))
-    return found if 2 * len(found) <= len(names) else []
+    return found if 2 * len(found) <= len(view.log.legs) else []
 
 
-def _moved(late: float) -> str:
-    return f"if taken {abs(late):.2f} s {'earlier' if late > 0 else 'later'}"
+def _of_lagging_legs(
+    view: LogView, legs: Stance, motion: ComparedMotion, lag: float
+) -> list[float]:
+    """All misfits of legs that are late [s], with the motion of that much earlier."""
+    assert motion.truth is not None
+    then = np.clip(legs.which - round(lag / STEP), 0, len(view.at) - 1)
+    earlier = ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
+    return earlier.all_misfits(legs)
 
 
-def _earlier(view: LogView, legs: Stance, motion: ComparedMotion, late: float) -> ComparedMotion:
-    """The motion to compare with legs that are late by some seconds."""
-    then = np.clip(legs.which - round(late / STEP), 0, len(view.at) - 1)
-    return ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
-
-
-def _lags(
-    left: Callable[[float], Sequence[float] | np.ndarray], latest: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _lags(left: Callable[[float], list[float]], latest: float) -> tuple[np.ndarray, np.ndarray]:
     """The delays (D,) [s], up to `latest`, with the smallest misfits, and their ratios to those at
     0; 0 and 1 where there is no minimum.
 
     `left` gives D misfits for a delay.
     """
     tried = STEP * np.arange(-round(latest / STEP), round(latest / STEP) + 1)
-    misfits = np.array([left(float(late)) for late in tried])
+    misfits = np.array([left(float(lag)) for lag in tried])
     base = misfits[len(tried) // 2]
     misfits = np.where(np.isfinite(misfits), misfits, np.inf)
     best = misfits.argmin(axis=0)
@@ -233,11 +216,19 @@ def _lags(
     return np.where(found, tried[best], 0.0), np.where(found, share, 1.0)
 
 
-def _put_right(view: LogView, legs: Stance, motion: ComparedMotion, base: float) -> list[Finding]:
-    """Find the correction with the smallest misfit: other legs, or other signs and orders of
-    joints.
+def _moved(lag: float) -> str:
+    return f"if taken {abs(lag):.2f} s {'earlier' if lag > 0 else 'later'}"
+
+
+def _less(gain: float, how: str = "if corrected") -> str:
+    return f"the mean square velocity of standing feet is {gain:.3g} times less {how}"
+
+
+def _put_right(view: LogView, legs: Stance, motion: ComparedMotion, misfit: bool) -> list[Finding]:
+    """Find the correction with the smallest misfit: other legs where there is a `misfit` of all
+    together, or other signs and orders of joints.
     """
-    gain, found = _swapped(view, legs, motion, base) if base > MISFIT else (1.0, [])
+    gain, found = _swapped(view, legs, motion) if misfit else (1.0, [])
     more, misread = _misread(view, legs, motion)
     return misread if more > gain else found
 
@@ -248,68 +239,68 @@ def _chains(view: LogView) -> np.ndarray | None:
     return np.array(chains) if len({len(chain) for chain in chains}) == 1 else None
 
 
-def _swapped(
-    view: LogView, legs: Stance, motion: ComparedMotion, base: float
-) -> tuple[float, list[Finding]]:
+def _swapped(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float, list[Finding]]:
     """Find swapped legs, by joints, contacts or both, or inverted contacts.
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    names = view.log.legs
-    own = list(range(len(names)))
-    chains = _chains(view)
-    u = _by_each_leg(view, legs, motion.gyro, chains)
-    best = (base, own, ("",))
-    for order in sorted(permutations(own), key=lambda one: sum(i != j for i, j in enumerate(one))):
-        pick = list(order)
-        ways = [(("contact_",), u[:, own, own], legs.contact[:, pick])]
+    names, chains, base = view.log.legs, _chains(view), motion.misfit(legs)
+    every = range(len(names))
+    left, order, swapped = base, list(every), ()
+    # First those that exchange fewer legs.
+    orders = sorted(permutations(every), key=lambda one: sum(i != j for i, j in enumerate(one)))
+    for one in map(list, orders[1:]):
+        contacts = replace(legs, contact=legs.contact[:, one])
+        ways = {("contact_",): contacts}
         if chains is not None:
-            ways += [
-                (("q_",), u[:, own, pick], legs.contact),
-                (("q_", "contact_"), u[:, own, pick], legs.contact[:, pick]),
-            ]
-        for what, moved, contact in ways if pick != own else ():
-            left = motion.misfit(moved, contact)
-            if left < CLEARER * best[0]:
-                best = (left, pick, what)
-    left, order, what = best
-    columns, cause = tuple(f"contact_{leg}" for leg in names), "inverted: 1 means lifted"
+            joints = _read_otherwise(view, legs, chains, chains[one])
+            both = replace(joints, contact=contacts.contact)
+            ways |= {("q_",): joints, ("q_", "contact_"): both}
+        for kinds, moved in ways.items():
+            if (misfit := motion.misfit(moved)) < CLEARER * left:
+                left, order, swapped = misfit, one, kinds
     # In a trot, the other diagonal stands while this one is lifted, so both may fit.
-    inverted = motion.misfit(u[:, own, own], ~legs.contact)
+    inverted = motion.misfit(replace(legs, contact=~legs.contact))
     likelier = 3.0 if legs.contact.mean() < DUTY else 1.0 / 3.0
     if motion.truth is not None and inverted < min(MENDED * base, likelier * left):
-        left = inverted
-    elif left > MENDED * base:
+        columns, gain = view.columns("contact"), base / inverted
+        return gain, [Finding(columns, _less(gain), "inverted: 1 means lifted")]
+    if left > MENDED * base:
         return 1.0, []
-    else:
-        wrong = [(names[i], names[j]) for i, j in enumerate(order) if i != j]
-        columns = tuple(f"{kind}{i}" for kind in what for i, _ in wrong)
-        parts = {"q_": "joints", "contact_": "contacts"}
-        cause = f"swapped legs ({' and '.join(parts[kind] for kind in what)}): "
-        cause += ", ".join(f"{i} is {j}" for i, j in wrong)
+    wrong = [(names[i], names[j]) for i, j in enumerate(order) if i != j]
+    columns = tuple(f"{kind}{i}" for kind in swapped for i, _ in wrong)
+    what = " and ".join({"q_": "joints", "contact_": "contacts"}[kind] for kind in swapped)
+    cause = f"swapped legs ({what}): {', '.join(f'{i} is {j}' for i, j in wrong)}"
     return base / left, [Finding(columns, _less(base / left), cause)]
 
 
-def _less(gain: float, how: str = "if corrected") -> str:
-    return f"the mean square velocity of standing feet is {gain:.3g} times less {how}"
+def _read_otherwise(
+    view: LogView,
+    legs: Stance,
+    chains: np.ndarray,
+    others: np.ndarray,
+    sign: np.ndarray | float = 1.0,
+    offset: np.ndarray | float = 0.0,
+) -> Stance:
+    """The feet for another reading of the joints.
 
+    Args:
+        view: of the log.
+        legs: their times.
+        chains: joints of each leg (L, C).
+        others: those whose angles are taken for theirs (L, C).
+        sign: of these (C,).
+        offset: (C,) [rad] added to them.
+    """
+    robot, q = view.robot, view.log.q
+    assert robot is not None
 
-def _by_each_leg(
-    view: LogView, legs: Stance, gyro: np.ndarray, chains: np.ndarray | None
-) -> np.ndarray:
-    """Velocity (K, L, L, 3) of the body by leg i if it had the joints of leg j."""
-    k = np.arange(len(view.log.legs))
-    out = np.empty((len(gyro), len(k), len(k), 3))
-    out[:, k, k] = legs.body_velocity(gyro)
-    if chains is None or view.robot is None:
-        return out
-    for shift in k[1:]:
-        order = (k + shift) % len(k)
-        columns = np.arange(view.log.q.shape[1])
-        columns[chains] = chains[order]
-        moved = legs.with_joints(view.robot, view.log.q, columns)
-        out[:, k, order] = moved.body_velocity(gyro)
-    return out
+    def feet(rows: np.ndarray) -> np.ndarray:
+        read = q[rows]
+        read[:, chains] = q[rows][:, others] * sign + offset
+        return robot.feet_I(read)
+
+    return legs.with_feet(feet)
 
 
 def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float, list[Finding]]:
@@ -317,22 +308,19 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    robot, chains = view.robot, _chains(view)
-    if robot is None or chains is None or motion.truth is None or chains.shape[1] > 3:
+    chains = _chains(view)
+    if chains is None or motion.truth is None or chains.shape[1] > 3:
         return 1.0, []
-    (few, motion), q = _few(legs, motion), view.log.q
-    size = chains.shape[1]
-    base = motion.misfits(few.body_velocity(motion.gyro), few.contact)
+    in_order, base = np.arange(chains.shape[1]), motion.misfits(legs)
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
-    orders = [*permutations(range(size))] if (base > MISFIT).any() else [tuple(range(size))]
-    ways = [*product(orders, product((1.0, -1.0), repeat=size))]
+    orders = permutations(in_order) if (base > MISFIT).any() else [in_order]
+    signs = product((1.0, -1.0), repeat=len(in_order))
+    ways = [(np.array(order), np.array(sign)) for order, sign in product(orders, signs)]
     misfits, leans = np.empty((2, len(ways), len(chains)))
-    for way, (order, signs) in enumerate(ways):
-        columns, sign = np.arange(q.shape[1]), np.ones(q.shape[1])
-        columns[chains], sign[chains] = chains[:, order], signs
-        other = few.with_joints(robot, q, columns, sign)
-        misfits[way] = motion.misfits(other.body_velocity(motion.gyro), few.contact)
-        leans[way] = leaning(view, robot, few, columns, sign)
+    for way, (order, sign) in enumerate(ways):
+        other = _read_otherwise(view, legs, chains, chains[:, order], sign)
+        misfits[way] = motion.misfits(other)
+        leans[way] = leaning(view, legs, chains, chains[:, order], sign)
     best, left = misfits.argmin(axis=0), misfits.min(axis=0)
     good = base[base < FAIR]
     as_good = AS_GOOD * max(float(good.max()), MISFIT) if good.size else np.inf
@@ -341,17 +329,17 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     mends = (best > 0) & (left < np.minimum(most, as_good))
     findings = []
     for way in dict.fromkeys(best[mends].tolist()):
-        which = mends & (best == way)
+        which, (order, sign) = mends & (best == way), ways[way]
         joints = np.array(view.log.joints)[chains[which]]
-        order, signs = ways[way]
-        swapped = [k for k, other in enumerate(order) if k != other]
-        flipped = [k for k, sign in enumerate(signs) if sign < 0]
-        columns = tuple(f"q_{name}" for name in joints[:, sorted({*swapped, *flipped})].flat)
-        pairs = ", ".join(f"{joints[0, k]} is {joints[0, order[k]]}" for k in swapped)
-        causes = [f"swapped joints ({pairs})"] * bool(swapped) + ["wrong sign"] * bool(flipped)
-        changes = {"robot": {"joint_sign": dict.fromkeys(joints[:, flipped].flat, -1.0)}}
+        swapped, flipped = order != in_order, sign < 0
+        columns = tuple(f"q_{joint}" for joint in joints[:, swapped | flipped].flat)
+        pairs = zip(joints[0, swapped], joints[0, order[swapped]], strict=True)
+        words = ", ".join(f"{joint} is {other}" for joint, other in pairs)
+        causes = [f"swapped joints ({words})"] * bool(words) + ["wrong sign"] * bool(flipped.any())
+        negative = dict.fromkeys(joints[:, flipped].flat, -1.0)
         seen = _less(float(np.median(base[which] / left[which])))
-        findings.append(Finding(columns, seen, " and ".join(causes), changes if flipped else {}))
+        changes = {"robot": {"joint_sign": negative}} if negative else {}
+        findings.append(Finding(columns, seen, " and ".join(causes), changes))
     mended = np.nansum(np.where(mends, left, base))
     return float(np.nansum(base) / max(mended, 1e-12)), findings
 
@@ -359,27 +347,25 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
 def opposite_angles(view: LogView) -> set[str]:
     """Columns of angles that put standing feet right with the opposite sign."""
     legs = view.stance
-    found = [] if legs is None else _misread(view, legs, _motion(view, legs).where_turning())[1]
+    found = [] if legs is None else _misread(view, *_few(legs, _motion(view, legs)))[1]
     return {column for one in found if one.cause == "wrong sign" for column in one.streams}
 
 
 def _few(legs: Stance, motion: ComparedMotion) -> tuple[Stance, ComparedMotion]:
-    """Feet and motion at some of the times, at which alternatives are tried."""
-    used = np.flatnonzero(motion.used)
-    some = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(int))]
+    """Feet and motion at some of the times at which the body turns most, where legs differ; at
+    these, alternatives are tried.
+    """
+    rate = np.linalg.norm(motion.gyro, axis=1)
+    used = np.flatnonzero(motion.used & (rate > np.quantile(rate, _TURNING)))
+    some = used[np.linspace(0, len(used) - 1, min(len(used), _TRIED)).astype(int)]
     return legs.at(some), motion.rows(some)
 
 
-def _of_another_robot(
-    u: np.ndarray, contact: np.ndarray, motion: ComparedMotion, base: float
-) -> list[Finding]:
-    """Find legs of another length, or that have nothing to do with the body's motion.
-
-    u: (K, L, 3) velocity of the body by each leg [m/s]; contact: (K, L), bool.
-    """
-    truth = motion.truth
+def _of_another_robot(legs: Stance, motion: ComparedMotion) -> list[Finding]:
+    """Find legs of another length, or that have nothing to do with the body's motion."""
+    truth, u, misfit = motion.truth, legs.body_velocity(motion.gyro), motion.misfit(legs)
     assert truth is not None
-    on = contact & (motion.used & (np.linalg.norm(truth, axis=1) > _MOVES))[:, None]
+    on = legs.contact & (motion.used & (np.linalg.norm(truth, axis=1) > _MOVES))[:, None]
     by_legs, by_body = u[on][:, :2], np.broadcast_to(truth[:, None], u.shape)[on][:, :2]
     size = np.sum(by_legs**2, axis=1)
     keep = size < np.quantile(size, 0.9)
@@ -390,8 +376,8 @@ def _of_another_robot(
         seen = f"legs move the body {ratio:.2f} times as fast as the reference"
         cause = "another robot's log (its legs have another length), or units of positions"
         return [Finding(("q", "ref_p"), seen, cause)]
-    if base > HOPELESS:
-        seen = f"standing feet have {100 * base:.0f} % of the body's mean square velocity"
+    if misfit > HOPELESS:
+        seen = f"standing feet have {100 * misfit:.0f} % of the body's mean square velocity"
         return [Finding(("q", "contact"), seen, "wrong joints, contacts or robot; or it slides")]
     return []
 
@@ -413,17 +399,15 @@ def _zeros(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]
 
     `joints.zeros` finds that of a single joint.
     """
-    robot, log, chains = view.robot, view.log, _chains(view)
-    if robot is None or chains is None:
+    chains = _chains(view)
+    if chains is None:
         return []
-    few, motion = _few(legs, motion)
-    base = motion.misfits(few.body_velocity(motion.gyro), few.contact)
+    base = motion.misfits(legs)
     misfits = np.empty((chains.shape[1], len(OFFSETS), len(chains)))
     for k, n in np.ndindex(misfits.shape[:2]):
-        offset = np.zeros(log.q.shape[1])
-        offset[chains[:, k]] = OFFSETS[n]
-        other = few.with_joints(robot, log.q, offset=offset)
-        misfits[k, n] = motion.misfits(other.body_velocity(motion.gyro), few.contact)
+        offset = OFFSETS[n] * np.eye(chains.shape[1])[k]
+        other = _read_otherwise(view, legs, chains, chains, offset=offset)
+        misfits[k, n] = motion.misfits(other)
     if not np.isfinite(misfits).all():
         return []
     left = misfits.min(axis=1) / base  # by joint of a leg, and leg
@@ -432,14 +416,12 @@ def _zeros(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]
     for k in np.argsort(np.median(left, axis=1)):
         which = np.flatnonzero(mended[k])
         if 2 * len(which) > len(chains):
-            columns += [f"q_{log.joints[chains[i, k]]}" for i in which]
+            columns += view.columns("q", chains[which, k])
             added = sorted({float(OFFSETS[misfits[k, :, i].argmin()]) for i in which})
-            gain = 1.0 / float(np.median(left[k, which]))
-            seen.append(
-                f"{gain:.1f} times less with {' or '.join(f'{x:+g}' for x in added)} rad added"
-            )
+            gain, words = 1.0 / float(np.median(left[k, which])), [f"{x:+g}" for x in added]
+            seen.append(f"{gain:.1f} times less with {' or '.join(words)} rad added")
     if not columns:
         return []
-    words = f"the mean square velocity of standing feet is {', or '.join(seen)}"
+    words = f"the mean square velocity of standing feet is {', '.join(seen)}"
     cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
     return [Finding(tuple(columns), words, cause)]

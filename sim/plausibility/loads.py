@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.importing.advice import entries
-from surefoot.sim.plausibility.axes import LIKELY
+from surefoot.sim.plausibility.comparison import LIKELY
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.stance import Stance
 from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, LATEST_STREAM, MIDDLE, LogView
@@ -18,7 +18,7 @@ add a third, single legs of a stride carry twice.
 """
 
 
-@plausibility_rule("support", "q contact tau accel", beside="foot", finds="symptom")
+@plausibility_rule("support", "q contact tau accel", beside="foot")
 def weight_carried(view: LogView) -> Iterator[Finding]:
     """Check that torques of standing legs carry the robot's weight.
 
@@ -28,8 +28,7 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     Remedy: sign, unit or order of tau; torques of the output, not of the motor; the robot's
         name.
     """
-    robot, log = view.robot, view.log
-    loads, contact = _loads(view)
+    robot, (loads, contact) = view.robot, _loads(view)
     if robot is None or not loads.any() or contact.mean() < 0.2:
         return
     share = float(np.median(np.sum(loads * contact, axis=1)[contact.any(axis=1)]))
@@ -37,7 +36,7 @@ def weight_carried(view: LogView) -> Iterator[Finding]:
     if SUPPORT[0] < share < SUPPORT[1]:
         return
     seen = f"legs in contact carry {share:.2f} times the weight of {robot.name}"
-    columns = tuple(f"tau_{joint}" for joint in log.joints)
+    columns = view.columns("tau")
     cause, changes = "swapped joints, another unit, a motor's side of a gear, or another robot", {}
     if -SUPPORT[1] < share < -SUPPORT[0]:
         cause, changes = "wrong sign", entries(columns, sign=-1.0)
@@ -54,15 +53,18 @@ def late_torques(view: LogView) -> Iterator[Finding]:
     Remedy: the filter or clock of tau, or of the contacts.
     """
     loads, contact = _loads(view)
+    if len(loads) < FEWEST:
+        return
     walks = (contact.std(axis=0) > 0.2) & (loads.std(axis=0) > 0.0)
-    if len(loads) < FEWEST or not walks.any():
+    if not walks.any():
         return
     steps = contact[:, walks].astype(float)
-    late, alike = view.delay(loads[:, walks], steps, LATE_STREAM, LATEST_STREAM)
-    if late and alike > LIKELY:
-        seen = f"load legs {abs(late):.3f} s {'after' if late > 0 else 'before'} they stand"
-        columns = tuple(f"tau_{joint}" for joint in view.log.joints)
-        yield Finding(columns, seen, "a filter, or another clock (or that of the contacts)")
+    lag, alike = view.delay(loads[:, walks], steps, LATE_STREAM, LATEST_STREAM)
+    if lag and alike > LIKELY:
+        seen = f"load legs {abs(lag):.3f} s {'after' if lag > 0 else 'before'} they stand"
+        yield Finding(
+            view.columns("tau"), seen, "a filter, or another clock (or that of the contacts)"
+        )
 
 
 def _loads(view: LogView) -> tuple[np.ndarray, np.ndarray]:
@@ -78,27 +80,30 @@ def _loads(view: LogView) -> tuple[np.ndarray, np.ndarray]:
 
 
 def leaning(
-    view: LogView, robot: Robot, legs: Stance, columns: np.ndarray, sign: np.ndarray
+    view: LogView, legs: Stance, chains: np.ndarray, others: np.ndarray, sign: np.ndarray
 ) -> np.ndarray:
     """Sideways part (L,) of the load that torques mean on each leg, relative to the upward one,
     where up is the specific force; 0 where it is not known.
 
     Args:
         view: of the log.
-        robot: its robot.
         legs: their times.
-        columns: that joints are read from (J,).
-        sign: (J,) of the angles and torques read.
+        chains: joints of each leg (L, C).
+        others: those whose angles and torques are taken for theirs (L, C).
+        sign: of these (C,).
     """
-    log, rows, on = view.log, legs.rows[1], legs.contact
-    if not log.has("tau"):
-        return np.zeros(on.shape[1])
-    pushed = _pushes(robot, log.q[rows][:, columns] * sign, log.tau[rows][:, columns] * sign)
+    log, robot, rows = view.log, view.robot, legs.rows[1]
+    if robot is None or not log.has("tau"):
+        return np.zeros(len(chains))
+    q, tau = log.q[rows], log.tau[rows]
+    for read, logged in ((q, log.q), (tau, log.tau)):
+        read[:, chains] = logged[rows][:, others] * sign
+    pushed = _pushes(robot, q, tau)
     up = view.accel[legs.which]
     up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
     upward = np.einsum("kli,ki->kl", pushed, up)
     aside = pushed @ robot.R_BI[1] - upward * (up @ robot.R_BI[1])[:, None]
-    in_all = [np.abs(np.sum(x * on, axis=0)) for x in (aside, upward)]
+    in_all = [np.abs(np.sum(x * legs.contact, axis=0)) for x in (aside, upward)]
     return in_all[0] / np.maximum(in_all[1], 1e-9)
 
 

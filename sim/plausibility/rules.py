@@ -2,23 +2,21 @@
 
 A rule is checked only where no earlier rule doubts what it compares. One fault therefore gives one
 finding, and a second fault of a log may show only when the first is corrected. Rules that compare
-fewer columns come before those that compare more, and rules that find a symptom of several causes
-last. Notes put nothing in doubt.
+fewer columns come before those that compare more, since fewer may be at fault, and rules that find
+a symptom of several causes last. Notes put nothing in doubt.
 """
 
-from operator import attrgetter
+from dataclasses import replace
 
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import (
+    attitude,
     clock,
     contacts,
-    drives,
     imu,
     joints,
     legs,
     loads,
-    noise,
-    place,
     reference,
     streams,
 )
@@ -26,16 +24,27 @@ from surefoot.sim.plausibility.finding import Finding, Rule
 from surefoot.sim.plausibility.view import LogView
 from surefoot.sim.robot.machine import Machine
 
-_FILES = clock, joints, streams, noise, reference, imu, place, contacts, legs, loads, drives
-"""In the order in which rules of equal place are checked: the readings of a reference's attitudes
-come before those of the gyro, since more can be wrong with them.
-"""
-RULES = tuple(
-    sorted(
-        (one for file in _FILES for one in vars(file).values() if isinstance(one, Rule)),
-        key=attrgetter("place"),
-    )
-)
+RULES: tuple[Rule, ...] = (
+    # Stamps, and columns by themselves.
+    clock.stamps, clock.single_rows, clock.speed,
+    streams.frozen, streams.held, streams.interpolated, streams.overflows,
+    streams.saturated, streams.copies, streams.derived,
+    # Sizes and units, of one sensor at a time.
+    joints.units, joints.torques, joints.magnitudes,
+    reference.position, reference.even_samples, imu.gravity, imu.gyro_unit,
+    contacts.flickering, contacts.dead,
+    # Two readings of one quantity.
+    clock.leaps, joints.rates, joints.commands, streams.spikes,
+    attitude.attitude, reference.velocity, imu.gyro,
+    joints.driving, joints.followed, streams.coarse, streams.noisy,
+    # IMU, reference and legs together.
+    imu.accelerometer, imu.averaged, reference.point, reference.motion,
+    imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.late_torques,
+    # Symptoms of several causes.
+    joints.stops, joints.zeros, streams.lagging, contacts.inverted, loads.weight_carried,
+)  # fmt: skip
+_GROUPS = {"gyro": "imu", "accel": "imu", "ref": "reference"}
+"""Group of columns of a log by what a rule needs, where it has another name."""
 
 
 def check_log(log: Log, machine: Machine | None = None) -> tuple[Finding, ...]:
@@ -47,11 +56,22 @@ def check_log(log: Log, machine: Machine | None = None) -> tuple[Finding, ...]:
     found: list[Finding] = []
     doubted: set[str] = set()
     for rule in RULES:
-        new = rule.findings(view, doubted)
-        found += new
-        if rule.finds != "note":
+        if not _applies(rule, view, doubted):
+            continue
+        new = [one for one in rule.find(view) if not doubted.issuperset(one.streams)]
+        found += (replace(one, rule=rule.name) for one in new)
+        if not rule.is_note:
             doubted.update(*(one.streams for one in new))
     return tuple(found)
+
+
+def _applies(rule: Rule, view: LogView, doubted: set[str]) -> bool:
+    """Whether a log has what a rule needs, and nothing of it is in doubt."""
+    compared = (*rule.needs, *rule.beside)
+    if any(column == one or column.startswith(f"{one}_") for column in doubted for one in compared):
+        return False
+    has_all = all(one == "t" or view.log.has(_GROUPS.get(one, one)) for one in rule.needs)
+    return has_all and (rule.when is None or getattr(view, rule.when))
 
 
 def rules_table() -> list[dict[str, str]]:

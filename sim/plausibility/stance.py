@@ -9,6 +9,8 @@ import numpy as np
 from surefoot.sim.log import Log
 from surefoot.sim.robot.robot import Robot
 
+Feet = Callable[[np.ndarray], np.ndarray]
+"""Positions (K, L, 3) [m] of feet in I at some rows (K,) of a log."""
 MOST_TIMES = 3000
 """Largest number of times at which legs are compared: a minute; longer logs are sampled less
 densely.
@@ -25,17 +27,17 @@ class Stance:
         which: indices into the view's times (K,).
         rows: rows of the log before, at and after each time (3, K).
         span: time between the first and the last of these (K,) [s].
+        contact: at all three rows (K, L), bool.
         foot: positions (K, L, 3) [m] in I.
         rate: velocities (K, L, 3) [m/s] in I.
-        contact: at all three rows (K, L), bool.
     """
 
     which: np.ndarray
     rows: np.ndarray
     span: np.ndarray
+    contact: np.ndarray
     foot: np.ndarray
     rate: np.ndarray
-    contact: np.ndarray
 
     def body_velocity(self, gyro: np.ndarray) -> np.ndarray:
         """Velocity (K, L, 3) [m/s] of the body in I by each leg if its foot stands, with gyro (K,
@@ -46,33 +48,19 @@ class Stance:
     def at(self, some: np.ndarray) -> "Stance":
         """Select some of the K times."""
         return Stance(
-            self.which[some], self.rows[:, some], self.span[some], self.foot[some],
-            self.rate[some], self.contact[some],
+            self.which[some], self.rows[:, some], self.span[some], self.contact[some],
+            self.foot[some], self.rate[some],
         )  # fmt: skip
 
-    def with_joints(
-        self,
-        robot: Robot,
-        q: np.ndarray,
-        columns: np.ndarray | None = None,
-        sign: np.ndarray | float = 1.0,
-        offset: np.ndarray | float = 0.0,
-    ) -> "Stance":
-        """The feet for other readings of the joints.
+    def of_legs(self, some: slice) -> "Stance":
+        """Select some of the L legs."""
+        contact, foot, rate = (x[:, some] for x in (self.contact, self.foot, self.rate))
+        return replace(self, contact=contact, foot=foot, rate=rate)
 
-        Args:
-            robot: the robot.
-            q: (N, J) angles of the log [rad].
-            columns: that angles are read from (J,); their own by default.
-            sign: (J,) of the angles read.
-            offset: (J,) [rad] added to them.
-        """
-        which = np.arange(q.shape[1]) if columns is None else columns
-
-        def feet(rows: np.ndarray) -> np.ndarray:
-            return robot.feet_I(q[np.ix_(rows, which)] * sign + offset)
-
-        return replace(self, foot=feet(self.rows[1]), rate=foot_rates(feet, self.rows, self.span))
+    def with_feet(self, feet: Feet) -> "Stance":
+        """The same times with other positions of the feet."""
+        rate = (feet(self.rows[2]) - feet(self.rows[0])) / self.span[:, None, None]
+        return replace(self, foot=feet(self.rows[1]), rate=rate)
 
     def turning_fits(self, gyro: np.ndarray) -> float:
         """Correlation of the rotation of lines between standing feet with that of a gyro (K, 3)."""
@@ -99,25 +87,16 @@ def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
     which = np.unique(np.linspace(0, len(at) - 1, min(len(at), MOST_TIMES)).astype(int))
     t, window = log.t, _WINDOW * np.array([[-0.5], [0.0], [0.5]])
     rows = np.clip(np.searchsorted(t, at[which] + window), 0, len(t) - 1)
-    span = t[rows[2]] - t[rows[0]]
-    which, rows, span = which[span > 0], rows[:, span > 0], span[span > 0]
-    rates = foot_rates(feet, rows, span)
-    return Stance(which, rows, span, feet(rows[1]), rates, np.all(log.contact[rows], axis=0))
+    which, rows = which[rows[2] > rows[0]], rows[:, rows[2] > rows[0]]
+    contact, unknown = np.all(log.contact[rows], axis=0), np.zeros(0)
+    return Stance(which, rows, t[rows[2]] - t[rows[0]], contact, unknown, unknown).with_feet(feet)
 
 
-def feet_at(log: Log, robot: Robot | None) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Function that gives the feet (K, L, 3) [m] in I at some rows; None where they are unknown."""
+def feet_at(log: Log, robot: Robot | None) -> Feet | None:
+    """The feet of a log; None where they are unknown."""
     if log.has("foot"):
-        foot_I = log.foot_I
-        return lambda rows: foot_I[rows]
+        return log.foot_I.__getitem__
     if robot is not None and log.has("q"):
         q = log.q
         return lambda rows: robot.feet_I(q[rows])
     return None
-
-
-def foot_rates(
-    feet: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, span: np.ndarray
-) -> np.ndarray:
-    """Velocities (K, L, 3) [m/s] of feet from before to after: rows (3, K), span (K,) [s]."""
-    return (feet(rows[2]) - feet(rows[0])) / span[:, None, None]

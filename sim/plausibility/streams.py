@@ -1,5 +1,5 @@
-"""Checks of single streams: frozen, held, late, saturated, spiking, dropping to zero, copied or
-derived from another column.
+"""Checks of streams by themselves: frozen, held, late, noisy, coarse, saturated, spiking, dropping
+to zero, copied or derived from another column.
 """
 
 from collections import defaultdict
@@ -11,14 +11,23 @@ from scipy.ndimage import median_filter
 
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import column_kind
+from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
-from surefoot.sim.plausibility.attitude import LATE
-from surefoot.sim.plausibility.axes import MENDED, REF_V, delay_between
+from surefoot.sim.plausibility.comparison import LATE, MENDED, REF_V, delay_between
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.noise import NOISE
 from surefoot.sim.plausibility.view import RESTS, LogView
+from surefoot.sim.sensors.stances import changes
 
+NOISE = {"gyro": 0.2, "accel": 2.0, "q": 0.03, "dq": 1.5, "ref_p": 0.01, "foot": 0.005}
+"""Largest noise between rows of a sensor that works, by kind [rad/s, m/s^2, rad, rad/s, m, m], from
+which other limits follow.
+
+Gyros: data sheets have 0.01 (MPU-6050, 0.05 deg/s behind a filter, 0.005 deg/s/√Hz), logs of a Go1
+and a SCALER 0.03 including vibration. Accelerometers: 0.06 (MPU-6050, 400 ug/sqrt(Hz), over 250
+Hz), logs of a Go1, a SCALER and an iCub 0.3 to 0.6. Angles: five counts of 10 bits. Rates: one
+count of 12 bits in a row of 1 ms. References: motion capture without a rigid body.
+"""
 LATE_RATE = 4e-3
 """Delay of joint rates relative to the derivative of their angles [s]: two samples at 500 Hz."""
 LATEST_RATE, LATEST_REFERENCE = 0.05, 0.3
@@ -93,91 +102,43 @@ def frozen(view: LogView) -> Iterator[Finding]:
     Reason: half a swing; every sensor has noise.
     Remedy: leave the column out, or cut the log there.
     """
-    found: dict[str, list[str]] = defaultdict(list)
+    hanging: dict[str, list[str]] = defaultdict(list)
     kinds = _kinds(view, _SENSORS)
     for kind, columns in kinds.items():
         least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
         for name, x in columns.items():
             sections = still_sections(view.t, x, least)
-            if not sections:
-                continue
-            twin = _twin(view, kind, name)
-            if twin is not None:
-                hangs = [r for r in sections if _turns_meanwhile(view.t, x, twin, r, kind == "q")]
-            else:
-                hangs = [r for r in sections[:1] if _others_move(view, kinds, kind, name, r)]
-            if hangs:
+            if sections and (hangs := _hanging(view, kinds, kind, name, sections)):
                 t = view.t[hangs[0]]
-                whole, seen = len(t) == len(x), f"no change from {t[0]:.2f} to {t[-1]:.2f} s"
-                found["one value in every row" if whole else seen].append(name)
-    for seen, names in found.items():
+                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s"
+                hanging["one value in every row" if len(t) == len(x) else seen].append(name)
+    for seen, names in hanging.items():
         yield Finding(tuple(names), f"{seen} while others move", "a sensor that hangs")
 
 
-def _twin(view: LogView, kind: str, name: str) -> np.ndarray | None:
-    """The measured rate of a joint's angle, or the angle of its rate, (N,) without spikes.
-
-    None where there is none, or it is in another unit.
-    """
-    q, dq = _of_joint(view, kind, name)
-    derived = any(d.startswith("dq") for d in view.log.meta.derived)
-    if kind not in ("q", "dq") or q is None or dq is None or derived or not view.comparable:
-        return None
-    rate, change = view.means(dq[:, None]).std(), view.changes(q[:, None]).std()
-    if np.ptp(q) > _WHOLE_TURN or not change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change:
-        return None
-    return _median5(dq if kind == "q" else q)
-
-
-def _turns_meanwhile(
-    t: np.ndarray, x: np.ndarray, twin: np.ndarray, rows: slice, is_angle: bool
-) -> bool:
-    """Whether a joint's rate and angle contradict each other in rows in which one is constant.
-
-    Either the rate shows motion while the angle is constant, or the angle moves at a rate different
-    from the constant one.
-
-    Args:
-        t: times (N,) [s].
-        x: the constant one (N,).
-        twin: the other (N,).
-        rows: consecutive ones.
-        is_angle: whether x is the angle.
-    """
-    t = t[rows] - t[rows][0]
-    steps = np.abs(np.diff(x))
-    count = float(steps[steps > 0.0].min(initial=np.inf))
-    if not is_angle:
-        strays = float(np.ptp(twin[rows] - x[rows][0] * t))
-        return strays > max(RESTS, 3.0 * count * t[-1])
-    # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
-    ways = ((twin - offset)[rows] * np.gradient(t) for offset in (0.0, twin.mean()))
-    turned = min(float(np.ptp(np.cumsum(one))) for one in ways)
-    return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
-
-
-def _others_move(
-    view: LogView, kinds: dict[str, dict[str, np.ndarray]], kind: str, name: str, rows: slice
-) -> bool:
-    """Whether streams that go with a column move in some rows: others of its kind, else gyro,
-    angles and positions.
+def _hanging(
+    view: LogView,
+    kinds: dict[str, dict[str, np.ndarray]],
+    kind: str,
+    name: str,
+    sections: list[slice],
+) -> list[slice]:
+    """Sections in which a column is constant although what goes with it moves.
 
     Args:
         view: of the log.
         kinds: columns (N,) by kind and name.
         kind: of the column.
         name: of the column.
-        rows: consecutive ones.
+        sections: rows in which it is constant.
     """
+    q, dq = _of_joint(view, kind, name)
+    if kind in ("q", "dq") and q is not None and dq is not None and _comparable(view, q, dq):
+        return [rows for rows in sections if _contradict(view.t, q, dq, rows, kind == "q")]
     # The joints of an arm rest one by one.
-    if kind in ("q", "dq", "tau") and (view.robot is None or _rests(view, kind, name)):
-        return False
-    siblings = [_moves(x, rows) for other, x in kinds[kind].items() if other != name]
-    if sum(siblings) >= max(1, 0.5 * len(siblings)):
-        return True
-    others = [k for k in ("gyro", "q", "ref_p") if k != kind and k in kinds]
-    elsewhere = [_moves(x, rows) for k in others for x in kinds[k].values()]
-    return len(elsewhere) > 2 and sum(elsewhere) > 0.7 * len(elsewhere)
+    if kind in ("q", "dq", "tau") and (view.robot is None or _rests(view.t, q, dq)):
+        return []
+    return [rows for rows in sections[:1] if _others_move(kinds, name, rows)]
 
 
 def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
@@ -187,29 +148,70 @@ def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, n
     return q, dq
 
 
-def _rests(view: LogView, kind: str, name: str) -> bool:
-    """Whether a column is of a joint that rests throughout, by angle and rate.
+def _comparable(view: LogView, q: np.ndarray, dq: np.ndarray) -> bool:
+    """Whether a joint's angle and rate (N,) are measured, and in the same unit."""
+    derived = any(d.startswith("dq") for d in view.log.meta.derived)
+    if derived or not view.comparable or np.ptp(q) > _WHOLE_TURN:
+        return False
+    rate, change = view.means(dq[:, None]).std(), view.changes(q[:, None]).std()
+    return bool(change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change)
+
+
+def _contradict(t: np.ndarray, q: np.ndarray, dq: np.ndarray, rows: slice, angle: bool) -> bool:
+    """Whether a joint's angle q and rate dq (N,) at t [s] contradict each other in rows in which
+    the angle, or else the rate, is constant: the rate shows motion while the angle is constant, or
+    the angle moves at a rate different from the constant one.
+    """
+    t = t[rows] - t[rows][0]
+    steps = np.abs(np.diff(q if angle else dq))
+    count = float(steps[steps > 0.0].min(initial=np.inf))
+    if not angle:
+        strays = float(np.ptp(_median5(q)[rows] - dq[rows][0] * t))
+        return strays > max(RESTS, 3.0 * count * t[-1])
+    # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
+    rate = _median5(dq)
+    ways = ((rate - offset)[rows] * np.gradient(t) for offset in (0.0, rate.mean()))
+    turned = min(float(np.ptp(np.cumsum(one))) for one in ways)
+    return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
+
+
+def _rests(t: np.ndarray, q: np.ndarray | None, dq: np.ndarray | None) -> bool:
+    """Whether a joint rests throughout, by angle and rate (N,) at t [s].
 
     An angle that never changes and has no rate beside it may also be a dead sensor.
     """
-    q, dq = _of_joint(view, kind, name)
     turned = [] if q is None else [float(np.ptp(q))]
     if dq is not None:
         # Without its mean, since rates of a joint at rest may have an offset.
-        turned.append(float(np.ptp(np.cumsum((dq - dq.mean()) * np.gradient(view.t)))))
+        turned.append(float(np.ptp(np.cumsum((dq - dq.mean()) * np.gradient(t)))))
     return max(turned, default=np.inf) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
+
+
+def _others_move(kinds: dict[str, dict[str, np.ndarray]], name: str, rows: slice) -> bool:
+    """Whether streams that go with a column move in some rows: others of its kind, else gyro,
+    angles and positions; `kinds` are columns (N,) by kind and name.
+    """
+    siblings, elsewhere = [], []
+    for kind, columns in kinds.items():
+        moves = [_moves(x, rows) for other, x in columns.items() if other != name]
+        if name in columns:
+            siblings = moves
+        elif kind in ("gyro", "q", "ref_p"):
+            elsewhere += moves
+    if sum(siblings) >= max(1, 0.5 * len(siblings)):
+        return True
+    return len(elsewhere) > 2 and sum(elsewhere) > 0.7 * len(elsewhere)
 
 
 def _moves(x: np.ndarray, rows: slice) -> bool:
     """Whether a column moves in both halves of some rows."""
     low, high = np.quantile(x, (0.05, 0.95))
-    part = x[rows]
-    half = (len(part) - 1) // 2
-    least = min(np.ptp(part[: half + 1]), np.ptp(part[half:]))
+    half = (len(x[rows]) - 1) // 2
+    least = min(np.ptp(x[rows][: half + 1]), np.ptp(x[rows][half:]))
     return bool(high > low) and float(least) > _ALIVE * float(high - low)
 
 
-@plausibility_rule("held", beside="t", finds="note")
+@plausibility_rule("held", beside="t", is_note=True)
 def held(view: LogView) -> Iterator[Finding]:
     """Find columns that are sampled more slowly than the rows.
 
@@ -234,7 +236,7 @@ def held(view: LogView) -> Iterator[Finding]:
         yield Finding(columns, seen, cause, {"even": {"held": tuple(kinds)}})
 
 
-@plausibility_rule("interpolated", beside="t", finds="note")
+@plausibility_rule("interpolated", beside="t", is_note=True)
 def interpolated(view: LogView) -> Iterator[Finding]:
     """Find readings on straight lines between samples, which have been interpolated.
 
@@ -256,8 +258,8 @@ def interpolated(view: LogView) -> Iterator[Finding]:
             yield Finding(tuple(found), seen, cause)
 
 
-@plausibility_rule("late", beside="t ref", finds="symptom")
-def late(view: LogView) -> Iterator[Finding]:
+@plausibility_rule("late", beside="t ref")
+def lagging(view: LogView) -> Iterator[Finding]:
     """Find columns that lag another measurement of the same quantity.
 
     Compares: dq with the change of q, ref_v with that of ref_p.
@@ -265,41 +267,78 @@ def late(view: LogView) -> Iterator[Finding]:
     Reason: two samples; a filter's delay moves what filters and traces see.
     Remedy: nothing, if it is known: trace has rate_delay.
     """
-    for columns, x, witness, delay in _delays(view):
-        rates = columns[0].startswith("dq")
-        shifted = np.column_stack([np.interp(view.t + delay, view.t, one) for one in x.T])
-        left, whole = (float(np.sum((one - witness) ** 2)) for one in (shifted, x))
-        if not left < MENDED * whole or abs(delay) < view.least_lag(LATE_RATE if rates else LATE):
-            continue
-        of = "ref_p" if not rates else columns[0][1:] if len(columns) == 1 else "q"
-        when = "late" if delay > 0 else "early"
-        seen = f"{1e3 * abs(delay):.1f} ms {when} against the change of {of}"
-        # A reference has a clock of its own.
-        which = columns[0] if len(columns) < len(view.log.joints) else "dq"
-        changes = {"even": {"late": {which: round(delay, 4)}}} if rates else {}
-        yield Finding(columns, seen, "a filter, or stamps of another clock", changes)
-
-
-def _delays(view: LogView) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.ndarray, float]]:
-    """Columns, their readings (N, D), what these should be (N, D), and how late they are [s]: joint
-    rates, those of single joints that are unlike most, and the reference's velocity.
-    """
     log, t = view.log, view.t
     if log.has("q") and log.has("dq"):
-        names, dq = [f"dq_{j}" for j in log.joints], log.dq
         moved = derivative(t, log.q, JOINT_WINDOW, causal=False)
-        usual = delay_between(t, dq, moved, LATEST_RATE)
-        yield tuple(names), dq, moved, usual
-        for j in range(len(names)) if len(names) > 1 and view.resolves else ():
-            delay = delay_between(t, dq[:, [j]], moved[:, [j]], LATEST_RATE)
+        usual = delay_between(t, log.dq, moved, LATEST_RATE)
+        yield from _late(view, view.columns("dq"), log.dq, moved, usual)
+        for j, column in enumerate(view.columns("dq")) if view.resolves else ():
+            rate, change = log.dq[:, [j]], moved[:, [j]]
+            delay = delay_between(t, rate, change, LATEST_RATE)
             if abs(delay - usual) > LATE_RATE:
-                yield (names[j],), dq[:, [j]], moved[:, [j]], delay
+                yield from _late(view, (column,), rate, change, delay)
     if log.has("ref_v"):
         moved = derivative(t, log.ref_p, REFERENCE_WINDOW, causal=False)
-        yield REF_V, log.ref_v, moved, delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
+        delay = delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
+        yield from _late(view, REF_V, log.ref_v, moved, delay)
 
 
-@plausibility_rule("coarse", beside="gyro accel q", finds="note")
+def _late(
+    view: LogView, columns: tuple[str, ...], x: np.ndarray, witness: np.ndarray, delay: float
+) -> Iterator[Finding]:
+    """Check whether a delay explains how columns differ from what they should read.
+
+    Args:
+        view: of the log.
+        columns: their names.
+        x: their readings (N, D).
+        witness: what these should be (N, D).
+        delay: of the readings [s].
+    """
+    rates, one = columns[0].startswith("dq"), len(columns) < len(view.log.joints)
+    shifted = np.column_stack([np.interp(view.t + delay, view.t, y) for y in x.T])
+    explained = np.sum((shifted - witness) ** 2) < MENDED * np.sum((x - witness) ** 2)
+    if explained and abs(delay) >= view.least_lag(LATE_RATE if rates else LATE):
+        of = "ref_p" if not rates else columns[0][1:] if len(columns) == 1 else "q"
+        seen = f"{1e3 * abs(delay):.1f} ms {'late' if delay > 0 else 'early'}"
+        # A reference has a clock of its own.
+        lags = {columns[0] if one else "dq": round(delay, 4)}
+        cause, mended = "a filter, or stamps of another clock", {"even": {"late": lags}}
+        yield Finding(columns, f"{seen} against the change of {of}", cause, mended if rates else {})
+
+
+@plausibility_rule("noise", beside="t gyro accel dq", when="comparable")
+def noisy(view: LogView) -> Iterator[Finding]:
+    """Check the noise of gyro, accelerometer and joint rates.
+
+    Third differences hold little of a body's smooth motion.
+
+    Compares: gyro, accelerometer and joint rates with themselves from row to row.
+    Threshold: {NOISE[gyro]:g} rad/s, {NOISE[accel]:g} m/s², {NOISE[dq]:g} rad/s (joints).
+    Reason: data sheets of IMUs have a twentieth; encoders of 12 bits, read at 1 kHz and not
+        filtered, have as much; a body with mass moves smoothly.
+    Remedy: leave the log or the column out; of rates, or filter them: surefoot derives them from
+        angles, and says so; a filter takes such noise for 0.01 rad/s and 0.1 m/s².
+    """
+    log = view.log
+    for kind, group in (("gyro", "imu"), ("accel", "imu"), ("dq", "dq")):
+        if not (log.has(group) and view.resolves):
+            continue
+        x = getattr(log, kind)
+        # Third differences of white noise have 20 times its variance; the median ignores impacts.
+        rough = np.median(np.abs(np.diff(x, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
+        if kind == "dq":
+            rough[np.isinf(view.between_samples(x, log.q if log.has("q") else None))] = 0.0
+        over = np.flatnonzero(rough > NOISE[kind])
+        if over.size:
+            seen = f"{rough[over].max():.2f} {next(iter(UNITS[kind]))} from row to row"
+            cause = (
+                "a broken sensor, a drive that chatters, or readings of several samples mixed up"
+            )
+            yield Finding(view.columns(kind, over), seen, cause)
+
+
+@plausibility_rule("coarse", beside="gyro accel q", is_note=True)
 def coarse(view: LogView) -> Iterator[Finding]:
     """Check that readings resolve what they measure.
 
@@ -342,7 +381,7 @@ def overflows(view: LogView) -> Iterator[Finding]:
             yield Finding((name,), seen, cause, entries((name,), wrap=_WHOLE_TURN) if turns else {})
 
 
-@plausibility_rule("saturated", finds="note")
+@plausibility_rule("saturated", is_note=True)
 def saturated(view: LogView) -> Iterator[Finding]:
     """Check that readings do not accumulate at their largest value.
 
@@ -383,51 +422,45 @@ def spikes(view: LogView) -> Iterator[Finding]:
     for kind, columns in _kinds(view, (*NOISE, "tau")).items():
         if kind == "tau" and not view.on_fixed_base:
             continue  # a leg that lands asks for any torque
-        dropped, leaping, most, first = [], [], 0.0, len(view.t)
+        dropped: dict[str, int] = {}
+        leaping: dict[str, tuple[float, int]] = {}
         for name, x in columns.items():
             if len(x) < 50 or not np.ptp(x):
                 continue
-            off = np.abs(x - _median5(x))
             # Drives report no rate below some speed.
             zeros = _drop_outs(x, most=2 if kind in ("dq", "tau") else None)
+            rows, off = _leaps(view, kind, name, x)
             if zeros >= DROPS:
-                dropped.append((name, zeros))
-                continue
-            least = IMPACT if kind == "accel" else SPIKES * NOISE.get(kind, np.inf)
-            if kind in ("q", "dq", "tau"):
-                least = min(least, LONE * float(x.std()))
-            usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
-            rows = np.flatnonzero(off > max(least, SPIKE * usual))
-            if kind == "dq":
-                rows = rows[~_turned(view, name, rows, 0.25 * off[rows])]
-            if rows.size:
-                leaping.append(name)
-                most, first = max(most, float(off[rows].max())), min(first, int(rows[0]))
+                dropped[name] = zeros
+            elif rows.size:
+                leaping[name] = float(off.max()), int(rows[0])
         if dropped:
-            seen = f"{max(n for _, n in dropped)} rows read exactly 0 between rows that do not"
-            names = tuple(name for name, _ in dropped)
-            yield Finding(names, seen, "drop-outs filled with zeros")
+            seen = f"{max(dropped.values())} rows read exactly 0 between rows that do not"
+            yield Finding(tuple(dropped), seen, "drop-outs filled with zeros")
         if leaping:
+            most, first = max(leaping.values())[0], min(row for _, row in leaping.values())
             seen = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
             yield Finding(tuple(leaping), seen, "readings corrupted in transmission")
 
 
-def _turned(view: LogView, name: str, rows: np.ndarray, within: np.ndarray) -> np.ndarray:
-    """Whether a joint's angle changes from or to each row in accordance with its rate there, as for
-    a leg that chatters on the ground.
+def _leaps(view: LogView, kind: str, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (K,) at which a column x (N,) leaps and back, and how far (K,).
 
-    Args:
-        view: of the log.
-        name: of the rate's column.
-        rows: of the rate.
-        within: (rows,) rad/s by which they may differ.
+    A joint's rate does not where its angle changes as it says, as for a leg that chatters on the
+    ground.
     """
-    frame, angle = view.log.frame, f"q{name.removeprefix('dq')}"
-    if angle not in frame:
-        return np.zeros(len(rows), dtype=bool)
-    change = np.diff(frame[angle].to_numpy()) / np.diff(view.t)
-    beside = change[np.clip([rows - 1, rows], 0, len(change) - 1)]
-    return np.abs(beside - frame[name].to_numpy()[rows]).min(axis=0) < within
+    off = np.abs(x - _median5(x))
+    least = IMPACT if kind == "accel" else SPIKES * NOISE.get(kind, np.inf)
+    if kind in ("q", "dq", "tau"):
+        least = min(least, LONE * float(x.std()))
+    usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
+    rows = np.flatnonzero(off > max(least, SPIKE * usual))
+    q, dq = _of_joint(view, kind, name)
+    if kind == "dq" and q is not None and dq is not None:
+        change = np.diff(q) / np.diff(view.t)
+        beside = change[np.clip([rows - 1, rows], 0, len(change) - 1)]
+        rows = rows[np.abs(beside - dq[rows]).min(axis=0) >= 0.25 * off[rows]]
+    return rows, off[rows]
 
 
 @plausibility_rule("copied")
@@ -450,7 +483,7 @@ def copies(view: LogView) -> Iterator[Finding]:
                 yield Finding((a, b), seen, f"one of two {kind} columns was read twice")
 
 
-@plausibility_rule("derived", when="comparable", finds="note")
+@plausibility_rule("derived", when="comparable", is_note=True)
 def derived(view: LogView) -> Iterator[Finding]:
     """Find columns that follow exactly from others and are no measurement.
 
@@ -461,23 +494,20 @@ def derived(view: LogView) -> Iterator[Finding]:
     """
     log = view.log
     if log.has("q") and log.has("dq") and not any(d.startswith("dq") for d in log.meta.derived):
-        dq, step = log.dq, np.diff(view.t)[:, None]
-        change = np.diff(log.q, axis=0) / step
+        change = np.diff(log.q, axis=0) / np.diff(view.t)[:, None]
         central = np.gradient(log.q, view.t, axis=0)
-        made = np.zeros(dq.shape[1], dtype=bool)
-        for one, rows in ((change, dq[1:]), (change, dq[:-1]), (central, dq)):
-            made |= np.sum((one - rows) ** 2, axis=0) < 1e-8 * np.sum(dq**2, axis=0)
+        made = np.zeros(len(log.joints), dtype=bool)
+        for one, rates in ((change, log.dq[1:]), (change, log.dq[:-1]), (central, log.dq)):
+            made |= np.sum((one - rates) ** 2, axis=0) < 1e-8 * np.sum(log.dq**2, axis=0)
         if made.any():
             seen = "the difference of q from row to row, to 1e-4 of its size"
-            columns = tuple(f"dq_{j}" for j, m in zip(log.joints, made, strict=True) if m)
-            yield Finding(columns, seen, "computed from q, not measured")
+            yield Finding(view.columns("dq", made), seen, "computed from q, not measured")
     law = log.meta.motor_law
-    if law and log.has("tau") and log.has("q") and log.has("q_des") and log.has("dq"):
+    if law and all(log.has(group) for group in ("tau", "q", "q_des", "dq")):
         commanded = np.asarray(law["kp"]) * (log.q_des - log.q) - np.asarray(law["kd"]) * log.dq
         if np.any(log.tau) and np.sum((commanded - log.tau) ** 2) < 1e-8 * np.sum(log.tau**2):
-            columns = tuple(f"tau_{j}" for j in log.joints)
             seen = "the motor law of q_des, q and dq, to 1e-4 of its size"
-            yield Finding(columns, seen, "commanded, not measured")
+            yield Finding(view.columns("tau"), seen, "commanded, not measured")
 
 
 def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
@@ -500,9 +530,8 @@ def still_sections(t: np.ndarray, x: np.ndarray, least: float) -> list[slice]:
 
     t (N,) [s] are the times of the rows.
     """
-    change = np.flatnonzero(np.diff(x) != 0.0)
-    first = np.concatenate([[0], change + 1])
-    last = np.concatenate([change, [len(x) - 1]])
+    first = np.concatenate([[0], changes(x)])
+    last = np.append(first[1:], len(x)) - 1
     long = np.flatnonzero(t[last] - t[first] >= least)
     order = long[np.argsort(first[long] - last[long], kind="stable")]
     return [slice(int(first[k]), int(last[k]) + 1) for k in order[:_MOST_HOLDS]]

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log
-from surefoot.sim.plausibility.attitude import LATE, LATEST, AttitudeFault, attitude_fault
-from surefoot.sim.plausibility.axes import AxesMatch, lag_of, match_axes
+from surefoot.sim.plausibility.comparison import AxesMatch, lag_of, match_axes
 from surefoot.sim.plausibility.stance import Stance, stance_of
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.robot import Robot
@@ -84,6 +83,14 @@ class LogView:
         """Whether the machine is known and has no legs."""
         return self.machine is not None and self.machine.fixed
 
+    def columns(self, kind: str, which: np.ndarray | slice = slice(None)) -> tuple[str, ...]:
+        """Columns of a kind, such as gyro, q or contact; of those parts that `which` selects, by
+        their numbers or a mask.
+        """
+        of_legs_or_joints = self.log.legs if kind == "contact" else self.log.joints
+        parts = "xyz" if kind in ("gyro", "accel") else of_legs_or_joints
+        return tuple(np.array([f"{kind}_{part}" for part in parts])[which].tolist())
+
     @cached_property
     def step(self) -> float:
         """Usual time between rows [s]."""
@@ -97,12 +104,12 @@ class LogView:
         return least + 0.5 * self.step
 
     def delay(
-        self, late: np.ndarray, witness: np.ndarray, least: float, most: float
+        self, lagging: np.ndarray, witness: np.ndarray, least: float, most: float
     ) -> tuple[float, float]:
-        """Delay [s] of `late` (M, D) relative to `witness` (M, D), 0 where it is smaller than
+        """Delay [s] of `lagging` (M, D) relative to `witness` (M, D), 0 where it is smaller than
         `least`, and their correlation at it; at most `most` [s].
         """
-        found, alike = lag_of(late, witness, STEP, most)
+        found, alike = lag_of(lagging, witness, STEP, most)
         return (found if abs(found) > self.least_lag(least) else 0.0), alike
 
     def means(self, x: np.ndarray) -> np.ndarray:
@@ -198,39 +205,12 @@ class LogView:
         """Match of the gyro's axes with the reference's rotation."""
         return match_axes(self.gyro[self.ok], self.turning[self.ok])
 
-    @cached_property
-    def attitude(self) -> AttitudeFault | None:
-        """Fault of the reference's attitudes, by IMU and body."""
-        if not self.compares_turning:
-            return None
-        force = self.log.accel.mean(axis=0)
-        up = None if self.robot is None else self.robot.R_BI[2]
-        if up is not None and force @ up < 0.5 * np.linalg.norm(force):
-            force = np.zeros(3)  # the accelerometer is what leans
-        begin, end = (self.attitudes(after, self.ok) for after in (-0.5 * MEAN, 0.5 * MEAN))
-        gyro = self.gyro[self.ok]
-        delay = self.delay(self.turning[self.ok], gyro, LATE, LATEST)
-        return attitude_fault(begin, end, gyro, force, delay, self._fits_gyro)
-
-    def _fits_gyro(self, put_right: np.ndarray) -> bool:
-        """Whether the gyro as logged fits better than a corrected one (M', 3), given where `ok`.
-
-        Judged by the legs or, where these show nothing, by whether the accelerometer contradicts
-        the reference, too.
-        """
-        if self.stance is not None:
-            other = self.gyro.copy()
-            other[self.ok] = put_right
-            which = self.stance.which
-            as_is, else_ = (self.stance.turning_fits(x[which]) for x in (self.gyro, other))
-            if max(as_is, else_) > 0.2:
-                return as_is > else_
-        return bool(match_axes(self.accel[self.ok], self.felt[self.ok]).wrong)
-
     @property
     def trusts_reference(self) -> bool:
-        """Whether no fault of the reference's attitudes was found."""
-        return self.compares_turning and self.attitude is None and self.gyro_match.alike
+        """Whether the reference turns as the gyro does; what else is wrong with it is for rules to
+        find that come before.
+        """
+        return self.compares_turning and self.gyro_match.alike
 
     @cached_property
     def ref_v(self) -> np.ndarray:

@@ -5,6 +5,7 @@ import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,8 @@ from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.plausibility import RULES, check_log, rules_table
-from surefoot.sim.plausibility.axes import lag_of, match_axes
-from surefoot.sim.plausibility.finding import PARAGRAPHS, Finding
+from surefoot.sim.plausibility.comparison import lag_of, match_axes
+from surefoot.sim.plausibility.finding import PARAGRAPHS, Finding, Rule
 from surefoot.sim.plausibility.streams import _drop_outs
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -34,7 +35,10 @@ SPOT = Robot.load("spot_class")
 COURSE = (Segment(2.5, 0.7), Segment(3.0, 0.5, turn=0.6), Segment(2.5, 0.7, turn=-0.4))
 GYRO, ACCEL = ([f"{kind}_{a}" for a in "xyz"] for kind in ("gyro", "accel"))
 DEGREE = 180.0 / np.pi
+G = 9.80665
 NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+JOINTS = "(q|dq|tau)_"
+"""Columns of joints, without their commands."""
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +60,538 @@ def named(start: str, log: Log, robot: Robot | None = SPOT) -> bool:
     return any(line.startswith(start) for line in found_in(log, robot))
 
 
+# What is done to the columns of a log whose names begin with a pattern, each (N,).
+
+Values = Callable[[np.ndarray], np.ndarray]
+
+
+def changed(log: Log, pattern: str, change: Values) -> Log:
+    names = columns_of(log, pattern)
+    return log.with_columns({name: change(log.frame[name].to_numpy()) for name in names})
+
+
+def columns_of(log: Log, pattern: str) -> list[str]:
+    named = [name for name in map(str, log.frame) if re.match(pattern, name)]
+    found = [n for n in named if not n.startswith(("q_des", "dq_des", "tau_ff"))]
+    assert found
+    return found
+
+
+def times(factor: float) -> Values:
+    return lambda x: factor * x
+
+
+def plus(amount: float) -> Values:
+    return lambda x: x + amount
+
+
+def frozen(x: np.ndarray) -> np.ndarray:
+    rows = np.arange(len(x))
+    return np.where((rows >= len(x) // 3) & (rows <= len(x) // 2), x[len(x) // 3], x)
+
+
+def clipped(x: np.ndarray) -> np.ndarray:
+    return np.clip(x, *np.quantile(x, (0.1, 0.9)))
+
+
+def leaping(size: float) -> Values:
+    return lambda x: x + size * (np.arange(len(x)) % 500 == 100)
+
+
+def zeroed(x: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(len(x)) % 200 == 50, 0.0, x)
+
+
+def disconnected(x: np.ndarray) -> np.ndarray:
+    rows = np.arange(len(x))
+    return np.where((rows >= 2000) & (rows <= 2150), 0.0, x)
+
+
+def straight(every: int) -> Values:
+    """On straight lines between each so many rows."""
+    return lambda x: np.interp(np.arange(len(x)), np.arange(len(x))[::every], x[::every])
+
+
+def noisy(size: float) -> Values:
+    rng = np.random.default_rng(0)
+    return lambda x: x + rng.normal(0.0, size, len(x))
+
+
+def rounded(step: float) -> Values:
+    return lambda x: step * np.round(x / step)
+
+
+def held(x: np.ndarray) -> np.ndarray:
+    return x[np.arange(len(x)) // 4 * 4]
+
+
+def every_second_step(contact: np.ndarray) -> np.ndarray:
+    step = np.cumsum(np.diff(contact, prepend=contact[0]) > 0.0)
+    return np.where(step % 2 == 1, 0.0, contact)
+
+
+# What is done to several columns together, or to the rows.
+
+
+def exchanged(log: Log, *pairs: tuple[str, str]) -> Log:
+    """Columns exchanged, whole families of them by a part of their name."""
+    values = {}
+    for a, b in pairs:
+        for c in map(str, log.frame):
+            if a in c and not c.startswith(("slip", "mu")):
+                other = c.replace(a, b)
+                values |= {c: log.frame[other], other: log.frame[c]}
+    assert values
+    return log.with_columns(values)
+
+
+def vectors(log: Log, **made: np.ndarray) -> Log:
+    return log.with_columns(
+        {f"{n}_{a}": x[:, i] for n, x in made.items() for i, a in enumerate("xyz")}
+    )
+
+
+def turned(axis: str, degrees: float) -> Rotation:
+    return Rotation.from_euler(axis, degrees, degrees=True)
+
+
+def imu_turned(log: Log, R: Rotation) -> Log:
+    return vectors(log, gyro=R.apply(log.gyro), accel=R.apply(log.accel))
+
+
+def positions_turned(log: Log, R: Rotation) -> Log:
+    return vectors(log, ref_p=R.apply(log.ref_p), ref_v=R.apply(log.ref_v))
+
+
+def attitude(log: Log, read: Callable[[Rotation], Rotation]) -> Log:
+    q = read(Rotation.from_quat(log.ref_q, scalar_first=True)).as_quat(scalar_first=True)
+    return log.with_columns({f"ref_q_{a}": q[:, i] for i, a in enumerate("wxyz")})
+
+
+def body_turned(log: Log, R: Rotation) -> Log:
+    return attitude(log, lambda attitudes: attitudes * R)
+
+
+def in_world(log: Log, R_WG: Rotation) -> Log:
+    return attitude(positions_turned(log, R_WG), lambda R: R_WG * R)
+
+
+def euler_angles(log: Log, read: Callable[..., tuple[np.ndarray, ...]]) -> Log:
+    """Attitudes with other Euler angles, given yaw, pitch and roll."""
+    return attitude(
+        log, lambda R: Rotation.from_euler("ZYX", np.column_stack(read(*R.as_euler("ZYX").T)))
+    )
+
+
+def of_another_point(log: Log, *p_IM: float) -> Log:
+    R = log.ref_R_GI
+    turning = np.einsum("nij,nj->ni", R, np.cross(log.gyro, p_IM))
+    return vectors(log, ref_p=log.ref_p + R @ p_IM, ref_v=log.ref_v + turning)
+
+
+def leg_odometry(log: Log) -> Log:
+    """The reference's positions as legs and gyro have them."""
+    feet, on = SPOT.feet_I(log.q), log.contact[:, :, None]
+    by_leg = -(np.gradient(feet, log.t, axis=0) + np.cross(log.gyro[:, None], feet))
+    v_I = np.sum(by_leg * on, axis=1) / np.maximum(on.sum(axis=1), 1)
+    v_GI = np.einsum("nij,nj->ni", log.ref_R_GI, v_I)
+    return vectors(log, ref_p=log.ref_p[0] + np.cumsum(v_GI, axis=0) / log.rate, ref_v=v_GI)
+
+
+def velocity_in_body(log: Log) -> Log:
+    return vectors(log, ref_v=np.einsum("nji,nj->ni", log.ref_R_GI, log.ref_v))
+
+
+def sinking(log: Log) -> Log:
+    down = np.array([0.0, 0.0, -0.3])
+    return vectors(log, ref_p=log.ref_p + log.t[:, None] * down, ref_v=log.ref_v + down)
+
+
+def differenced(log: Log, pattern: str) -> Log:
+    names = columns_of(log, pattern)
+    return log.with_columns({c: np.gradient(log.frame[c[1:]], log.t) for c in names})
+
+
+def lagging(log: Log, seconds: float, pattern: str) -> Log:
+    rows, names = round(seconds * log.rate), columns_of(log, pattern)
+    frame = log.frame.iloc[rows:].reset_index(drop=True)
+    frame[names] = log.frame[names].iloc[: len(frame)].to_numpy()
+    return replace(log, frame=frame)
+
+
+def dropped(log: Log, rows: slice | int, restamped: bool = False) -> Log:
+    kept = np.ones(len(log.t), dtype=bool)
+    kept[rows if isinstance(rows, slice) else slice(7, None, rows)] = False
+    found = log.rows(kept)
+    return found.with_columns({"t": np.arange(len(found.t)) / log.rate}) if restamped else found
+
+
+def reordered(log: Log, rows: np.ndarray) -> Log:
+    return log.rows(rows).with_columns({"t": log.t[: len(rows)]})
+
+
+def in_twos_the_wrong_way_about(log: Log) -> Log:
+    return reordered(log, np.arange(len(log.t) // 2 * 2).reshape(-1, 2)[:, ::-1].ravel())
+
+
+def stretched(log: Log, factor: float) -> Log:
+    """Time at another speed, or in another unit, in stamps and rate."""
+    meta = replace(log.meta, rate=log.meta.rate / factor)
+    return replace(log.with_columns({"t": factor * log.t}), meta=meta)
+
+
+def noisy_contacts(log: Log) -> Log:
+    wrong = np.random.default_rng(0).random(log.contact.shape) < 0.1
+    both = (log.contact ^ wrong).astype(float)
+    return log.with_columns({f"contact_{leg}": both[:, i] for i, leg in enumerate(log.legs)})
+
+
+def bouncing(log: Log) -> Log:
+    """Each landing and lift is followed by eight short changes, as on ice."""
+    at = np.flatnonzero(np.diff(log.contact.astype(int), axis=0).any(axis=1))
+    contact = log.contact.copy()
+    for row in at[at < len(contact) - 20]:
+        moved = contact[row] != contact[row + 1]
+        contact[row + 2 : row + 17 : 4, moved] = log.contact[row, moved]
+    return log.with_columns({f"contact_{x}": contact[:, i] for i, x in enumerate(log.legs)})
+
+
+def at_rate(log: Log, rate: float) -> Log:
+    """Rows of a lower rate, over which the IMU is averaged."""
+    n = round(log.rate / rate)
+    rows = np.arange(n, len(log.t), n)
+    summed = np.cumsum(np.column_stack([log.gyro, log.accel]), axis=0)
+    averaged = (summed[rows] - summed[rows - n]) / n
+    slow = log.rows(rows).with_columns(dict(zip([*GYRO, *ACCEL], averaged.T, strict=True)))
+    return replace(slow, meta=replace(log.meta, rate=log.meta.rate / n))
+
+
+COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
+    # the columns, what is done to each; the rule that notices it; what its line says, in part
+    "gyro in deg/s": ("gyro", times(DEGREE), "gyro's unit", 'unit = "deg/s"'),
+    "gyro in rpm": ("gyro", times(30.0 / np.pi), "gyro", 'unit = "rpm"'),
+    "gyro all zero": ("gyro", np.zeros_like, "frozen", "gyro_x, gyro_y, gyro_z"),
+    "gyro with z of the wrong sign": ("gyro_z", np.negative, "gyro", "gyro_z: z is -z"),
+    "gyro negated": ("gyro", np.negative, "gyro", "x is -x, y is -y, z is -z"),
+    "gyro scaled": ("gyro", times(1.4), "gyro", "1.4 times as fast"),
+    "a weak axis": ("gyro_z", times(0.3), "gyro", "gyro_z: scaled"),
+    "gyro biased": ("gyro_z", plus(0.8), "gyro", "gyro_z: a bias"),
+    "gyro that drifts": (
+        "gyro_z", lambda x: x + np.linspace(0.0, 0.6, len(x)), "gyro", "rad/s off"),
+    "gyro saturated": ("gyro_x", clipped, "saturated", "gyro_x"),
+    "gyro held": ("gyro", held, "held", "gyro_x"),
+    "gyro rounded": ("gyro", rounded(0.1), "coarse", "readings are 0.1 apart"),
+    "gyro that is noise": ("gyro", noisy(0.5), "noise", "gyro_x, gyro_y, gyro_z"),
+    "gyro that overflows": (
+        "gyro_x", lambda x: (20.0 * x + 4.0) % 8.0 - 4.0, "overflow", "gyro_x: numbers that"),
+    "an axis frozen": ("gyro_y", frozen, "frozen", "gyro_y: a sensor that hangs"),
+    "spikes in the gyro": ("gyro_x", leaping(20.0), "spikes", "gyro_x"),
+    "accelerometer in g": ("accel", times(1 / G), "gravity", 'unit = "g"'),
+    "accelerometer in mg": ("accel", times(1e3 / G), "gravity", 'unit = "mg"'),
+    "accelerometer in mm/s^2": ("accel", times(1e3), "gravity", "in mm/s^2"),
+    "accelerometer in cm/s^2": ("accel", times(100.0), "gravity", "in cm/s^2"),
+    "accelerometer in ft/s^2": ("accel", times(1.0 / 0.3048), "gravity", "in ft/s^2"),
+    "accelerometer negated": ("accel", np.negative, "gravity", "gravity was logged"),
+    "accelerometer's z negated": ("accel_z", np.negative, "gravity", "accel_z: wrong sign"),
+    "accelerometer scaled": ("accel", times(1.2), "gravity", "scaled by 1.2"),
+    "gravity of the wrong sign": ("accel_z", plus(-19.62), "gravity", "offset = 19.62"),
+    "accelerometer saturated": ("accel_z", clipped, "saturated", "accel_z"),
+    "accelerometer that is noise": ("accel", noisy(4.0), "noise", "accel_x, accel_y, accel_z"),
+    "accelerometer dropped to zero": ("accel", zeroed, "spikes", "drop-outs"),
+    "angles in deg": ("q_", times(DEGREE), "joints' unit", 'unit = "deg"'),
+    "angles and rates in deg": ("(q|dq)_", times(DEGREE), "joints' unit", 'unit = "deg"'),
+    "rates in deg/s": ("dq_", times(DEGREE), "joint rates", 'unit = "deg/s"'),
+    "a rate of the wrong sign": (
+        "dq_FL_calf", np.negative, "joint rates", "dq_FL_calf: wrong sign"),
+    "an angle whose sign changes": (
+        "q_FR_thigh", lambda x: np.where(np.arange(len(x)) > 2500, -x, x),
+        "joint rates", "dq_FR_thigh: its sign, or that of its angle, changes during the log"),
+    "a rate that is noise": ("dq_FL_calf", noisy(3.0), "noise", "dq_FL_calf"),
+    "rates all zero": ("dq_", np.zeros_like, "frozen", "dq_FL_hip"),
+    "a joint frozen": ("q_FL_calf", frozen, "frozen", "q_FL_calf"),
+    "a joint and its rate frozen": ("(q|dq)_FL_calf", frozen, "frozen", "dq_FL_calf"),
+    "an angle within a turn": (
+        "q_FL_calf", lambda x: (x - np.median(x)) % (2.0 * np.pi), "overflow", "wrap = 6.28"),
+    "spikes in a joint": ("q_FL_calf", leaping(1.0), "spikes", "q_FL_calf"),
+    "joints dropped to zero": ("q_", zeroed, "spikes", "drop-outs"),
+    "a leg disconnected for a while": (
+        f"{JOINTS}RL", disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
+    "joints between a few readings": (
+        "(q|dq)_", straight(5), "interpolated", "readings at 100 Hz"),
+    "calves of the wrong sign": (f"{JOINTS}.._calf", np.negative, "legs", "FL_calf = -1"),
+    "hips of the wrong sign": (f"{JOINTS}.._hip", np.negative, "legs", "FL_hip = -1"),
+    "right hips mirrored": (
+        f"{JOINTS}.R_hip", np.negative, "legs", "q_FR_hip, q_RR_hip: wrong sign"),
+    "a hip's wrong zero": ("q_RL_hip", plus(0.2), "zeros", "q_RL_hip, q_RR_hip"),
+    "a wrong zero": ("q_FL_thigh", plus(0.4), "zeros", "q_FL_thigh, q_FR_thigh"),
+    "all calves from another zero": ("q_.._calf", plus(0.3), "legs", "-0.3 rad added"),
+    "all thighs from another zero": ("q_.._thigh", plus(-0.2), "legs", "+0.2 rad added"),
+    "torques in mN m": ("tau_", times(1e3), "torque", 'unit = "mN m"'),
+    "torques negated": ("tau_", np.negative, "support", "wrong sign"),
+    "torques of the motor": ("tau_", times(1 / 8), "support", "a motor's side"),
+    "torques without a sign": ("tau_", np.abs, "magnitudes", "without their sign"),
+    "contacts inverted": (
+        "contact", lambda x: 1.0 - x, "legs", "inverted: 1 means lifted"),
+    "one contact inverted": (
+        "contact_RL", lambda x: 1.0 - x, "contact heights", "contact_RL"),
+    "a contact always on": (
+        "contact_FL", np.ones_like, "contacts", "contact_FL: a dead sensor"),
+    "contacts always off": ("contact", np.zeros_like, "contacts", "always 0"),
+    "a contact stuck for a while": ("contact_RR", frozen, "contacts", "contact_RR"),
+    "a contact that misses steps": (
+        "contact_FR", every_second_step, "contacts", "contact_FR: a threshold that lighter steps"),
+    "positions in mm": ("ref_p", times(1e3), "reference's unit", 'unit = "mm"'),
+    "positions with z down": (
+        "ref_[pv]_z", np.negative, "accelerometer", "ref_p_z: z is down"),
+    "reference at 5 Hz": ("ref_p", straight(100), "interpolated", "ref_p_x"),
+    "reference frozen": ("ref_", frozen, "frozen", "ref_p_x to ref_v_z"),
+    "reference scaled": (
+        "ref_[pv]", times(1.2), "reference's motion", "times that of the accelerometer"),
+    "spikes in the reference": ("ref_p_x", leaping(1.0), "spikes", "ref_p_x"),
+    "velocities in mm/s": ("ref_v", times(1e3), "reference's velocity", 'unit = "mm/s"'),
+    "velocities in km/h": ("ref_v", times(3.6), "reference's velocity", "in km/h"),
+    "velocities in inches/s": ("ref_v", times(39.37), "reference's velocity", "in inches/s"),
+    "velocities all zero": ("ref_v", np.zeros_like, "frozen", "ref_v_x"),
+    "no velocity along an axis": (
+        "ref_v_x", np.zeros_like, "frozen", "ref_v_x: a sensor that hangs"),
+}  # fmt: skip
+LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
+    # what is done to the log; the rule that notices it; what its line says, in part
+    "gyro with x and y swapped": (
+        lambda log: exchanged(log, ("gyro_x", "gyro_y")), "gyro", "x is y, y is x"),
+    "gyro and accelerometer swapped": (
+        lambda log: vectors(log, gyro=log.accel, accel=log.gyro),
+        "gyro's unit", "gyro_x to accel_z: gyro and accelerometer swapped"),
+    "gravity taken off": (
+        lambda log: vectors(log, accel=log.accel - 9.81 * log.ref_R_GI[:, 2]),
+        "gravity", "gravity was taken off"),
+    "accelerometer's y and z swapped": (
+        lambda log: exchanged(log, ("accel_y", "accel_z")), "gravity", "gravity is on y, up is z"),
+    "accelerometer's x and y swapped": (
+        lambda log: exchanged(log, ("accel_x", "accel_y")), "accelerometer", "x is y, y is x"),
+    "accelerometer that is a direction": (
+        lambda log: vectors(
+            log, accel=9.81 * log.accel / np.linalg.norm(log.accel, axis=1, keepdims=True)
+        ), "gravity", "a direction"),
+    "accelerometer of gravity alone": (
+        lambda log: vectors(log, accel=low_pass(log.accel, 0.5, log.rate)),
+        "accelerometer", "a filter"),
+    "accelerometer in the world": (
+        lambda log: vectors(log, accel=np.einsum("nij,nj->ni", log.ref_R_GI, log.accel)),
+        "accelerometer", "in the world's axes"),
+    "IMU turned about z": (partial(imu_turned, R=turned("z", 90)), "gyro", "the IMU is turned"),
+    "IMU turned by 30 deg": (partial(imu_turned, R=turned("z", 30)), "gyro", "the IMU is turned"),
+    "IMU with z down": (partial(imu_turned, R=NED), "gravity", "accel_z"),
+    "an axis read twice": (
+        lambda log: log.with_columns({"gyro_y": log.frame["gyro_x"]}), "copied", "gyro_x, gyro_y"),
+    "a joint read twice": (
+        lambda log: log.with_columns({"q_FR_calf": log.frame["q_FL_calf"]}),
+        "copied", "q_FR_calf"),
+    "rates swapped": (
+        lambda log: exchanged(log, ("dq_FL_thigh", "dq_FL_calf")),
+        "joint rates", "the rate of FL_calf"),
+    "rates from differences": (
+        partial(differenced, pattern="dq_"), "derived", "computed from q"),
+    "a rate from differences": (
+        partial(differenced, pattern="dq_FR_calf"), "derived", "dq_FR_calf: computed from q"),
+    "velocities in the body": (velocity_in_body, "reference's velocity", "in the body's axes"),
+    "quaternions x, y, z, w": (
+        lambda log: attitude(log, lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True)),
+        "reference's attitude", "order is x, y, z, w"),
+    "quaternions of the inverse": (
+        partial(attitude, read=Rotation.inv),
+        "reference's attitude", "turns the world to the body"),
+    "north-east-down": (
+        lambda log: body_turned(in_world(log, NED), NED),
+        "reference's attitude", "z down"),
+    "the world's z down": (partial(in_world, R_WG=NED), "reference's attitude", "z down"),
+    "a heading that turns clockwise": (
+        partial(euler_angles, read=lambda yaw, pitch, roll: (-yaw, pitch, roll)),
+        "reference's attitude", "heading turns clockwise"),
+    "roll and pitch swapped": (
+        partial(euler_angles, read=lambda yaw, pitch, roll: (yaw, roll, pitch)),
+        "reference's attitude", "roll and pitch are exchanged"),
+    "positions with x and y swapped": (
+        lambda log: exchanged(log, ("ref_p_x", "ref_p_y"), ("ref_v_x", "ref_v_y")),
+        "accelerometer", "x is y"),
+    "reference's positions turned": (
+        partial(positions_turned, R=turned("z", 30)), "reference's motion", "30 deg about z"),
+    "reference's world not level": (
+        partial(in_world, R_WG=turned("x", 12)), "accelerometer", "not level"),
+    "reference that sinks": (sinking, "legs", "sinks by 0.30 m/s"),
+    "reference of a point before the IMU": (
+        lambda log: of_another_point(log, 0.5, 0.0, 0.0),
+        "reference's point", "of a point at (0.5"),
+    "reference of a point above the IMU": (
+        lambda log: of_another_point(log, 0.0, 0.0, 0.5),
+        "reference's point", "0.50) m in the IMU's axes"),
+    "reference made of the legs": (leg_odometry, "reference from legs", "computed from the legs"),
+    "legs swapped, left and right": (
+        lambda log: exchanged(log, ("_FL", "_FR"), ("_RL", "_RR")),
+        "legs", "FL is FR, FR is FL, RL is RR"),
+    "legs swapped, front and rear": (
+        lambda log: exchanged(log, ("_FL", "_RL"), ("_FR", "_RR")), "legs", "FL is RL, FR is RR"),
+    "two legs swapped": (
+        lambda log: exchanged(log, ("_FL", "_FR")), "legs", "FL is FR, FR is FL"),
+    "joints of two legs swapped": (
+        lambda log: exchanged(log, ("q_FL", "q_FR"), ("tau_FL", "tau_FR")),
+        "legs", "swapped legs (joints)"),
+    "contacts of two legs swapped": (
+        lambda log: exchanged(log, ("contact_FL", "contact_FR")),
+        "legs", "swapped legs (contacts)"),
+    "hips and thighs swapped": (
+        lambda log: exchanged(log, ("_hip", "_thigh")), "legs", "FL_hip is FL_thigh"),
+    "thighs and calves swapped": (
+        lambda log: exchanged(log, ("_thigh", "_calf")), "legs", "FL_thigh is FL_calf"),
+    "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
+    "a second lost": (partial(dropped, rows=slice(1000, 1500)), "rows", "500 rows missing"),
+    "every twentieth row lost": (partial(dropped, rows=20), "single rows", "lost rows"),
+    "rows lost behind even stamps": (
+        partial(dropped, rows=slice(1000, 1240), restamped=True), "jumps", "behind even stamps"),
+    "rows in twos the wrong way about": (in_twos_the_wrong_way_about, "jumps", "out of order"),
+    "time reversed": (
+        lambda log: reordered(log, np.arange(len(log.t))[::-1]),
+        "speed of time", "time runs backwards"),
+    "time at half its speed": (
+        partial(stretched, factor=2.0), "speed of time", "2 times the change"),
+    "time at 1.25 of its speed": (
+        partial(stretched, factor=0.8), "speed of time", "stamps at a wrong rate"),
+    "time in ms": (partial(stretched, factor=1e3), "rows", 'unit = "ms"'),
+    "time in us": (partial(stretched, factor=1e6), "rows", 'unit = "us"'),
+    "another rate in the metadata": (
+        lambda log: replace(log, meta=replace(log.meta, rate=400.0)), "rows", "says 400 Hz"),
+}  # fmt: skip
+LATE_CASES: dict[str, tuple[float, str, str, str]] = {
+    # by how much [s], the columns; the rule that notices it; what its line says, in part
+    "reference 0.3 s late": (0.3, "ref_", "reference's attitude", "offset = -0.3"),
+    "reference 0.05 s late": (0.05, "ref_", "reference's attitude", "is late"),
+    "reference of another clock": (3.0, "ref_", "gyro", "another clock; try surefoot align"),
+    "velocities late": (0.1, "ref_v", "late", "ms late against the change of ref_p"),
+    "IMU late": (0.2, "(gyro|accel)", "reference's attitude", "is early"),
+    "gyro late": (0.06, "gyro", "reference's attitude", "gyro_x, gyro_y, gyro_z: a filter"),
+    "accelerometer late": (0.1, "accel", "accelerometer", "0.10 s late"),
+    "rates late": (0.02, "dq_", "late", "ms late against the change of q"),
+    "a rate late": (0.02, "dq_FR_calf", "late", "late = { dq_FR_calf = 0.0"),
+    "legs late": (0.2, f"({JOINTS}|contact)", "legs", "move 0.20 s after"),
+    "joints late by some rows": (0.05, "(q|dq)_", "legs", "or joints are late"),
+    "torques late": (0.04, "tau_", "late torques", "load legs 0.04"),
+    "contacts late": (0.06, "contact_", "legs", "0.06 s earlier"),
+    "a contact late": (0.1, "contact_RR", "legs", "contact_RR: late, unlike the other"),
+    "one leg late": (0.05, "(q|dq|tau|contact)_FL", "legs", "FL moves 0.04 s after"),
+}
+CASES = (
+    LOG_CASES
+    | {
+        name: (partial(changed, pattern=columns, change=change), rule, words)
+        for name, (columns, change, rule, words) in COLUMN_CASES.items()
+    }
+    | {
+        name: (partial(lagging, seconds=seconds, pattern=columns), rule, words)
+        for name, (seconds, columns, rule, words) in LATE_CASES.items()
+    }
+)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_nonsense_is_noticed_by_the_right_name(log, name):
+    change, rule, words = CASES[name]
+    findings = check_log(change(log), SPOT)
+    for one in findings:
+        assert_pasteable(one)
+    found = [f"{one.rule}: {one.line}" for one in findings]
+    assert any(line.startswith(f"{rule}: ") and words in line for line in found), found
+    assert len(found) <= 3, "a rule is not asked about what an earlier one doubts"
+
+
+def assert_pasteable(found: Finding) -> None:
+    """What is to be pasted is TOML, and has no gaps."""
+    assert "..." not in found.map_line
+    assert "<" not in found.map_line
+    for part in found.map_line.split("; ") if found.changes else ():
+        keys, place, _ = re.split(r"( in \[| in the entry of )", part, maxsplit=1)
+        of_column = re.sub(r"^the column of \w+(, |$)", "", keys) if "entry" in place else keys
+        tomllib.loads(f"of = {{ {of_column} }}")
+
+
+MENDED_BY_ITS_ADVICE = (
+    "IMU with z down", "gyro in deg/s", "gyro negated", "accelerometer in g",
+    "accelerometer negated", "accelerometer's z negated", "calves of the wrong sign",
+    "quaternions of the inverse",
+)  # fmt: skip
+ONE_CAUSE: dict[str, Callable[[Log], Log]] = {
+    **{name: CASES[name][0] for name in MENDED_BY_ITS_ADVICE},
+    **{
+        f"IMU turned by {degrees} deg about {axis}": partial(imu_turned, R=turned(axis, degrees))
+        for axis, degrees in (("x", 90), ("y", -90), ("y", 180), ("z", 90), ("z", 180))
+    },
+    "IMU mirrored": lambda log: exchanged(log, ("gyro_y", "gyro_z"), ("accel_y", "accel_z")),
+    **{
+        f"tracked body turned by {degrees} deg about {axis}": partial(
+            body_turned, R=turned(axis, degrees)
+        )
+        for axis, degrees in (("x", 180), ("y", 90), ("z", 90), ("z", 180), ("z", 30))
+    },
+    "attitudes turned about z": partial(attitude, read=lambda R: turned("z", 90) * R),
+    "one thigh reversed": partial(changed, pattern=f"{JOINTS}FR_thigh", change=np.negative),
+    "an angle reversed": partial(changed, pattern="q_FR_thigh", change=np.negative),
+}
+"""One defect each."""
+
+
+@pytest.mark.parametrize("name", ONE_CAUSE)
+def test_one_cause_has_one_finding_and_what_it_says_to_paste_repairs(log, name):
+    broken = ONE_CAUSE[name](without(log, "ref_v"))
+    (found,) = check_log(broken, SPOT)
+    assert found_in(pasted(broken, found.changes)) == []
+
+
+def pasted(log: Log, changes: Changes) -> Log:
+    """A log with the columns that an import would give with these changes of its map."""
+    if "reference" in changes:
+        back = Rotation.from_quat(changes["reference"]["q_IM"], scalar_first=True).inv()
+        log = attitude(log, lambda R: R * back)
+    factors: dict[str, Any] = {
+        f"{kind}_{joint}": {"sign": sign}
+        for joint, sign in changes.get("robot", {}).get("joint_sign", {}).items()
+        for kind in ("q", "dq", "tau")
+    }
+    unit = {"deg/s": 1 / DEGREE, "g": G}
+    return log.with_columns(
+        {
+            column: keys.get("sign", 1.0)
+            * unit.get(keys.get("unit"), 1.0)
+            * log.frame[keys.get("of", column)].to_numpy()
+            for column, keys in (factors | {**changes.get("columns", {})}).items()
+        }
+    )
+
+
+WORLDS = {  # rotation to the recorded world
+    "y up": turned("x", -90), "y down": turned("x", 90), "x up": turned("y", 90), "z down": NED
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.4, -0.6])
+@pytest.mark.parametrize("world", WORLDS)
+def test_another_world_is_one_finding_on_another_clock_too(log, world, seconds):
+    broken = without(in_world(log, WORLDS[world]), "ref_v")
+    columns = "ref_" if seconds > 0.0 else f"(gyro|accel|{JOINTS}|contact)"
+    found = check_log(lagging(broken, abs(seconds), columns), SPOT)[0]
+    advised = Rotation.from_quat(found.changes["reference"]["q_GW"], scalar_first=True)
+    assert (advised * WORLDS[world]).magnitude() < 1e-5
+    assert abs(found.changes["reference"].get("offset", 0.0) + 0.0) == pytest.approx(
+        abs(seconds), abs=0.01
+    )
+
+
+@pytest.mark.parametrize(("leg", "lacks"), [("FL", "x_"), ("RR", "tau_")])
+def test_a_hip_of_the_opposite_sign_shows_when_a_robot_walks_straight_ahead(ahead, leg, lacks):
+    """It moves about 0 rad, so that standing feet hardly move."""
+    broken = changed(ahead, f"{JOINTS}{leg}_hip", np.negative)
+    (found,) = check_log(without(broken, lacks), SPOT)
+    assert found.changes == {"robot": {"joint_sign": {f"{leg}_hip": -1.0}}}
+
+
 def test_a_clean_walk_is_plausible_with_and_without_its_robot_and_reference(log):
     assert found_in(log) == found_in(log, None) == found_in(without(log, "ref_")) == []
 
@@ -68,7 +604,7 @@ def test_the_beginning_of_a_walk_is_plausible(log):
 def test_dead_contacts_of_a_second_are_noticed(log):
     second = log.rows((log.t >= 2.0) & (log.t < 3.0))
     assert found_in(second) == []
-    (line,) = found_in(constant(0.0, "contact_")(second))
+    (line,) = found_in(changed(second, "contact", np.zeros_like))
     assert line.startswith("contacts: contact_FL")
     assert "always 0" in line
 
@@ -89,7 +625,7 @@ def test_rows_of_a_low_rate_are_plausible_wherever_in_a_stride_they_are(log, rat
 def test_an_imu_that_is_sampled_at_a_low_rate_is_noticed(log, rate):
     slow = at_rate(log, rate)
     rows = np.searchsorted(log.t, slow.t)
-    (found,) = found_in(edited(slow, **{c: log.frame[c].to_numpy()[rows] for c in GYRO + ACCEL}))
+    (found,) = found_in(slow.with_columns({c: log.frame[c].to_numpy()[rows] for c in GYRO + ACCEL}))
     assert "sampled at the rows, not averaged" in found
 
 
@@ -108,645 +644,10 @@ def test_rows_of_2_hz_are_slow_and_not_in_ms(log, kinds):
 
 
 def test_feet_that_bounce_are_no_noise_about_a_threshold(log):
-    changed = bouncing(log)
-    rate = np.abs(np.diff(changed.contact.astype(int), axis=0)).sum(axis=0) / log.t[-1]
+    bounces = bouncing(log)
+    rate = np.abs(np.diff(bounces.contact.astype(int), axis=0)).sum(axis=0) / log.t[-1]
     assert rate.min() > 30.0
-    assert not named("flickering", changed)
-
-
-# What is done to a log.
-
-
-def at_rate(log: Log, rate: float) -> Log:
-    """Rows of a lower rate, over which the IMU is averaged."""
-    n = round(log.rate / rate)
-    rows = np.arange(n, len(log.t), n)
-    summed = np.cumsum(np.column_stack([log.gyro, log.accel]), axis=0)
-    averaged = (summed[rows] - summed[rows - n]) / n
-    slow = edited(log.rows(rows), **dict(zip([*GYRO, *ACCEL], averaged.T, strict=True)))
-    return replace(slow, meta=replace(log.meta, rate=log.rate / n))
-
-
-def edited(log: Log, **columns) -> Log:
-    return replace(log, frame=log.frame.assign(**columns))
-
-
-def columns_of(log: Log, *prefixes: str) -> list[str]:
-    commands = ("q_des", "dq_des", "tau_ff")
-    named = [str(c) for c in log.frame if str(c).startswith(prefixes)]
-    return [c for c in named if not c.startswith(commands)]
-
-
-def times(factor: float, *prefixes: str, ends: str = "") -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        names = [c for c in columns_of(log, *prefixes) if c.endswith(ends)]
-        assert names
-        return edited(log, **{c: factor * log.frame[c] for c in names})
-
-    return change
-
-
-def plus(amount: float, column: str) -> Callable[[Log], Log]:
-    return lambda log: edited(log, **{column: log.frame[column] + amount})
-
-
-def constant(value: float, *prefixes: str) -> Callable[[Log], Log]:
-    return lambda log: edited(log, **dict.fromkeys(columns_of(log, *prefixes), value))
-
-
-def exchanged(*pairs: tuple[str, str]) -> Callable[[Log], Log]:
-    """Columns exchanged, whole families of them by a part of their name."""
-
-    def change(log: Log) -> Log:
-        values = {}
-        for a, b in pairs:
-            for c in map(str, log.frame):
-                if a in c and not c.startswith(("slip", "mu")):
-                    other = c.replace(a, b)
-                    values |= {c: log.frame[other], other: log.frame[c]}
-        assert values
-        return edited(log, **values)
-
-    return change
-
-
-def inverted(*legs: str) -> Callable[[Log], Log]:
-    return lambda log: edited(
-        log, **{f"contact_{x}": 1.0 - log.frame[f"contact_{x}"] for x in legs}
-    )
-
-
-def attitude(read: Callable[[Rotation], Rotation]) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        q = read(Rotation.from_quat(log.ref_q, scalar_first=True)).as_quat(scalar_first=True)
-        return edited(log, **{f"ref_q_{a}": q[:, i] for i, a in enumerate("wxyz")})
-
-    return change
-
-
-def euler_angles(read: Callable[..., tuple[np.ndarray, ...]]) -> Callable[[Log], Log]:
-    """Attitudes with other Euler angles, given yaw, pitch and roll."""
-
-    def change(R: Rotation) -> Rotation:
-        return Rotation.from_euler("ZYX", np.column_stack(read(*R.as_euler("ZYX").T)))
-
-    return attitude(change)
-
-
-def from_another_zero(offset: float, kind: str) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        names = [c for c in columns_of(log, "q_") if c.endswith(kind)]
-        return edited(log, **{c: log.frame[c] + offset for c in names})
-
-    return change
-
-
-def imu_turned(R: Rotation) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        gyro, accel = R.apply(log.gyro), R.apply(log.accel)
-        both = {n: x[:, i] for ns, x in ((GYRO, gyro), (ACCEL, accel)) for i, n in enumerate(ns)}
-        return edited(log, **both)
-
-    return change
-
-
-def both(*changes: Callable[[Log], Log]) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        for one in changes:
-            log = one(log)
-        return log
-
-    return change
-
-
-def late(seconds: float, *prefixes: str) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        rows, names = round(seconds * log.rate), columns_of(log, *prefixes)
-        frame = log.frame.iloc[rows:].reset_index(drop=True)
-        frame[names] = log.frame[names].iloc[: len(frame)].to_numpy()
-        return replace(log, frame=frame)
-
-    return change
-
-
-def frozen(*prefixes: str) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        frame, first, last = log.frame.copy(), len(log.t) // 3, len(log.t) // 2
-        names = columns_of(log, *prefixes)
-        frame.loc[first:last, names] = frame.loc[first, names].to_numpy()
-        return replace(log, frame=frame)
-
-    return change
-
-
-def dropped(rows: slice | int, restamped: bool = False) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        gone = np.zeros(len(log.t), dtype=bool)
-        gone[rows if isinstance(rows, slice) else np.arange(7, len(log.t), rows)] = True
-        found = log.rows(~gone)
-        return edited(found, t=np.arange(len(found.t)) / log.rate) if restamped else found
-
-    return change
-
-
-def clipped(column: str) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        x = log.frame[column]
-        return edited(log, **{column: x.clip(x.quantile(0.1), x.quantile(0.9))})
-
-    return change
-
-
-def leaping(size: float, column: str) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        x = log.frame[column].to_numpy().copy()
-        x[100::500] += size
-        return edited(log, **{column: x})
-
-    return change
-
-
-def zeroed(*prefixes: str) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        frame = log.frame.copy()
-        frame.loc[50::200, columns_of(log, *prefixes)] = 0.0
-        return replace(log, frame=frame)
-
-    return change
-
-
-def stretched(factor: float) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        meta = replace(log.meta, rate=log.rate / factor)
-        return replace(edited(log, t=factor * log.t), meta=meta)
-
-    return change
-
-
-def in_body(log: Log) -> Log:
-    v = np.einsum("nji,nj->ni", log.ref_R_GI, log.ref_v)
-    return edited(log, **{f"ref_v_{a}": v[:, i] for i, a in enumerate("xyz")})
-
-
-def no_gravity(log: Log) -> Log:
-    up = 9.81 * log.ref_R_GI[:, 2]
-    return edited(log, **{a: log.frame[a] - up[:, i] for i, a in enumerate(ACCEL)})
-
-
-def differenced(log: Log) -> Log:
-    names = columns_of(log, "dq_")
-    return edited(log, **{c: np.gradient(log.frame[c[1:]], log.t) for c in names})
-
-
-def in_unit(seconds: float) -> Callable[[Log], Log]:
-    """Stamps and rate as if another unit of time were s."""
-    return lambda log: replace(
-        edited(log, t=log.t / seconds), meta=replace(log.meta, rate=log.rate * seconds)
-    )
-
-
-def straight(every: int, *prefixes: str) -> Callable[[Log], Log]:
-    """Columns on straight lines between each so many rows."""
-
-    def change(log: Log) -> Log:
-        rows = np.arange(len(log.t))
-        names = columns_of(log, *prefixes)
-        return edited(
-            log, **{c: np.interp(rows, rows[::every], log.frame[c][::every]) for c in names}
-        )
-
-    return change
-
-
-def swapped_rows(log: Log) -> Log:
-    rows = np.arange(len(log.t) // 2 * 2).reshape(-1, 2)[:, ::-1].ravel()
-    found = log.rows(rows)
-    return edited(found, t=log.t[: len(rows)])
-
-
-def vectors(**made: np.ndarray) -> Callable[[Log], Log]:
-    return lambda log: edited(
-        log, **{f"{n}_{a}": x[:, i] for n, x in made.items() for i, a in enumerate("xyz")}
-    )
-
-
-def directions(log: Log) -> Log:
-    return vectors(accel=9.81 * log.accel / np.linalg.norm(log.accel, axis=1, keepdims=True))(log)
-
-
-def gravity_alone(log: Log) -> Log:
-    return vectors(accel=low_pass(log.accel, 0.5, log.rate))(log)
-
-
-def accel_in_world(log: Log) -> Log:
-    return vectors(accel=np.einsum("nij,nj->ni", log.ref_R_GI, log.accel))(log)
-
-
-def tilted_world(log: Log) -> Log:
-    R = Rotation.from_euler("x", 12, degrees=True)
-    moved = vectors(ref_p=R.apply(log.ref_p), ref_v=R.apply(log.ref_v))(log)
-    return attitude(lambda attitudes: R * attitudes)(moved)
-
-
-def sinking(log: Log) -> Log:
-    fallen = {"ref_p_z": log.frame["ref_p_z"] - 0.3 * log.t, "ref_v_z": log.frame["ref_v_z"] - 0.3}
-    return edited(log, **fallen)
-
-
-def noisy_contacts(log: Log) -> Log:
-    wrong = np.random.default_rng(0).random(log.contact.shape) < 0.1
-    both = (log.contact ^ wrong).astype(float)
-    return edited(log, **{f"contact_{leg}": both[:, i] for i, leg in enumerate(log.legs)})
-
-
-def bouncing(log: Log) -> Log:
-    """Each landing and lift is followed by eight short changes, as on ice."""
-    at = np.flatnonzero(np.diff(log.contact.astype(int), axis=0).any(axis=1))
-    contact = log.contact.copy()
-    for row in at[at < len(contact) - 20]:
-        changed = contact[row] != contact[row + 1]
-        contact[row + 2 : row + 17 : 4, changed] = log.contact[row, changed]
-    return edited(log, **{f"contact_{x}": contact[:, i] for i, x in enumerate(log.legs)})
-
-
-def reversed_in_time(log: Log) -> Log:
-    return replace(log, frame=log.frame.iloc[::-1].reset_index(drop=True).assign(t=log.t))
-
-
-def noisy_gyro(log: Log) -> Log:
-    noise = np.random.default_rng(0).normal(0.0, 0.5, log.gyro.shape)
-    return vectors(gyro=log.gyro + noise)(log)
-
-
-def of_another_point(x: float, y: float, z: float) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        p_IM, R = np.array([x, y, z]), log.ref_R_GI
-        turning = np.einsum("nij,nj->ni", R, np.cross(log.gyro, p_IM))
-        return vectors(ref_p=log.ref_p + R @ p_IM, ref_v=log.ref_v + turning)(log)
-
-    return change
-
-
-def positions_turned(log: Log) -> Log:
-    R = Rotation.from_euler("z", 30, degrees=True)
-    return vectors(ref_p=R.apply(log.ref_p), ref_v=R.apply(log.ref_v))(log)
-
-
-def leg_odometry(log: Log) -> Log:
-    """The reference's positions as legs and gyro have them."""
-    feet, on = SPOT.feet_I(log.q), log.contact[:, :, None]
-    by_leg = -(np.gradient(feet, log.t, axis=0) + np.cross(log.gyro[:, None], feet))
-    v_I = np.sum(by_leg * on, axis=1) / np.maximum(on.sum(axis=1), 1)
-    v_GI = np.einsum("nij,nj->ni", log.ref_R_GI, v_I)
-    p = log.ref_p[0] + np.cumsum(v_GI, axis=0) / log.rate
-    return vectors(ref_p=p, ref_v=v_GI)(log)
-
-
-def scrambled(log: Log) -> Log:
-    """Gyro and accelerometer read as each other."""
-    return vectors(gyro=log.accel, accel=log.gyro)(log)
-
-
-def noisy(size: float, *prefixes: str) -> Callable[[Log], Log]:
-    def change(log: Log) -> Log:
-        rng = np.random.default_rng(0)
-        names = columns_of(log, *prefixes)
-        return edited(log, **{c: log.frame[c] + rng.normal(0.0, size, len(log.t)) for c in names})
-
-    return change
-
-
-def rounded(step: float, *prefixes: str) -> Callable[[Log], Log]:
-    return lambda log: edited(
-        log, **{c: step * np.round(log.frame[c] / step) for c in columns_of(log, *prefixes)}
-    )
-
-
-def overflowing(log: Log) -> Log:
-    return edited(log, gyro_x=(20.0 * log.frame["gyro_x"] + 4.0) % 8.0 - 4.0)
-
-
-def within_a_turn(log: Log) -> Log:
-    q = log.frame["q_FL_calf"]
-    return edited(log, q_FL_calf=(q - q.median()) % (2.0 * np.pi))
-
-
-def disconnected(log: Log) -> Log:
-    """A leg's joints at zero for a while."""
-    frame = log.frame.copy()
-    frame.loc[2000:2150, columns_of(log, "q_RL", "dq_RL", "tau_RL")] = 0.0
-    return replace(log, frame=frame)
-
-
-def every_second_step(log: Log) -> Log:
-    contact = log.frame["contact_FR"].to_numpy().copy()
-    down, up = (np.flatnonzero(np.diff(contact) == change) for change in (1.0, -1.0))
-    for first in down[::2]:
-        contact[first : up[up > first].min(initial=len(contact)) + 1] = 0.0
-    return edited(log, contact_FR=contact)
-
-
-z_down = both(times(-1, "ref_p_y", "ref_v_y"), times(-1, "ref_p_z", "ref_v_z"))
-
-CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
-    # what is done to the log; the rule that notices it; what its line says, in part
-    "gyro in deg/s": (times(DEGREE, "gyro"), "gyro's unit", 'unit = "deg/s"'),
-    "gyro all zero": (constant(0.0, "gyro"), "frozen", "gyro_x, gyro_y, gyro_z"),
-    "gyro with x and y swapped": (exchanged(("gyro_x", "gyro_y")), "gyro", "x is y, y is x"),
-    "gyro with z of the wrong sign": (times(-1, "gyro_z"), "gyro", "gyro_z: z is -z"),
-    "gyro negated": (times(-1, "gyro"), "gyro", "x is -x, y is -y, z is -z"),
-    "gyro scaled": (times(1.4, "gyro"), "gyro", "1.4 times as fast"),
-    "gyro biased": (plus(0.8, "gyro_z"), "gyro", "gyro_z: a bias"),
-    "accelerometer in g": (times(1 / 9.80665, "accel"), "gravity", 'unit = "g"'),
-    "accelerometer in mm/s^2": (times(1e3, "accel"), "gravity", "in mm/s^2"),
-    "accelerometer negated": (times(-1, "accel"), "gravity", "gravity was logged"),
-    "accelerometer's z negated": (times(-1, "accel_z"), "gravity", "accel_z: wrong sign"),
-    "gravity of the wrong sign": (plus(-19.62, "accel_z"), "gravity", "offset = 19.62"),
-    "gravity taken off": (no_gravity, "gravity", "gravity was taken off"),
-    "accelerometer scaled": (times(1.2, "accel"), "gravity", "scaled by 1.2"),
-    "accelerometer's y and z swapped": (
-        exchanged(("accel_y", "accel_z")), "gravity", "gravity is on y, up is z"),
-    "accelerometer's x and y swapped": (
-        exchanged(("accel_x", "accel_y")), "accelerometer", "x is y, y is x"),
-    "IMU turned about z": (
-        imu_turned(Rotation.from_euler("z", 90, degrees=True)), "gyro", "the IMU is turned"),
-    "IMU with z down": (imu_turned(NED), "gravity", "accel_z"),
-    "angles in deg": (times(DEGREE, "q_"), "joints' unit", 'unit = "deg"'),
-    "angles and rates in deg": (times(DEGREE, "q_", "dq_"), "joints' unit", 'unit = "deg"'),
-    "rates in deg/s": (times(DEGREE, "dq_"), "joint rates", 'unit = "deg/s"'),
-    "a rate of the wrong sign": (
-        times(-1, "dq_FL_calf"), "joint rates", "dq_FL_calf: wrong sign"),
-    "rates swapped": (
-        exchanged(("dq_FL_thigh", "dq_FL_calf")), "joint rates", "the rate of FL_calf"),
-    "rates from differences": (differenced, "derived", "computed from q"),
-    "a rate from differences": (
-        lambda log: edited(log, dq_FR_calf=np.gradient(log.frame["q_FR_calf"], log.t)),
-        "derived", "dq_FR_calf: computed from q"),
-    "a rate late": (late(0.02, "dq_FR_calf"), "late", "late = { dq_FR_calf = 0.0"),
-    "an angle whose sign changes": (
-        lambda log: edited(log, q_FR_thigh=np.where(log.t > 5.0, -1, 1) * log.frame["q_FR_thigh"]),
-        "joint rates", "dq_FR_thigh: its sign, or that of its angle, changes during the log"),
-    "rates late": (late(0.02, "dq_"), "late", "ms late against the change of q"),
-    "torques in mN m": (times(1e3, "tau_"), "torque", 'unit = "mN m"'),
-    "torques negated": (times(-1, "tau_"), "support", "wrong sign"),
-    "torques of the motor": (times(1 / 8, "tau_"), "support", "a motor's side"),
-    "positions in mm": (times(1e3, "ref_p"), "reference's unit", 'unit = "mm"'),
-    "velocities in mm/s": (times(1e3, "ref_v"), "reference's velocity", 'unit = "mm/s"'),
-    "velocities in the body": (in_body, "reference's velocity", "in the body's axes"),
-    "quaternions x, y, z, w": (
-        attitude(lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True)),
-        "reference's attitude", "order is x, y, z, w"),
-    "quaternions of the inverse": (
-        attitude(Rotation.inv), "reference's attitude", "turns the world to the body"),
-    "north-east-down": (
-        both(attitude(lambda R: NED * R * NED), z_down), "reference's attitude", "z down"),
-    "the world's z down": (
-        both(attitude(lambda R: NED * R), z_down), "reference's attitude", "z down"),
-    "positions with z down": (
-        times(-1, "ref_p_z", "ref_v_z"), "accelerometer", "ref_p_z: z is down"),
-    "positions with x and y swapped": (
-        exchanged(("ref_p_x", "ref_p_y"), ("ref_v_x", "ref_v_y")), "accelerometer", "x is y"),
-    "reference 0.3 s late": (late(0.3, "ref_"), "reference's attitude", "offset = -0.3"),
-    "reference 0.05 s late": (late(0.05, "ref_"), "reference's attitude", "is late"),
-    "reference of another clock": (late(3.0, "ref_"), "gyro", "another clock; try surefoot align"),
-    "IMU late": (late(0.2, "gyro", "accel"), "reference's attitude", "is early"),
-    "joints late": (late(0.2, "q_", "dq_", "tau_", "contact"), "legs", "move 0.20 s after"),
-    "legs swapped, left and right": (
-        exchanged(("_FL", "_FR"), ("_RL", "_RR")), "legs", "FL is FR, FR is FL, RL is RR"),
-    "legs swapped, front and rear": (
-        exchanged(("_FL", "_RL"), ("_FR", "_RR")), "legs", "FL is RL, FR is RR"),
-    "two legs swapped": (exchanged(("_FL", "_FR")), "legs", "FL is FR, FR is FL"),
-    "joints of two legs swapped": (
-        exchanged(("q_FL", "q_FR"), ("tau_FL", "tau_FR")), "legs", "swapped legs (joints)"),
-    "contacts of two legs swapped": (
-        exchanged(("contact_FL", "contact_FR")), "legs", "swapped legs (contacts)"),
-    "hips and thighs swapped": (exchanged(("_hip", "_thigh")), "legs", "FL_hip is FL_thigh"),
-    "thighs and calves swapped": (exchanged(("_thigh", "_calf")), "legs", "FL_thigh is FL_calf"),
-    "calves of the wrong sign": (
-        times(-1, "q_", "dq_", "tau_", ends="_calf"), "legs", "FL_calf = -1"),
-    "hips of the wrong sign": (times(-1, "q_", "dq_", "tau_", ends="_hip"), "legs", "FL_hip = -1"),
-    "right hips mirrored": (
-        times(-1, "q_", "dq_", "tau_", ends="R_hip"), "legs", "q_FR_hip, q_RR_hip: wrong sign"),
-    "contacts inverted": (inverted("FL", "FR", "RL", "RR"), "legs", "inverted: 1 means lifted"),
-    "one contact inverted": (inverted("RL"), "contact heights", "contact_RL"),
-    "a contact always on": (constant(1.0, "contact_FL"), "contacts", "contact_FL: a dead sensor"),
-    "contacts always off": (constant(0.0, "contact_"), "contacts", "always 0"),
-    "a contact stuck for a while": (frozen("contact_RR"), "contacts", "contact_RR"),
-    "an axis frozen": (frozen("gyro_y"), "frozen", "gyro_y: a sensor that hangs"),
-    "a joint frozen": (frozen("q_FL_calf"), "frozen", "q_FL_calf"),
-    "a joint and its rate frozen": (frozen("q_FL_calf", "dq_FL_calf"), "frozen", "dq_FL_calf"),
-    "reference frozen": (frozen("ref_"), "frozen", "ref_p_x to ref_v_z"),
-    "gyro saturated": (clipped("gyro_x"), "saturated", "gyro_x"),
-    "accelerometer saturated": (clipped("accel_z"), "saturated", "accel_z"),
-    "a second lost": (dropped(slice(1000, 1500)), "rows", "500 rows missing"),
-    "every twentieth row lost": (dropped(20), "single rows", "lost rows"),
-    "rows lost behind even stamps": (
-        dropped(slice(1000, 1240), restamped=True), "jumps", "behind even stamps"),
-    "time at half its speed": (stretched(2.0), "speed of time", "2 times the change"),
-    "time at 1.25 of its speed": (stretched(0.8), "speed of time", "stamps at a wrong rate"),
-    "time reversed": (reversed_in_time, "speed of time", "time runs backwards"),
-    "another rate in the metadata": (
-        lambda log: replace(log, meta=replace(log.meta, rate=400.0)), "rows", "says 400 Hz"),
-    "spikes in a joint": (leaping(1.0, "q_FL_calf"), "spikes", "q_FL_calf"),
-    "spikes in the gyro": (leaping(20.0, "gyro_x"), "spikes", "gyro_x"),
-    "spikes in the reference": (leaping(1.0, "ref_p_x"), "spikes", "ref_p_x"),
-    "joints dropped to zero": (zeroed("q_"), "spikes", "drop-outs"),
-    "accelerometer dropped to zero": (zeroed("accel"), "spikes", "drop-outs"),
-    "an axis read twice": (
-        lambda log: edited(log, gyro_y=log.frame["gyro_x"]), "copied", "gyro_x, gyro_y"),
-    "a joint read twice": (
-        lambda log: edited(log, q_FR_calf=log.frame["q_FL_calf"]), "copied", "q_FR_calf"),
-    "time in ms": (in_unit(1e-3), "rows", 'unit = "ms"'),
-    "time in us": (in_unit(1e-6), "rows", 'unit = "us"'),
-    "rows in twos the wrong way about": (swapped_rows, "jumps", "out of order"),
-    "joints between a few readings": (
-        straight(5, "q_", "dq_"), "interpolated", "readings at 100 Hz"),
-    "reference at 5 Hz": (straight(100, "ref_p"), "interpolated", "ref_p_x"),
-    "rates all zero": (constant(0.0, "dq_"), "frozen", "dq_FL_hip"),
-    "velocities all zero": (constant(0.0, "ref_v"), "frozen", "ref_v_x"),
-    "accelerometer late": (late(0.1, "accel"), "accelerometer", "0.10 s late"),
-    "accelerometer that is a direction": (directions, "gravity", "a direction"),
-    "accelerometer of gravity alone": (gravity_alone, "accelerometer", "a filter"),
-    "accelerometer in the world": (accel_in_world, "accelerometer", "in the world's axes"),
-    "gyro that drifts": (
-        lambda log: edited(log, gyro_z=log.frame["gyro_z"] + np.linspace(0.0, 0.6, len(log.t))),
-        "gyro", "rad/s off"),
-    "a weak axis": (times(0.3, "gyro_z"), "gyro", "gyro_z: scaled"),
-    "IMU turned by 30 deg": (
-        imu_turned(Rotation.from_euler("z", 30, degrees=True)), "gyro", "the IMU is turned"),
-    "reference's world not level": (tilted_world, "accelerometer", "not level"),
-    "reference that sinks": (sinking, "legs", "sinks by 0.30 m/s"),
-    "gyro that is noise": (noisy_gyro, "noise", "gyro_x, gyro_y, gyro_z"),
-    "reference of a point before the IMU": (
-        of_another_point(0.5, 0.0, 0.0), "reference's point", "of a point at (0.5"),
-    "reference of a point above the IMU": (
-        of_another_point(0.0, 0.0, 0.5), "reference's point", "0.50) m in the IMU's axes"),
-    "reference scaled": (
-        times(1.2, "ref_p", "ref_v"), "reference's motion", "times that of the accelerometer"),
-    "reference's positions turned": (positions_turned, "reference's motion", "30 deg about z"),
-    "reference made of the legs": (leg_odometry, "reference from legs", "computed from the legs"),
-    "joints late by some rows": (late(0.05, "q_", "dq_"), "legs", "or joints are late"),
-    "contacts late": (late(0.06, "contact_"), "legs", "0.06 s earlier"),
-    "one leg late": (
-        late(0.05, "q_FL", "dq_FL", "tau_FL", "contact_FL"), "legs", "FL moves 0.04 s after"),
-    "torques late": (late(0.04, "tau_"), "late torques", "load legs 0.04"),
-    "a hip's wrong zero": (plus(0.2, "q_RL_hip"), "zeros", "q_RL_hip, q_RR_hip"),
-    "velocities late": (late(0.1, "ref_v"), "late", "ms late against the change of ref_p"),
-    "a wrong zero": (plus(0.4, "q_FL_thigh"), "zeros", "q_FL_thigh, q_FR_thigh"),
-    "torques without a sign": (
-        lambda log: edited(log, **{c: log.frame[c].abs() for c in columns_of(log, "tau_")}),
-        "magnitudes", "without their sign"),
-    "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
-    "gyro in rpm": (times(30.0 / np.pi, "gyro"), "gyro", 'unit = "rpm"'),
-    "gyro and accelerometer swapped": (
-        scrambled, "gyro's unit", "gyro_x to accel_z: gyro and accelerometer swapped"),
-    "gyro that overflows": (overflowing, "overflow", "gyro_x: numbers that overflow"),
-    "gyro rounded": (rounded(0.1, "gyro"), "coarse", "readings are 0.1 apart"),
-    "accelerometer in cm/s^2": (times(100.0, "accel"), "gravity", "in cm/s^2"),
-    "accelerometer in mg": (times(1e3 / 9.80665, "accel"), "gravity", 'unit = "mg"'),
-    "accelerometer in ft/s^2": (times(1.0 / 0.3048, "accel"), "gravity", "in ft/s^2"),
-    "accelerometer that is noise": (
-        noisy(4.0, "accel"), "noise", "accel_x, accel_y, accel_z"),
-    "a rate that is noise": (noisy(3.0, "dq_FL_calf"), "noise", "dq_FL_calf"),
-    "an angle within a turn": (within_a_turn, "overflow", "wrap = 6.28"),
-    "a leg disconnected for a while": (disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
-    "a contact late": (late(0.1, "contact_RR"), "legs", "contact_RR: late, unlike the other"),
-    "a contact that misses steps": (
-        every_second_step, "contacts", "contact_FR: a threshold that lighter steps"),
-    "all calves from another zero": (
-        from_another_zero(0.3, "_calf"), "legs", "-0.3 rad added"),
-    "all thighs from another zero": (
-        from_another_zero(-0.2, "_thigh"), "legs", "+0.2 rad added"),
-    "gyro late": (late(0.06, "gyro"), "reference's attitude", "gyro_x, gyro_y, gyro_z: a filter"),
-    "a heading that turns clockwise": (
-        euler_angles(lambda yaw, pitch, roll: (-yaw, pitch, roll)),
-        "reference's attitude", "heading turns clockwise"),
-    "roll and pitch swapped": (
-        euler_angles(lambda yaw, pitch, roll: (yaw, roll, pitch)),
-        "reference's attitude", "roll and pitch are exchanged"),
-    "velocities in km/h": (times(3.6, "ref_v"), "reference's velocity", "in km/h"),
-    "velocities in inches/s": (times(39.37, "ref_v"), "reference's velocity", "in inches/s"),
-    "no velocity along an axis": (
-        constant(0.0, "ref_v_x"), "frozen", "ref_v_x: a sensor that hangs"),
-    "gyro held": (
-        lambda log: edited(
-            log, **{c: np.repeat(log.frame[c].to_numpy()[::4], 4)[: len(log.t)] for c in GYRO}
-        ), "held", "gyro_x"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_nonsense_is_noticed_by_the_right_name(log, name):
-    change, rule, words = CASES[name]
-    said = check_log(change(log), SPOT)
-    for one in said:
-        assert_pasteable(one)
-    found = [f"{one.rule}: {one.line}" for one in said]
-    assert any(line.startswith(f"{rule}: ") and words in line for line in found), found
-    assert len(found) <= 3, "a rule is not asked about what an earlier one doubts"
-
-
-def assert_pasteable(found: Finding) -> None:
-    """What is to be pasted is TOML, and has no gaps."""
-    assert "..." not in found.map_line
-    assert "<" not in found.map_line
-    for part in found.map_line.split("; ") if found.changes else ():
-        keys, place, _ = re.split(r"( in \[| in the entry of )", part, maxsplit=1)
-        of_column = re.sub(r"^the column of \w+(, |$)", "", keys) if "entry" in place else keys
-        tomllib.loads(f"of = {{ {of_column} }}")
-
-
-def turned(axis: str, degrees: float) -> Rotation:
-    return Rotation.from_euler(axis, degrees, degrees=True)
-
-
-def body_turned(axis: str, degrees: float) -> Callable[[Log], Log]:
-    return attitude(lambda R: R * turned(axis, degrees))
-
-
-ONE_CAUSE: dict[str, Callable[[Log], Log]] = {
-    **{
-        f"IMU turned by {degrees} deg about {axis}": imu_turned(turned(axis, degrees))
-        for axis, degrees in (("x", 90), ("x", 180), ("y", -90), ("y", 180), ("z", 90), ("z", 180))
-    },
-    "IMU mirrored": exchanged(("gyro_y", "gyro_z"), ("accel_y", "accel_z")),
-    **{
-        f"tracked body turned by {degrees} deg about {axis}": body_turned(axis, degrees)
-        for axis, degrees in (("x", 180), ("y", 90), ("z", 90), ("z", 180), ("z", 30))
-    },
-    "attitudes turned about z": attitude(lambda R: turned("z", 90) * R),
-    "gyro in deg/s": times(DEGREE, "gyro"),
-    "gyro negated": times(-1, "gyro"),
-    "accelerometer in g": times(1 / 9.80665, "accel"),
-    "accelerometer negated": times(-1, "accel"),
-    "accelerometer's z negated": times(-1, "accel_z"),
-    "calves reversed": times(-1, "q_", "dq_", "tau_", ends="_calf"),
-    "one thigh reversed": times(-1, "q_", "dq_", "tau_", ends="FR_thigh"),
-    "an angle reversed": times(-1, "q_FR_thigh"),
-    "quaternions of the inverse": attitude(Rotation.inv),
-}
-"""One defect each."""
-
-
-@pytest.mark.parametrize("name", ONE_CAUSE)
-def test_one_cause_has_one_finding_and_what_it_says_to_paste_repairs(log, name):
-    changed = ONE_CAUSE[name](without(log, "ref_v"))
-    (found,) = check_log(changed, SPOT)
-    assert found_in(pasted(changed, found.changes)) == []
-
-
-@pytest.mark.parametrize(("leg", "lacks"), [("FL", "x_"), ("RR", "tau_")])
-def test_a_hip_of_the_opposite_sign_shows_when_a_robot_walks_straight_ahead(ahead, leg, lacks):
-    """It moves about 0 rad, so that standing feet hardly move."""
-    changed = times(-1.0, "q_", "dq_", "tau_", ends=f"{leg}_hip")(ahead)
-    (found,) = check_log(without(changed, lacks), SPOT)
-    assert found.changes == {"robot": {"joint_sign": {f"{leg}_hip": -1.0}}}
-
-
-WORLDS = {  # rotation to the recorded world -> rotation back to z up
-    "y up": (turned("x", -90), turned("x", 90)),
-    "y down": (turned("x", 90), turned("x", -90)),
-    "x up": (turned("y", 90), turned("y", -90)),
-    "z down": (NED, NED),
-}
-
-
-@pytest.mark.parametrize("seconds", [0.0, 0.4, -0.6])
-@pytest.mark.parametrize("world", WORLDS)
-def test_another_world_is_one_finding_on_another_clock_too(log, world, seconds):
-    R_WG, R_GW = WORLDS[world]
-    changed = attitude(lambda R: R_WG * R)(
-        vectors(ref_p=R_WG.apply(log.ref_p))(without(log, "ref_v"))
-    )
-    changed = late(seconds, "ref_")(changed) if seconds > 0.0 else changed
-    if seconds < 0.0:
-        changed = late(-seconds, "gyro", "accel", "q_", "dq_", "tau_", "contact_")(changed)
-    found = check_log(changed, SPOT)[0]
-    advised = Rotation.from_quat(found.changes["reference"]["q_GW"], scalar_first=True)
-    assert (advised.inv() * R_GW).magnitude() < 1e-5
-    assert abs(found.changes["reference"].get("offset", 0.0) + 0.0) == pytest.approx(
-        abs(seconds), abs=0.01
-    )
-
-
-def pasted(log: Log, changes: Changes) -> Log:
-    """A log with the columns that an import would give with these changes of its map."""
-    if "reference" in changes:
-        back = Rotation.from_quat(changes["reference"]["q_IM"], scalar_first=True).inv()
-        log = attitude(lambda R: R * back)(log)
-    factors: dict[str, Any] = {
-        f"{kind}_{joint}": {"sign": sign}
-        for joint, sign in changes.get("robot", {}).get("joint_sign", {}).items()
-        for kind in ("q", "dq", "tau")
-    }
-    unit = {"deg/s": 1 / DEGREE, "g": 9.80665}
-    columns = {
-        column: keys.get("sign", 1.0)
-        * unit.get(keys.get("unit"), 1.0)
-        * log.frame[keys.get("of", column)]
-        for column, keys in (factors | {**changes.get("columns", {})}).items()
-    }
-    return edited(log, **columns)
+    assert not named("flickering", bounces)
 
 
 @pytest.mark.long
@@ -782,24 +683,25 @@ def test_the_log_of_another_robot_is_noticed(log, name):
 @pytest.mark.parametrize("change", ["gyro_x", "gyro_y", "gyro_z"])
 def test_without_a_reference_legs_see_an_axis_that_is_not_the_gyros(log, change):
     others = {"gyro_x": "gyro_z", "gyro_y": "gyro_x", "gyro_z": "gyro_y"}
-    swapped = exchanged((change, others[change]))(without(log, "ref_"))
+    swapped = exchanged(without(log, "ref_"), (change, others[change]))
     assert [one.rule for one in check_log(swapped, SPOT)] == ["gyro and legs"]
 
 
 def test_without_its_robot_a_joint_that_hangs_is_told_from_one_that_rests(log):
     """Joints of an arm rest one by one: an angle hangs if its rate says that it turns."""
     for name in ("q_FL_calf", "dq_FL_calf"):
-        assert named(f"frozen: {name}", frozen(name)(log), None)
-    both_rest = frozen("q_FL_calf")(log)
+        assert named(f"frozen: {name}", changed(log, name, frozen), None)
+    both_rest = changed(log, "q_FL_calf", frozen)
     rests = np.diff(both_rest.frame["q_FL_calf"], prepend=np.nan) == 0.0
-    both_rest = edited(both_rest, dq_FL_calf=np.where(rests, 0.0, log.frame["dq_FL_calf"]))
+    rate = np.where(rests, 0.0, log.frame["dq_FL_calf"])
+    both_rest = both_rest.with_columns({"dq_FL_calf": rate})
     assert not named("frozen", both_rest, None)
 
 
 def test_joints_of_which_one_alone_is_scaled_are_no_matter_of_the_clock(log):
     """One of two joints with 2.3 times its rate leaves the other, and the stamps, as they are."""
     two = log.frame[["t", "q_FL_calf", "q_FR_calf", "dq_FL_calf", "dq_FR_calf"]]
-    (found,) = found_in(edited(replace(log, frame=two), dq_FR_calf=2.3 * two["dq_FR_calf"]), None)
+    (found,) = found_in(changed(replace(log, frame=two), "dq_FR_calf", times(2.3)), None)
     assert found.startswith("joint rates: dq_FR_calf: scaled")
     assert "gain = 0.43" in found
 
@@ -811,26 +713,26 @@ def test_few_spikes_of_a_short_log_of_an_arm_are_noticed(log):
     arm = Log(pd.DataFrame({"t": t, "q_elbow": q, "dq_elbow": rate}), Meta(rate=100.0), "arm")
     assert found_in(arm, None) == []
     rate[[50, 121, 200, 222, 301, 350]] += 3.0
-    assert named("spikes: dq_elbow", edited(arm, dq_elbow=rate), None)
+    assert named("spikes: dq_elbow", arm.with_columns({"dq_elbow": rate}), None)
 
 
 def test_forces_that_are_held_have_their_line_for_the_map(log):
     rng = np.random.default_rng(0)
-    held = {f"force_{leg}_z": rng.uniform(0.0, 90.0, len(log.t)) for leg in log.legs}
-    slow = {name: np.repeat(x[::10], 10)[: len(log.t)] for name, x in held.items()}
-    flat = {f"force_{leg}_{axis}": 0.0 for leg in log.legs for axis in "xy"}
-    assert any('held = ["force"]' in line for line in found_in(edited(log, **flat, **slow)))
+    forces = {f"force_{leg}_z": rng.uniform(0.0, 90.0, len(log.t)) for leg in log.legs}
+    slow = {name: np.repeat(x[::10], 10)[: len(log.t)] for name, x in forces.items()}
+    flat = {f"force_{leg}_{a}": np.zeros(len(log.t)) for leg in log.legs for a in "xy"}
+    assert any('held = ["force"]' in line for line in found_in(log.with_columns(flat | slow)))
 
 
 def test_rates_that_leap_as_their_angle_does_are_no_spikes(log):
     """A foot that chatters on the ground turns its joint to and fro within four rows."""
     there = (log.t > 3.0) & (log.t < 3.05)
     rate = np.where(there, 12.0 * np.array([0.0, 1.0, 0.0, -1.0])[np.arange(len(log.t)) % 4], 0.0)
-    turned = np.cumsum(rate) / log.meta.rate
-    q, dq = log.frame["q_FL_calf"], log.frame["dq_FL_calf"]
-    chatters = edited(log, q_FL_calf=q + turned, dq_FL_calf=dq + rate)
+    angle = np.cumsum(rate) / log.meta.rate
+    q, dq = (log.frame[column].to_numpy() for column in ("q_FL_calf", "dq_FL_calf"))
+    chatters = log.with_columns({"q_FL_calf": q + angle, "dq_FL_calf": dq + rate})
     assert found_in(chatters) == []
-    garbled = edited(chatters, q_FL_calf=q)
+    garbled = chatters.with_columns({"q_FL_calf": q})
     assert named("spikes: dq_FL_calf", garbled)
 
 
@@ -838,23 +740,23 @@ def test_coarse_readings_that_pass_by_zero_are_no_drop_outs():
     """At impacts a reading of 0.1 is as frequent as one of 0."""
     usual = np.random.default_rng(0).normal(5.0, 0.3, 4000).round(1)
     at = np.arange(10, 4000, 40)
-    impacts, dropped = usual.copy(), usual.copy()
+    impacts, lacking = usual.copy(), usual.copy()
     impacts[at] = 0.1 * (np.arange(len(at)) % 5 - 2)
-    dropped[at] = 0.0
+    lacking[at] = 0.0
     assert np.sum(impacts == 0.0) == 20
     assert _drop_outs(impacts) == 0
-    assert _drop_outs(dropped) == len(at)
+    assert _drop_outs(lacking) == len(at)
 
 
 def test_a_joint_that_is_held_throughout_rests_and_one_whose_rate_moves_hangs(log):
     """Between two counts of its encoder a joint at rest stays for seconds."""
     count = 1.5e-3 * (np.sin(np.arange(len(log.t))) > 0.9)
     count[len(count) // 4 : len(count) // 2] = 0.0
-    still = edited(log, q_FL_hip=count, dq_FL_hip=np.gradient(count, log.t))
+    rate = log.frame["dq_FL_hip"].to_numpy()
+    still = log.with_columns({"q_FL_hip": count, "dq_FL_hip": np.gradient(count, log.t)})
     assert not named("frozen", still)
-    for other in (edited(still, dq_FL_hip=log.frame["dq_FL_hip"]), without(still, "dq_")):
-        held = edited(other, q_FL_hip=np.zeros(len(log.t)))
-        assert named("frozen: q_FL_hip", held)
+    for other in (still.with_columns({"dq_FL_hip": rate}), without(still, "dq_")):
+        assert named("frozen: q_FL_hip", changed(other, "q_FL_hip", np.zeros_like))
 
 
 def test_axes_are_matched_whatever_their_order_sign_and_size():
@@ -862,22 +764,22 @@ def test_axes_are_matched_whatever_their_order_sign_and_size():
     b = rng.normal(size=(400, 3)) * [1.0, 0.1, 3.0]
     a = np.column_stack([2.0 * b[:, 2], 0.5 * b[:, 1], -b[:, 0]]) + 5.0
     match = match_axes(a + 0.01 * rng.normal(size=a.shape), b)
-    assert match.order == (2, 1, 0)
+    assert match.order.tolist() == [2, 1, 0]
     assert match.wrong == (0, 2)
     assert match.words == "x is z, z is -x"
     np.testing.assert_allclose(match.scale, [2.0, 0.5, 1.0], rtol=0.02)
     assert match_axes(b, b).wrong == ()
 
 
-@pytest.mark.parametrize("late", [-0.314, 0.0, 0.127])
-def test_a_lag_is_found_between_samples(late):
+@pytest.mark.parametrize("lag", [-0.314, 0.0, 0.127])
+def test_a_lag_is_found_between_samples(lag):
     t = np.arange(0.0, 30.0, 0.02)
 
     def motion(at):
         return np.column_stack([np.sin(2 * at) + np.sin(3.1 * at), np.cos(1.3 * at)])
 
-    found, alike = lag_of(motion(t - late), motion(t), 0.02, 1.0)
-    assert found == pytest.approx(late, abs=2e-3)
+    found, alike = lag_of(motion(t - lag), motion(t), 0.02, 1.0)
+    assert found == pytest.approx(lag, abs=2e-3)
     assert alike > 0.98
 
 
@@ -898,8 +800,8 @@ def test_a_vibration_that_a_filter_inverts_has_no_wrong_sign(window, sign, cause
     rows = 2 * round(window / 0.02) + 1
     columns["dq_head"] = sign * uniform_filter1d(columns["dq_head"], rows)
     found = check_log(Log(pd.DataFrame(columns), Meta(rate=100.0), "shaking"))
-    told = [one.cause for one in found if one.streams == ("dq_head",)]
-    assert told == ([cause] if cause else [])
+    causes = [one.cause for one in found if one.streams == ("dq_head",)]
+    assert causes == ([cause] if cause else [])
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5])
@@ -921,8 +823,14 @@ def test_the_fewer_columns_a_rule_compares_the_earlier_it_is_asked():
 
 
 def test_a_note_and_a_fault_of_a_stream_are_both_found(log):
-    found = check_log(both(clipped("gyro_z"), exchanged(("gyro_x", "gyro_y")))(log), SPOT)
+    found = check_log(exchanged(changed(log, "gyro_z", clipped), ("gyro_x", "gyro_y")), SPOT)
     assert {"saturated", "gyro"} <= {one.rule for one in found}
+
+
+def test_every_rule_has_a_place_in_the_order():
+    files = [x for name, x in sys.modules.items() if name.startswith("surefoot.sim.plausibility.")]
+    declared = {one.name for file in files for one in vars(file).values() if isinstance(one, Rule)}
+    assert declared == {rule.name for rule in RULES}
 
 
 def test_every_rule_says_why():

@@ -2,11 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import log, pi
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from surefoot.sim.importing.advice import Changes, entries
+from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import with_short_gaps
+from surefoot.sim.plausibility.finding import Finding
 
 GYRO, ACCEL, REF_P, REF_V = (
     tuple(f"{kind}_{a}" for a in "xyz") for kind in ("gyro", "accel", "ref_p", "ref_v")
@@ -28,10 +33,23 @@ axes of a gyro leave 0.15 and 0.52 to 0.56 if corrected; a lever arm where there
 """
 GAIN = 0.4
 """Least excess over the correlation with its own axis; correlated axes have 0.4 with each other."""
+LATE, LATEST = 0.02, 2.0
+"""Delay of a reference that is reported [s], at 1 m/s the body moves 2 cm in it, and clocks set by
+hand or network are worse (`trace` finds smaller ones as an effect); and the largest that is
+searched for, `surefoot align` searches further.
+"""
+NEAR = 1.2
+"""Largest ratio of a stream's scale to that of the unit it is taken to be in."""
 _FEWEST_ROWS = 10
 """Least number of rows for a delay."""
 _TURNED = 0.1
 """Least share of a correlation before and after a sign changes."""
+_WITHOUT_WORD = {
+    "accel": {"ft/s^2": 0.3048, "cm/s^2": 1e-2, "mm/s^2": 1e-3},
+    "gyro": {"mrad/s": 1e-3, "turns/s": 2.0 * pi},
+    "ref_v": {"km/h": 1.0 / 3.6, "inches/s": 0.0254, "feet/s": 0.3048},
+}
+"""SI values of units that an import map has no word for, by kind of column."""
 
 
 @dataclass(frozen=True)
@@ -39,56 +57,69 @@ class AxesMatch:
     """Match of D measured columns, such as three axes, with expected ones.
 
     Attributes:
-        order: expected column that matches each measured one best.
+        order: expected column that matches each measured one best (D,).
         sign: of the match (D,).
-        own: correlation of each column with its own (D,).
+        paired: correlation of each column with its own (D,).
         best: correlation with the matched one (D,).
         scale: slope of measured over expected for the match (D,).
     """
 
-    order: tuple[int, ...]
+    order: np.ndarray
     sign: np.ndarray
-    own: np.ndarray
+    paired: np.ndarray
     best: np.ndarray
     scale: np.ndarray
 
     @classmethod
     def of(cls, axes: np.ndarray) -> "AxesMatch":
         """The match for measured = axes @ expected, a signed permutation (3, 3)."""
-        order = np.abs(axes).argmax(axis=1)
-        sign = axes[range(3), order]
-        return cls(tuple(order.tolist()), sign, np.diag(axes), np.ones(3), np.ones(3))
+        return match_axes(axes.T, np.eye(3))
+
+    @property
+    def exchanged(self) -> np.ndarray:
+        """Mask (D,) of the columns that match another than their own."""
+        return self.order != np.arange(len(self.order))
 
     @property
     def wrong(self) -> tuple[int, ...]:
         """Axes that measure another one, or with the opposite sign."""
-        turned = (np.array(self.order) != np.arange(len(self.order))) | (self.sign < 0)
-        wrong = turned & (self.best > LIKELY) & (self.best - self.own > GAIN)
+        turned = self.exchanged | (self.sign < 0)
+        wrong = turned & (self.best > LIKELY) & (self.best - self.paired > GAIN)
         return tuple(np.flatnonzero(wrong).tolist())
 
     @property
     def alike(self) -> bool:
         """Whether all axes that move are the expected ones."""
-        return not self.wrong and bool(np.median(self.own) > HARDLY)
+        return not self.wrong and bool(np.median(self.paired) > HARDLY)
 
     @property
     def words(self) -> str:
         """The wrong axes in words, such as "x is -y"."""
-        return ", ".join(
-            f"{'xyz'[i]} is {'-' * bool(self.sign[i] < 0)}{'xyz'[self.order[i]]}"
-            for i in self.wrong
-        )
-
-    @property
-    def own_words(self) -> str:
-        """The correlations of the wrong axes with their own, in words."""
-        return ", ".join(f"{'xyz'[i]} {self.own[i]:.2f}" for i in self.wrong)
+        signs = {i: "-" if self.sign[i] < 0 else "" for i in self.wrong}
+        return ", ".join(f"{'xyz'[i]} is {s}{'xyz'[self.order[i]]}" for i, s in signs.items())
 
     @property
     def scaled(self) -> float:
         """Common scale factor of the axes that correlate well; NaN where none does."""
         alike = self.best > LIKELY
         return float(np.median(self.scale[alike])) if alike.any() else float("nan")
+
+    def corrected(self, *kinds: str) -> Changes:
+        """Changes of the map that correct each wrong axis of vectors of some kinds."""
+        entry: dict[str, dict[str, Any]] = {}
+        for kind in kinds:
+            for i in self.wrong:
+                axis, column = (f"{kind}_{'xyz'[k]}" for k in (self.order[i], i))
+                of = {"of": column} if column != axis else {}
+                entry[axis] = of | ({"sign": -1.0} if self.sign[i] < 0 else {})
+        return {"columns": entry}
+
+    def finding(self, kind: str, witness: str) -> Finding:
+        """The finding for axes of a vector that do not measure what a witness says of them."""
+        columns = tuple(f"{kind}_{'xyz'[i]}" for i in self.wrong)
+        paired = ", ".join(f"{'xyz'[i]} {self.paired[i]:.2f}" for i in self.wrong)
+        seen = f"correlation with {witness} {paired}"
+        return Finding(columns, seen, self.words, self.corrected(kind))
 
 
 def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
@@ -104,8 +135,22 @@ def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
     power = np.sum(b**2, axis=0)[order]
     scale = both[rows, order] / np.where(power > 0, power, np.inf)
     sign = np.where(matched < 0, -1.0, 1.0)
-    own = np.diag(alike).copy()
-    return AxesMatch(tuple(order.tolist()), sign, own, np.abs(matched), np.abs(scale))
+    return AxesMatch(order, sign, np.diag(alike), np.abs(matched), np.abs(scale))
+
+
+def in_another_unit(
+    kind: str, columns: Sequence[str], factor: float, otherwise: str
+) -> tuple[str, Changes]:
+    """Cause, and changes of the map, of columns of a kind that are `factor` times their SI values.
+
+    `otherwise` is the cause where no unit is near to that.
+    """
+    factor, (si, *_) = max(factor, 1e-9), UNITS[kind]
+    sizes = UNITS[kind] | _WITHOUT_WORD.get(kind, {})
+    unit = min(sizes, key=lambda one: abs(log(factor * sizes[one])))
+    if unit == si or abs(log(factor * sizes[unit])) > log(NEAR):
+        return otherwise, {}
+    return f"in {unit}, not {si}", entries(columns, unit=unit) if unit in UNITS[kind] else {}
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
@@ -116,8 +161,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
     """Correlation of a (M,) and b (M,); 0 where one is constant."""
-    a, b = a - a.mean(), b - b.mean()
-    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
+    return float(match_axes(a[:, None], b[:, None]).paired[0])
 
 
 def sign_change(
@@ -144,19 +188,27 @@ def sign_change(
     return float(at[k])
 
 
-def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> tuple[float, float]:
-    """Delay [s] of `late` (M, D) relative to `witness` (M, D), and their mean correlation at it.
+def of_changing_sign(column: str, since: float, expected: str) -> Finding:
+    """The finding for a stream with another sign `since` some time [s]."""
+    seen = f"at {since:.2f} s, relative to {expected}"
+    return Finding((column,), seen, "its sign, or that of its angle, changes during the log")
+
+
+def lag_of(
+    lagging: np.ndarray, witness: np.ndarray, step: float, most: float
+) -> tuple[float, float]:
+    """Delay [s] of `lagging` (M, D) relative to `witness` (M, D), and their mean correlation at it.
 
     Rows are `step` apart, and the delay is at most `most` in size. Columns have equal weight.
     """
-    reach = min(round(most / step), len(late) // 3)
-    rows = len(late) - 2 * reach
+    reach = min(round(most / step), len(lagging) // 3)
+    rows = len(lagging) - 2 * reach
     shifts = np.arange(-reach, reach + 1)
-    # Standardise each window of `late` by itself: a common mean and size would favour windows with
-    # more motion, and shift the maximum for slow motion by half a step.
+    # Standardise each window of `lagging` by itself: a common mean and size would favour windows
+    # with more motion, and shift the maximum for slow motion by half a step.
     b = _standardised(witness[reach : reach + rows])
     scores = [
-        float(np.mean(_standardised(late[first : first + rows]) * b)) for first in shifts + reach
+        float(np.mean(_standardised(lagging[first : first + rows]) * b)) for first in shifts + reach
     ]
     k = int(np.argmax(scores))
     if k in (0, len(scores) - 1):
@@ -167,8 +219,8 @@ def lag_of(late: np.ndarray, witness: np.ndarray, step: float, most: float) -> t
     return step * float(shifts[k] + part), top
 
 
-def delay_between(t: np.ndarray, late: np.ndarray, witness: np.ndarray, most: float) -> float:
-    """Delay [s], at most `most`, of `late` (N, D) relative to `witness` (N, D), at t (N,) [s];
+def delay_between(t: np.ndarray, lagging: np.ndarray, witness: np.ndarray, most: float) -> float:
+    """Delay [s], at most `most`, of `lagging` (N, D) relative to `witness` (N, D), at t (N,) [s];
     0 where they do not correlate.
     """
     if len(t) < _FEWEST_ROWS:
@@ -176,7 +228,7 @@ def delay_between(t: np.ndarray, late: np.ndarray, witness: np.ndarray, most: fl
     t = with_short_gaps(t, 2.0 * most)
     step = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], step)
-    a, b = (np.column_stack([np.interp(even, t, one) for one in x.T]) for x in (late, witness))
+    a, b = (np.column_stack([np.interp(even, t, one) for one in x.T]) for x in (lagging, witness))
     delay, alike = lag_of(a, b, step, most + step)
     return delay if alike > HARDLY else 0.0
 
