@@ -21,7 +21,7 @@ the inliers (bias-compensated least squares; orthogonal distance regression is a
 import numpy as np
 
 from surefoot.estimator.core.checks import numbers
-from surefoot.estimator.updates.velocity_output import inverse_3
+from surefoot.estimator.updates.velocity import inverse_3
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel

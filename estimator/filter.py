@@ -38,13 +38,17 @@ from surefoot.estimator.updates.coverage import (
     update_coverage,
     update_coverage_checked,
 )
-from surefoot.estimator.updates.outliers import REJECTED, UNLIMITED, fresh_counts
 from surefoot.estimator.updates.velocity import (
+    REJECTED,
+    UNLIMITED,
     UPDATE_VELOCITY,
+    add_velocity,
+    fresh_counts,
+    no_contacts,
+    note_velocity,
     update_velocity_checked,
     update_velocity_unless_outlier,
 )
-from surefoot.estimator.updates.velocity_output import add_velocity, no_contacts, note_velocity
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compiled, kernel
@@ -75,7 +79,7 @@ class FilterMemory(NamedTuple):
         noise: (4, 3), from `FilterNoise.packed`.
         columns: (15+3E, 6), work space of `propagate`.
         coupling: (3E, 3), zeros, of the extras to the rotation error.
-        counts: (2,), see `surefoot.estimator.updates.outliers`.
+        counts: (2,), see `surefoot.estimator.updates.velocity`.
     """
 
     mean: np.ndarray
@@ -188,7 +192,7 @@ class InvariantFilter:
             gamma: their joint level.
             iterations: of the projection; more than one bring the posterior's mass closer to gamma.
             max_error: errors beyond (3,) > 0 [m/s] are rejected as outliers
-                (`surefoot.estimator.updates.outliers`); by default none is, and of a
+                (`surefoot.estimator.updates.velocity`); by default none is, and of a
                 PersistentFilter those beyond its model's.
         """
         max_error = self._model.max_error if max_error is None else max_error

@@ -38,8 +38,7 @@ from surefoot.estimator.updates.contact import (
     update_contacts,
     update_contacts_checked,
 )
-from surefoot.estimator.updates.velocity import update_velocity
-from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
+from surefoot.estimator.updates.velocity import add_velocity, note_velocity, update_velocity
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compiled, kernel

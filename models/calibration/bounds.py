@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from surefoot.models.calibration.bias_model import BiasModel
-from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import Mixing
+from surefoot.models.calibration.regions import BoundsError
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.limits import bounded_json

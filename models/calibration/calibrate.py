@@ -16,15 +16,20 @@ import numpy as np
 
 from surefoot.models.calibration.bias_model import estimate_bias_model, long_enough
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import mixing
-from surefoot.models.calibration.regions import Calibrator, Region, calibrator
-from surefoot.models.calibration.settings import CALIBRATE_DEFAULT, CalibrateSettings
-from surefoot.models.calibration.walk_length import errors_needed
-from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.imu_mounting import Mounted
+from surefoot.models.calibration.regions import (
+    CALIBRATE_DEFAULT,
+    BoundsError,
+    CalibrateSettings,
+    Calibrator,
+    Region,
+    calibrator,
+    errors_needed,
+)
 from surefoot.models.observer.observer import Observer, log_digest
+from surefoot.models.observer.odometry import Mounted
 from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 

@@ -9,8 +9,6 @@ from itertools import chain
 import numpy as np
 import torch
 
-from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.imu_mounting import Mounted, same_mounting
 from surefoot.models.observer.observer import (
     Observer,
     ObserverError,
@@ -19,8 +17,14 @@ from surefoot.models.observer.observer import (
     log_digest,
     observer_inputs,
 )
-from surefoot.models.observer.odometry import Kinematics, LegGeometry, leg_geometry
-from surefoot.models.observer.samples import body_velocity, observer_samples
+from surefoot.models.observer.odometry import (
+    Kinematics,
+    LegGeometry,
+    Mounted,
+    leg_geometry,
+    same_mounting,
+)
+from surefoot.models.observer.samples import RATE, body_velocity, observer_samples
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 

@@ -20,11 +20,11 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
+    Mounted,
     check_leg_geometry,
     contact_points,
 )

@@ -22,9 +22,6 @@ import numpy as np
 import torch
 
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
-from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.device import CPU, torch_device
-from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.inference import LOSS_OUTPUTS
 from surefoot.models.observer.network import Network, loss_of
 from surefoot.models.observer.observer import (
@@ -34,12 +31,29 @@ from surefoot.models.observer.observer import (
     check_inputs,
     check_network,
 )
+from surefoot.models.observer.odometry import Mounted
+from surefoot.models.observer.samples import RATE
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import check_plain, kept_file, say_made_again
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
+
+CPU = torch.device("cpu")
+
+
+def torch_device(name: str) -> torch.device:
+    """Torch's device of that name. Raises ObserverError where torch cannot use it here."""
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device).item()
+    except Exception as error:
+        # torch raises many types here, depending on device, build and driver.
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ObserverError(f"device {name}: torch cannot use it here ({reason[:200]})") from None
+    return device
+
 
 WARM_UP = 25
 """Steps that a recurrent network is not trained on, in windows that begin inside a log."""

@@ -9,14 +9,13 @@ from motions import feet, motion
 from numpy.testing import assert_allclose
 
 from surefoot.estimator.core.state import FilterNoise, retract
-from surefoot.estimator.evaluation.health import health
+from surefoot.estimator.evaluation.health import RunSummary, health, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.innovation_sums import (
     add_innovation,
     add_rejected,
     no_sums,
     windows_of,
 )
-from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.leg import LegFilter, LegNoise
