@@ -22,7 +22,7 @@ from numba import types
 
 from surefoot.estimator.core.checks import MOST_SPEED, all_within, is_sound, symmetric_definite
 from surefoot.estimator.core.state import EXTRA, V, retract
-from surefoot.estimator.evaluation.innovation_sums import add_innovation, add_rejected
+from surefoot.estimator.evaluation.innovation_sums import LEFT_OUT, add_innovation
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_1, OWN_2, kernel
 
@@ -32,6 +32,14 @@ MOST_REJECTED = 25
 """Largest number of measurements rejected in a row by a filter without a window."""
 UNLIMITED = np.full(3, np.inf)
 """A max_error that rejects nothing."""
+LEAST_RELATIVE_NOISE = 1e-8
+"""Least noise relative to the prior's variances; with less, the remaining variances would result
+from a cancellation of eight digits.
+"""
+ROUNDING = 1e-12
+"""Share of the prior's variances that such an update keeps: some thousand roundings, so that the
+result stays definite, and at most a ten-thousandth of its value.
+"""
 
 GATHERED, REJECTED = 0, 1
 """Indices into a filter's counts (2,): measurements in the window so far, and rejected in a row."""
@@ -152,7 +160,7 @@ def add_velocity(sums, note, used: bool):
     used: False where the update was rejected.
     """
     if not used:
-        add_rejected(sums)
+        sums[LEFT_OUT] += 1.0
         return
     work = np.empty((2, 3, 3))
     for i in range(3):
@@ -191,26 +199,9 @@ def inverse_3(S, out):
 def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
     """Eqs. lift_mean and lift_cov with K = Sigma H^T S^-1, then the on-manifold update, in place.
 
-    Args:
-        mean: (7+E, 3), the packed mean.
-        covariance: (n, n), n = 15+3E, symmetric.
-        contacts: number of contact points in the state.
-        PHt: (n, 3), Sigma H^T.
-        S: (3, 3), covariance of the prior N(0, S) of z.
-        z_mean: (3,), posterior mean of z.
-        z_cov: (3, 3), its posterior covariance.
-    """
-    information = np.empty((3, 3))
-    inverse_3(S, information)
-    lift_with(information, mean, covariance, contacts, PHt, S, z_mean, z_cov)
-
-
-@kernel
-def lift_with(information, mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
-    """`lift` with S^-1 given.
+    Returns S^-1 (3, 3).
 
     Args:
-        information: (3, 3), S^-1.
         mean: (7+E, 3), the packed mean.
         covariance: (n, n), n = 15+3E, symmetric.
         contacts: number of contact points in the state.
@@ -223,6 +214,8 @@ def lift_with(information, mean, covariance, contacts: int, PHt, S, z_mean, z_co
     # One allocation for all arrays: several are slower than the arithmetic.
     work = np.empty((n + 3, 7))
     delta, H = work[:n, 6], work[n:]
+    information = np.empty((3, 3))
+    inverse_3(S, information)
     for i in range(3):
         for j in range(3):
             H[i, j] = 0.5 * (S[i, j] + z_cov[i, j])
@@ -248,16 +241,7 @@ def lift_with(information, mean, covariance, contacts: int, PHt, S, z_mean, z_co
             covariance[i, j] = value
             covariance[j, i] = value
     retract(mean, delta, contacts)
-
-
-LEAST_RELATIVE_NOISE = 1e-8
-"""Least noise relative to the prior's variances; with less, the remaining variances would result
-from a cancellation of eight digits.
-"""
-ROUNDING = 1e-12
-"""Share of the prior's variances that such an update keeps: some thousand roundings, so that the
-result stays definite, and at most a ten-thousandth of its value.
-"""
+    return information
 
 
 @kernel(inline="always")
@@ -298,8 +282,8 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
         residual: (3,), the innovation.
         measurement_cov: (3, 3), covariance R of the measurement, in the unit of S.
     """
-    work = np.empty((3, 3, 3))
-    W, information, nothing = work[0], work[1], work[2]
+    work = np.empty((2, 3, 3))
+    W, nothing = work[0], work[1]
     much = LEAST_RELATIVE_NOISE * (S[0, 0] + S[1, 1] + S[2, 2])
     exact = False
     for i in range(3):
@@ -308,8 +292,7 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
             W[i, j] = S[i, j] + measurement_cov[i, j]
             nothing[i, j] = 0.0
     before = np.diag(covariance).copy() if exact else residual
-    inverse_3(W, information)
-    lift_with(information, mean, covariance, contacts, PHt, W, residual, nothing)
+    information = lift(mean, covariance, contacts, PHt, W, residual, nothing)
     if exact:
         for i in range(before.shape[0]):
             covariance[i, i] += ROUNDING * before[i]
