@@ -266,18 +266,17 @@ def health(run: RunSummary, names: Sequence[str], walk: tuple[float, float]) -> 
     """
     if not len(run.start):
         return Health((), np.zeros(6), 0.0, (Doubt("not one of its estimates is finite", 0.0),))
-    sensors = [f"foot {name}" for name in names] if run.sums.shape[1] > 1 else []
-    sensors = [*sensors, "velocity"][: run.sums.shape[1]]
+    names = [f"foot {name}" for name in names] if run.sums.shape[1] > 1 else []
+    sensors = dict(zip([*names, "velocity"], run.sums.swapaxes(0, 1), strict=False))
     deviations = _bias_deviations(run, walk)
     found = [*_ends(run), *_innovations(run, sensors), *_rejected(run, sensors)]
     found += [*_corrections(run), *_biases(run, deviations)]
     return Health(
-        tuple(_sensor(run.sums[:, k].sum(axis=0), run.sums[:, k], n) for k, n in enumerate(sensors)
-              if run.sums[:, k, :2].any()),
+        tuple(_sensor(sums, n) for n, sums in sensors.items() if sums[:, [COUNT, LEFT_OUT]].any()),
         deviations.max(axis=0),
         float(run.speed.max()),
         tuple(sorted(found, key=lambda doubt: doubt.since)),
-    )  # fmt: skip
+    )
 
 
 def _drifts(sums: np.ndarray) -> np.ndarray:
@@ -287,63 +286,58 @@ def _drifts(sums: np.ndarray) -> np.ndarray:
     return np.divide(square, variance, out=np.zeros_like(square), where=variance > 0).sum(axis=-1)
 
 
-def _sensor(total: np.ndarray, windows: np.ndarray, name: str) -> SensorHealth:
+def _sensor(sums: np.ndarray, name: str) -> SensorHealth:
+    total = sums.sum(axis=0)
     used = total[COUNT]
     nis = total[SQUARED] / used if used else np.nan
-    drift = float(_drifts(windows)[windows[:, COUNT] > 0].mean() / 3.0) if used else np.nan
+    drift = float(_drifts(sums)[sums[:, COUNT] > 0].mean() / 3.0) if used else np.nan
     rejected = total[LEFT_OUT] / (used + total[LEFT_OUT])
     whiteness = 3.0 * drift / nis if nis > 0 else np.nan
     return SensorHealth(name, int(used), float(rejected), float(nis), float(whiteness), drift)
 
 
+def _first(run: RunSummary, wrong: np.ndarray, reason: str) -> Iterator[Doubt]:
+    """A doubt from the first of the windows `wrong` (W,) on, if there is one."""
+    if wrong.any():
+        yield Doubt(reason, float(run.start[np.argmax(wrong)]))
+
+
 def _ends(run: RunSummary) -> Iterator[Doubt]:
     if run.diverged:
         yield Doubt("its estimates are no longer finite", float(run.start[-1]))
-    bad = np.flatnonzero(~run.definite)
-    if len(bad):
-        yield Doubt("it claims variances that are not positive", float(run.start[bad[0]]))
-    fast = np.flatnonzero(run.speed > FASTEST)
-    if len(fast):
-        yield Doubt(f"it runs at {run.speed.max():.0f} m/s", float(run.start[fast[0]]))
+    yield from _first(run, ~run.definite, "it claims variances that are not positive")
+    yield from _first(run, run.speed > FASTEST, f"it runs at {run.speed.max():.0f} m/s")
 
 
-def _innovations(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
-    drifts = _drifts(run.sums)
-    if not drifts.size:
-        return
-    limit = TOLERATED**2 * chdtri(3, RUN_ALARM / drifts.size)
-    for k in np.flatnonzero((drifts > limit).any(axis=0)).tolist():
-        factor = np.sqrt(drifts[:, k].max() / 3.0)
-        since = float(run.start[np.argmax(drifts[:, k] > limit)])
-        yield Doubt(
-            f"innovations of {names[k]} drift by up to {factor:.0f} of their claimed standard "
-            "deviations",
-            since,
+def _innovations(run: RunSummary, sensors: dict[str, np.ndarray]) -> Iterator[Doubt]:
+    for name, sums in sensors.items():
+        drifts = _drifts(sums)
+        limit = TOLERATED**2 * chdtri(3, RUN_ALARM / run.sums[..., COUNT].size)
+        reason = (
+            f"innovations of {name} drift by up to {np.sqrt(drifts.max() / 3.0):.0f} of their "
+            "claimed standard deviations"
         )
+        yield from _first(run, drifts > limit, reason)
 
 
-def _rejected(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
+def _rejected(run: RunSummary, sensors: dict[str, np.ndarray]) -> Iterator[Doubt]:
     again = run.sums[:, :, RESTARTED].max(axis=1, initial=0.0)
-    if again.any():
-        times = f"{again.sum():.0f} times" if again.sum() > 1 else "once"
-        text = f"no foot passed the test of slipping for long, {times}"
-        yield Doubt(text, float(run.start[np.argmax(again > 0)]))
-    for k, name in enumerate(names):
-        used, rejected = run.sums[:, k, COUNT], run.sums[:, k, LEFT_OUT]
+    times = f"{again.sum():.0f} times" if again.sum() > 1 else "once"
+    yield from _first(run, again > 0, f"no foot passed the test of slipping for long, {times}")
+    for name, sums in sensors.items():
+        used, rejected = sums[:, COUNT], sums[:, LEFT_OUT]
         share = rejected.sum() / max(used.sum() + rejected.sum(), 1.0)
         if share > BREAKDOWN:
-            first = float(run.start[np.argmax(rejected > used)])
-            yield Doubt(f"{100 * share:.0f} % of {name}'s updates were rejected", first)
+            reason = f"{100 * share:.0f} % of {name}'s updates were rejected"
+            yield from _first(run, rejected > used, reason)
 
 
 def _corrections(run: RunSummary) -> Iterator[Doubt]:
     limit = TOLERATED * np.sqrt(chdtri(3, RUN_ALARM / len(run.pushed)))
     ratio = np.divide(run.pushed, run.push_claimed, where=run.push_claimed > 0, out=0 * run.pushed)
-    wrong = np.flatnonzero(ratio > limit)
-    if len(wrong):
-        most = run.pushed[wrong].max()
-        text = f"its updates contradict the IMU by {most:.1f} m/s in a second"
-        yield Doubt(text, float(run.start[wrong[0]]))
+    most = run.pushed[ratio > limit].max(initial=0.0)
+    reason = f"its updates contradict the IMU by {most:.1f} m/s in a second"
+    yield from _first(run, ratio > limit, reason)
 
 
 def _bias_deviations(run: RunSummary, walk: tuple[float, float]) -> np.ndarray:
@@ -358,12 +352,10 @@ def _biases(run: RunSummary, deviations: np.ndarray) -> Iterator[Doubt]:
     limit = -ndtri(RUN_ALARM / (2 * 6))
     for name, unit, at in (("accelerometer", "m/s^2", 0), ("gyro", "rad/s", 3)):
         mine = deviations[:, at : at + 3]
-        if mine.max() > limit:
-            window, axis = np.unravel_index(np.argmax(mine), mine.shape)
-            moved = run.bias[window, at + axis] - run.first[at + axis]
-            since = run.start[np.argmax((mine > limit).any(axis=1))]
-            yield Doubt(
-                f"the bias of the {name} about {'xyz'[axis]} moved by {moved:.2g} {unit}, "
-                f"{mine.max():.1f} of its standard deviations",
-                since,
-            )
+        window, axis = np.unravel_index(np.argmax(mine), mine.shape)
+        moved = run.bias[window, at + axis] - run.first[at + axis]
+        reason = (
+            f"the bias of the {name} about {'xyz'[axis]} moved by {moved:.2g} {unit}, "
+            f"{mine.max():.1f} of its standard deviations"
+        )
+        yield from _first(run, (mine > limit).any(axis=1), reason)

@@ -36,14 +36,13 @@ class ScenarioBox(Calibrator):
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         super().__init__(gamma)
-        self.stated = confidence
-        self.confidence: float | None = confidence
+        self.confidence: float = confidence
 
     def samples_needed(self) -> int:
-        return least_samples(self.gamma, self.stated)
+        return least_samples(self.gamma, self.confidence)
 
     def conformalize(self, errors: np.ndarray) -> None:
-        self.epsilon = scenario_box(errors, self.gamma, self.stated)
+        self.epsilon = scenario_box(errors, self.gamma, self.confidence)
 
 
 def scenario_box(errors: np.ndarray, gamma: float, confidence: float = CONFIDENCE) -> np.ndarray:

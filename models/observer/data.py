@@ -105,7 +105,13 @@ def prepare(
                 check_robot(start, own, log.joints, f"{log.name}: ")
                 if not np.allclose(start.R_BI, own.R_BI, atol=1e-4):
                     raise ObserverError(f"{log.name}: its IMU is turned against the observer's")
-        _check_alike(log, own, *first)
+        model, joints, name = first
+        if own.name != model.name:
+            raise ObserverError(f"{log.name}: is of {own.name}, {name} of {model.name}")
+        if not same_mounting(own, model):
+            raise ObserverError(f"{log.name}: its IMU is mounted elsewhere than {name}'s")
+        if log.joints != joints:
+            raise ObserverError(f"{log.name}: its joints differ from {name}'s")
         seen = observer_samples(log, inputs)
         causal_dq |= seen.causal_dq
         v_I, measured = body_velocity(log, seen.rows)
@@ -179,23 +185,3 @@ def _scaling(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     values = np.concatenate(parts)
     spread = values.std(axis=0)
     return values.mean(axis=0), np.where(spread > 1e-6, spread, 1.0)
-
-
-def _check_alike(
-    log: Log, robot: Mounted, first: Mounted, joints: tuple[str, ...], name: str
-) -> None:
-    """Raise ObserverError where a log is not like the first one.
-
-    Args:
-        log: to check.
-        robot: its own.
-        first: robot of the first log.
-        joints: of the first log.
-        name: of the first log.
-    """
-    if robot.name != first.name:
-        raise ObserverError(f"{log.name}: is of {robot.name}, {name} of {first.name}")
-    if not same_mounting(robot, first):
-        raise ObserverError(f"{log.name}: its IMU is mounted elsewhere than {name}'s")
-    if log.joints != joints:
-        raise ObserverError(f"{log.name}: its joints differ from {name}'s")

@@ -186,17 +186,13 @@ class Training:
         """Write the state, replacing an earlier one, whole or not at all; `task` identifies the
         training.
         """
-        values = {
+        values = vars(self) | {
             "format": TRAINING_FORMAT,
             "task": task,
-            "step": self.step,
             "network": self.network.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "rng": json.dumps(self.rng.bit_generator.state),
-            "best": self.best,
-            "score": self.score,
             "rmse": self.rmse.tolist(),
-            "since": self.since,
         }
         with kept_file(path) as temporary:
             temporary.write_bytes(torch_bytes(values | {"sha256": _digest(values)}))
@@ -304,7 +300,7 @@ def _fit(
     logs = [log.to(device) for log in dataset.logs]
     scored = [log for log in logs if log.validation.any()]
     trained = [log for log in logs if log.train.any()]
-    now = _begin(dataset, replace(settings, rate=rate), device, start)
+    now = _begin(dataset, settings, device, start)
     if partial:
         now.restore(partial, task)
 
@@ -359,10 +355,9 @@ def _begin(
     start: Observer | None = None,
 ) -> Training:
     """Initialise a training; the weights are drawn on the CPU, so they are the same for every
-    device, or those of `start`. The settings have a width and a rate.
+    device, or those of `start`. The settings have a width.
     """
     assert settings.width is not None
-    assert settings.rate is not None
     rng = np.random.default_rng(settings.seed)
     inputs = len(dataset.x_mean)
     legs = len(dataset.legs["radius"]) if dataset.legs else 0
@@ -374,7 +369,7 @@ def _begin(
         network.load_state_dict(start.network.state_dict())
     best = _kept_weights(network)
     network.to(device)  # before Adam, which keeps its state where the weights are
-    optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
+    optimiser = torch.optim.Adam(network.parameters())  # the schedule sets its rate
     return Training(network, optimiser, rng, best)
 
 
