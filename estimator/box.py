@@ -32,6 +32,11 @@ from surefoot.sim.common.kernels import kernel
 
 COVARIANCE_ASYMMETRY = 1e-10
 """Largest `asymmetry` of a covariance."""
+_LOG_2PI = math.log(2.0 * math.pi)
+_FAR = 1e6
+"""Squared distance beyond which differences from the prior's covariance are lost to rounding."""
+_ROUNDING = 5e-10
+"""Tolerance above the prior's covariance, in units of the prior's variances."""
 
 
 def box_moments(
@@ -65,11 +70,6 @@ def box_moments(
         raise ValueError("box_moments: cov is not positive definite")
     out_mean, out_cov = np.empty(3), np.empty((3, 3))
     return box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov), out_mean, out_cov
-
-
-_LOG_2PI = math.log(2.0 * math.pi)
-_FAR = 1e6
-"""Squared distance beyond which differences from the prior's covariance are lost to rounding."""
 
 
 @kernel
@@ -306,10 +306,6 @@ def _outer_end(C, low, high, mode, distance, side: float) -> float:
         else:
             far, fall_far = middle, fall
     return far
-
-
-_ROUNDING = 5e-10
-"""Tolerance above the prior's covariance, in units of the prior's variances."""
 
 
 @kernel(error_model="numpy")

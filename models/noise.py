@@ -29,6 +29,16 @@ most its n-th power.
 """
 Z = 1.96
 """Half width of a 95 % interval, in standard deviations."""
+QUIET_WINDOW, QUIET_BLOCKS = 0.5, 10
+"""Length of a window [s], and number of blocks that it is divided into: means over 50 ms suppress
+white noise but not a robot's motion.
+"""
+QUIET_GYRO, QUIET_ACCEL = 0.03, 0.5
+"""Standard deviation of these means, in rad/s and m/s^2, up to which a robot is at rest."""
+TURNED = 0.01
+"""Difference between the means of successive windows up to which they belong to one rest: of the
+gyro [rad/s] and, in units of 10 m/s^2, of the accelerometer.
+"""
 
 
 @dataclass(frozen=True)
@@ -123,18 +133,6 @@ def _density(square: float, std: float) -> Density:
         factor = np.exp(0.5 * Z * std / square)
         return Density(*(float(np.sqrt(square) * f) for f in (1.0, 1.0 / factor, factor)))
     return Density(float(np.sqrt(square)), 0.0, float(np.sqrt(square + Z * std)))
-
-
-QUIET_WINDOW, QUIET_BLOCKS = 0.5, 10
-"""Length of a window [s], and number of blocks that it is divided into: means over 50 ms suppress
-white noise but not a robot's motion.
-"""
-QUIET_GYRO, QUIET_ACCEL = 0.03, 0.5
-"""Standard deviation of these means, in rad/s and m/s^2, up to which a robot is at rest."""
-TURNED = 0.01
-"""Difference between the means of successive windows up to which they belong to one rest: of the
-gyro [rad/s] and, in units of 10 m/s^2, of the accelerometer.
-"""
 
 
 @dataclass(frozen=True)

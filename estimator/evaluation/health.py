@@ -42,6 +42,20 @@ from surefoot.sim.log import Log
 
 ACCEL_NOISE = 0.03
 """Largest accelerometer noise density of the bundled filters [m/s^2/sqrt(Hz)]."""
+RUN_ALARM = 1e-4
+"""Probability that one of the tests fails on a run of a filter whose model is correct."""
+TOLERATED = 3.0
+"""Factor by which claimed standard deviations may be too small. A filter beyond it has the wrong
+noise or is lost.
+"""
+FASTEST = 13.0
+"""Largest plausible speed [m/s]: no legged robot has run faster (Boston Dynamics' Cheetah, 12.7 m/s
+in 2012).
+"""
+BREAKDOWN = 0.5
+"""Share of a sensor's measurements that may be rejected: the breakdown point of any robust
+estimate.
+"""
 
 
 @dataclass(frozen=True)
@@ -157,22 +171,6 @@ _MERGE = {
     "definite": np.logical_and,
 }
 """How the two parts of a window are combined."""
-
-
-RUN_ALARM = 1e-4
-"""Probability that one of the tests fails on a run of a filter whose model is correct."""
-TOLERATED = 3.0
-"""Factor by which claimed standard deviations may be too small. A filter beyond it has the wrong
-noise or is lost.
-"""
-FASTEST = 13.0
-"""Largest plausible speed [m/s]: no legged robot has run faster (Boston Dynamics' Cheetah, 12.7 m/s
-in 2012).
-"""
-BREAKDOWN = 0.5
-"""Share of a sensor's measurements that may be rejected: the breakdown point of any robust
-estimate.
-"""
 
 
 @dataclass(frozen=True)

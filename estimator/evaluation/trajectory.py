@@ -25,6 +25,8 @@ from surefoot.sim.log import Log, reference_velocity
 _KEY = b"surefoot_trajectory"
 _SCHEMA = b"1"
 _VECTORS = {"p_GI": "p", "v_GI": "v", "b_a": "b_a", "b_g": "b_g"}
+ACROSS = np.diag([1.0, 1.0, 0.0])
+"""Axes of I about which a mounting error appears as tilt, for an upright body."""
 
 
 def _columns(name: str, axes: str = "xyz") -> list[str]:
@@ -254,12 +256,14 @@ def _gathered(frame: pd.DataFrame, names: list[str]) -> np.ndarray:
     return np.ascontiguousarray(frame[names].to_numpy(dtype=float))
 
 
-ACROSS = np.diag([1.0, 1.0, 0.0])
-"""Axes of I about which a mounting error appears as tilt, for an upright body."""
-
-
 def with_mounting(estimate: Trajectory, std: float) -> Trajectory:
-    """The same estimate with the covariance for the nominal frame I; std [rad] of d about x and y.
+    """The same estimate with the covariance for the nominal frame I, to which the IMU is mounted
+    with a tolerance; std [rad] of its error d about x and y.
+
+    A filter estimates the attitude R_GS of the axes along which the IMU measures, whose tilt
+    gravity reveals. A reference gives the attitude of the nominal frame I in the body, R_GI = R_GS
+    exp(-d^), where d is small, constant, and not part of the filter. Alignment cannot remove the
+    two components of d across the vertical; it does remove the one about it, as it does yaw.
 
     Velocity and position are unchanged: p_bar - p = xi_p - [p_bar]x xi_R to first order, so the
     right-invariant error moves by (d_G, [v]x d_G, [p]x d_G) with d_G = R_GI d.

@@ -110,27 +110,22 @@ class BiasModel:
         """As JSON: lists, and null for an infinite time constant."""
         values: dict[str, Any] = {k: np.asarray(v).tolist() for k, v in self.__dict__.items()}
         values["reach"] = values.pop("max_error")  # its name in the file
-        ends = values["time_constant_interval"]
-        values["time_constant_interval"] = [None if math.isinf(end) else end for end in ends]
-        if math.isinf(self.time_constant):
-            values["time_constant"] = None
+        for name in _MAY_BE_INFINITE:
+            value = getattr(self, name)
+            values[name] = np.where(np.isinf(value), None, value).tolist()
         return values
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> BiasModel:
         """Inverse of `plain`. Raises TypeError, KeyError or ValueError where it is not complete."""
-        ends = [math.inf if end is None else end for end in values["time_constant_interval"]]
-        tau = values["time_constant"]
-        named = {("max_error" if k == "reach" else k): v for k, v in values.items()}
-        values = named | {
-            "time_constant": math.inf if tau is None else float(tau),
-            "time_constant_interval": np.array(ends, dtype=float),
-        }
+        values = {("max_error" if k == "reach" else k): v for k, v in values.items()}
         for name, shape in _SHAPES.items():
-            values[name] = np.array(values[name], dtype=float)
-            if values[name].shape != shape or not np.isfinite(values[name]).all():
+            value = np.array(values[name], dtype=float)  # null becomes nan
+            infinite = np.isnan(value) if name in _MAY_BE_INFINITE else False
+            values[name] = np.where(infinite, np.inf, value)
+            if value.shape != shape or not np.all(infinite | np.isfinite(value)):
                 raise ValueError(f"persistent.{name} is not {shape} finite numbers")
-        found = cls(**values)
+        found = cls(**values | {"time_constant": float(values["time_constant"])})
         for name in ("covariance", "within"):
             np.linalg.cholesky(values[name])
         if np.linalg.eigvalsh(found.course)[0] < -1e-12:
@@ -144,8 +139,10 @@ class BiasModel:
         return found
 
 
-_SHAPES = dict.fromkeys(("epsilon", "max_error", "variance"), (3,)) | {"interval": (3, 2)}
+_SHAPES = dict.fromkeys(("epsilon", "max_error", "variance"), (3,))
+_SHAPES |= {"interval": (3, 2), "time_constant": (), "time_constant_interval": (2,)}
 _SHAPES |= dict.fromkeys(("covariance", "course", "within"), (3, 3))
+_MAY_BE_INFINITE = ("time_constant", "time_constant_interval")
 
 
 def long_enough(errors: np.ndarray, dt: float) -> bool:

@@ -3,6 +3,9 @@
 Split conformal prediction for three axes: one bound per axis (`conformal`, `outer`), or one score
 for all (`maxnorm`), whose finite-sample statement is joint by itself. The fourth method,
 `scenario`, is in `surefoot.models.calibration.scenario_box`.
+
+Settings of a calibration and the walk that it needs are here as well, since --help shows them, and
+this module imports neither torch nor pandas.
 """
 
 from __future__ import annotations
@@ -19,6 +22,17 @@ from surefoot.models.calibration.mixing import LONGEST_LAG
 from surefoot.models.registry import CALIBRATORS
 from surefoot.sim.common.errors import SurefootError, check_known
 
+CONFIDENCE = 0.95
+"""Confidence of `scenario` bounds, over possible calibrations."""
+OUTER_LEVEL = 0.99
+"""Level of each axis' `outer` quantile. The paper sets the bounds of its biased regime "from outer
+quantiles" without naming a level; this one needs 99 independent errors, 0.999 would need 999.
+"""
+ERROR_STEP = 0.01
+"""Interval between an observer's errors [s]: 1 / RATE of `surefoot.models.observer.samples`, which
+imports pandas; a --help that prints this length need not wait for it.
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateSettings:
@@ -28,7 +42,7 @@ class CalibrateSettings:
     """Joint level: probability that the velocity errors of all three axes are within the bounds."""
     method: str = "conformal"
     """Calibration method."""
-    confidence: float = 0.95
+    confidence: float = CONFIDENCE
     """Confidence of the bounds of the method `scenario`, over possible calibration walks."""
     K: int | None = None
     """Number of 10 ms steps between errors that are treated as independent; by default from the
@@ -76,14 +90,6 @@ def conformal_quantile(scores: np.ndarray, level: float) -> np.ndarray:
             f"{least_rank(level)}"
         )
     return np.sort(scores, axis=0)[k - 1]
-
-
-CONFIDENCE = 0.95
-"""Confidence of `scenario` bounds, over possible calibrations."""
-OUTER_LEVEL = 0.99
-"""Level of each axis' `outer` quantile. The paper sets the bounds of its biased regime "from outer
-quantiles" without naming a level; this one needs 99 independent errors, 0.999 would need 999.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,12 +223,6 @@ def calibrator(method: str, gamma: float, confidence: float = CONFIDENCE) -> Cal
     """The method of that name. Raises BoundsError where there is none, or gamma is out of range."""
     check_known("method", method, CALIBRATORS, BoundsError)
     return CALIBRATORS[method](gamma, confidence)
-
-
-ERROR_STEP = 0.01
-"""Interval between an observer's errors [s]: 1 / RATE of `surefoot.models.observer.samples`, which
-imports pandas; a --help that prints this length need not wait for it.
-"""
 
 
 def errors_needed(how: Calibrator) -> int:

@@ -28,6 +28,8 @@ FALSE_ALARM = 0.01
 """Probability of a false alarm in a walk like the calibration's."""
 STAKES = np.array([0.0, 1.0, 2.0])
 RESTART = 0.01
+RIDGE = 1.0
+"""Prior precision of a regression weight on standardised features: few seconds, many inputs."""
 
 
 def block_sizes(squared: np.ndarray) -> np.ndarray:
@@ -79,10 +81,6 @@ def inflation(calibration: np.ndarray, squared: np.ndarray, alarm_at: float | No
     size = np.sqrt((total[last] - total[first]) / (last - first))
     grown = np.maximum(size / np.median(calibration), 1.0)
     return np.where(last > alarm_at * UPDATES_OF_BLOCK, grown, 1.0)
-
-
-RIDGE = 1.0
-"""Prior precision of a regression weight on standardised features: few seconds, many inputs."""
 
 
 def features(x: np.ndarray) -> np.ndarray:

@@ -8,6 +8,8 @@ receives s and u + omega x s of all legs and computes
 
 It learns which legs stand, as well as slip, and the robot's deviation from its declared geometry.
 Speeds beyond those of the training walks are extrapolated by the kinematics, not by the network.
+
+Velocities of an IMU mounted at another place of the same body are converted by `move_velocity`.
 """
 
 from __future__ import annotations

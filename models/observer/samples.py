@@ -20,6 +20,8 @@ RATE = 100.0
 """Rate of the observer and of the filters' velocity updates [Hz]."""
 ANTI_ALIAS_SPAN = 0.020
 """Length of the anti-alias window [s]."""
+DQ_ZERO_PHASE = "dq (zero-phase)"
+DQ_CAUSAL = "dq (causal)"
 
 
 class DecimationError(SurefootError):
@@ -81,10 +83,6 @@ def decimate(t: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     alone = norm <= 1e-6
     filtered = mean @ x / np.where(alone, 1.0, norm)[:, None]
     return np.where(alone[:, None], x[rows], filtered)
-
-
-DQ_ZERO_PHASE = "dq (zero-phase)"
-DQ_CAUSAL = "dq (causal)"
 
 
 @dataclass(frozen=True)
