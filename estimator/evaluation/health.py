@@ -21,7 +21,8 @@ runs. Each test states when it failed first.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -42,6 +43,15 @@ from surefoot.sim.log import Log
 
 ACCEL_NOISE = 0.03
 """Largest accelerometer noise density of the bundled filters [m/s^2/sqrt(Hz)]."""
+_MERGED = {
+    "start": np.minimum,
+    "sums": np.add,
+    "speed": np.maximum,
+    "pushed": np.add,
+    "push_claimed": np.maximum,
+    "definite": np.logical_and,
+}
+"""How what two pieces of a run say of one window is combined; of its biases the last are kept."""
 RUN_ALARM = 1e-4
 """Probability that one of the tests fails on a run of a filter whose model is correct."""
 TOLERATED = 3.0
@@ -147,30 +157,15 @@ def _push_variance(variances: np.ndarray) -> np.ndarray:
 def joined_summary(parts: Iterable[RunSummary]) -> RunSummary:
     """Join the summaries of successive pieces; a window may lie in two of them."""
     parts = list(parts)
-    joint = {f.name: getattr(parts[0], f.name) for f in fields(RunSummary)}
-    for part in parts[1:]:
-        joint["diverged"] = part.diverged
-        if not len(part.start):
-            continue
-        same = joint["start"][-1] == part.start[0]
-        for name, merge in _MERGE.items():
-            before, after = joint[name], getattr(part, name)
-            if same:
-                before = np.concatenate([before[:-1], merge(before[-1:], after[:1])])
-            joint[name] = np.concatenate([before, after[int(same) :]])
-    return RunSummary(**joint)
-
-
-_MERGE = {
-    "start": lambda a, b: a,
-    "sums": np.add,
-    "bias": lambda a, b: b,
-    "speed": np.maximum,
-    "pushed": np.add,
-    "push_claimed": np.maximum,
-    "definite": np.logical_and,
-}
-"""How the two parts of a window are combined."""
+    known = [part for part in parts if len(part.start)]
+    if not known:
+        return parts[-1]
+    every = {name: np.concatenate([getattr(part, name) for part in known]) for name in _MERGED}
+    begins = np.r_[True, np.diff(every["start"]) != 0.0]
+    at = np.flatnonzero(begins)
+    joint: dict[str, Any] = {name: _MERGED[name].reduceat(x, at) for name, x in every.items()}
+    bias = np.concatenate([part.bias for part in known])[np.r_[begins[1:], True]]
+    return replace(known[0], **joint, bias=bias, diverged=parts[-1].diverged)
 
 
 @dataclass(frozen=True)

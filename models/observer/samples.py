@@ -120,12 +120,9 @@ def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
     groups = {name: getattr(log, name) for name in read}
     if derives:
         groups["dq"] = derivative(log.t, log.q, JOINT_WINDOW, causal=True)
-    groups = {name: groups[name] for name in wanted}
     causal_dq = derives or ("dq" in groups and DQ_CAUSAL in log.meta.derived)
-    t = log.t
-    rows = observer_rows(log)
-    x = decimate(t, np.concatenate(list(groups.values()), axis=1), rows)
-    return Samples(rows, t[rows], x, causal_dq)
+    rows, signal = observer_rows(log), np.concatenate([groups[name] for name in wanted], axis=1)
+    return Samples(rows, log.t[rows], decimate(log.t, signal, rows), causal_dq)
 
 
 def body_velocity(log: Log, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
