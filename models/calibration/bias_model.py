@@ -125,7 +125,8 @@ class BiasModel:
             values[name] = np.where(infinite, np.inf, value)
             if value.shape != shape or not np.all(infinite | np.isfinite(value)):
                 raise ValueError(f"persistent.{name} is not {shape} finite numbers")
-        found = cls(**values | {"time_constant": float(values["time_constant"])})
+        values["time_constant"] = float(values["time_constant"])
+        found = cls(**values)
         for name in ("covariance", "within"):
             np.linalg.cholesky(values[name])
         if np.linalg.eigvalsh(found.course)[0] < -1e-12:
@@ -226,7 +227,7 @@ def _fit(y, fresh, step: float):
     return ratio, variance, float(TAUS[best]), interval, np.array([kept.min(), kept.max()])
 
 
-def _innovations(y, fresh, ratio, phi) -> tuple[np.ndarray, np.ndarray]:
+def _innovations(y, fresh, ratio, phi):
     """Maximum-likelihood s, the variance of n, for c / s = ratio, and the log-likelihood there.
 
     Args:
@@ -301,7 +302,7 @@ def _mixing(errors, means, size: int, ratio, phi: float) -> np.ndarray:
 
 def _smoothed(y, ratio, phi: float) -> np.ndarray:
     """Mean (K, 3) of b given all block means of a sequence (Rauch-Tung-Striebel smoother)."""
-    b, p, ahead, p_ahead = np.zeros((4, *y.shape))
+    b, p, ahead, p_ahead = (np.zeros(y.shape) for _ in range(4))
     p_ahead[0] = ratio
     for k in range(len(y)):
         if k > 0:

@@ -36,13 +36,14 @@ class ScenarioBox(Calibrator):
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         super().__init__(gamma)
-        self.confidence: float = confidence
+        self.confidence: float | None = confidence
+        self.stated = confidence
 
     def samples_needed(self) -> int:
-        return least_samples(self.gamma, self.confidence)
+        return least_samples(self.gamma, self.stated)
 
     def conformalize(self, errors: np.ndarray) -> None:
-        self.epsilon = scenario_box(errors, self.gamma, self.confidence)
+        self.epsilon = scenario_box(errors, self.gamma, self.stated)
 
 
 def scenario_box(errors: np.ndarray, gamma: float, confidence: float = CONFIDENCE) -> np.ndarray:

@@ -319,6 +319,7 @@ _STEPS = enumerate(DIRECTIONS_OF_FEET[:2])
 _SLIPS = [(part, *side) for part in PARTS for side in enumerate(DIRECTIONS_OF_FEET)]
 _JOINTS, _AXES = enumerate(("hip", "thigh", "calf")), enumerate(("forward", "lateral", "up"))
 _ACCEL = partial(spectra, sensor="accel")
+_PEAK, _LAST = partial(over_middle, column=0), partial(over_middle, column=1)
 QUANTITIES = (
     Quantity("forward speed", "m/s", forward_speed, np.mean),
     Quantity("stride period", "s", period, np.median),
@@ -341,11 +342,9 @@ QUANTITIES = (
     ),
     Quantity("speed missed by standing legs", "share", walk_stance_means, missed_share),
     Quantity("the same, stance to stance", "m/s", walk_stance_means, missed_spread),
-    Quantity("foot force, peak to middle", "ratio", stance_forces, partial(over_middle, column=0)),
+    Quantity("foot force, peak to middle", "ratio", stance_forces, _PEAK),
     Quantity("foot force, peak to weight", "ratio", force_weight, np.median),
-    Quantity(
-        "foot force, threshold to middle", "ratio", stance_forces, partial(over_middle, column=1)
-    ),
+    Quantity("foot force, threshold to middle", "ratio", stance_forces, _LAST),
     *(
         Quantity(f"joint rate ripple, {name}", "rad/s", partial(joint_ripple, kind=i), root_mean)
         for i, name in _JOINTS
