@@ -167,9 +167,9 @@ def _corner(C, low, high, mode, distance, sums) -> float:
         j, k = (i + 1) % 3, (i + 2) % 3
         b = C[j, k]
         rest = remaining(1.0, b, 1.0)
-        own = remaining(1.0, C[i, j], 1.0)
+        given = remaining(1.0, C[i, j], 1.0)
         gain = (C[i, k] - b * C[i, j]) / rest
-        s = math.sqrt(remaining(own, C[i, k] - b * C[i, j], rest))
+        s = math.sqrt(remaining(given, C[i, k] - b * C[i, j], rest))
         mean = C[i, j] * mode[j] + gain * (mode[k] - b * mode[j])
         _, n0, n1, n2, about = line_moments((low[i] - mean) / s, (high[i] - mean) / s)
         first = n1 / n0
@@ -201,9 +201,9 @@ def _axis_order(mean, cov, lower, upper, spread, order):
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         b = cov[j, k] / cov[j, j]
-        own = remaining(cov[i, i], cov[i, j], cov[j, j])
+        given = remaining(cov[i, i], cov[i, j], cov[j, j])
         rest = remaining(cov[k, k], cov[j, k], cov[j, j])
-        left = remaining(own, cov[i, k] - b * cov[i, j], rest)
+        left = remaining(given, cov[i, k] - b * cov[i, j], rest)
         reach = math.sqrt(2.0 * DEPTH) * spread[i]
         inside = min(upper[i] - mean[i], reach) - max(lower[i] - mean[i], -reach)
         if inside <= 0.0:

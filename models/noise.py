@@ -226,8 +226,8 @@ def _stance_noise(log: Log) -> np.ndarray:
         return found
     third = np.diff(log.q, n=3, axis=0)
     for leg, name in enumerate(log.legs):
-        own = [j for j, joint in enumerate(log.joints) if joint.startswith(f"{name}_")]
+        joints = [j for j, joint in enumerate(log.joints) if joint.startswith(f"{name}_")]
         stands = np.convolve(log.contact[:, leg], np.ones(4), mode="valid") > 3.5
         if np.count_nonzero(stands) > 8:
-            found[own] = third[stands][:, own].std(axis=0) / np.sqrt(20.0)
+            found[joints] = third[stands][:, joints].std(axis=0) / np.sqrt(20.0)
     return found

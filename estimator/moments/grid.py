@@ -403,8 +403,8 @@ def _extend(C, free, mean, cov):
             mean[a] = sb * mean[b] + sc * mean[c]
             ab = sb * cov[b, b] + sc * cov[c, b]
             ac = sb * cov[b, c] + sc * cov[c, c]
-            own = remaining(1.0, C[a, b], 1.0)
-            own = remaining(own, C[a, c] - rho * C[a, b], v)
+            given = remaining(1.0, C[a, b], 1.0)
+            given = remaining(given, C[a, c] - rho * C[a, b], v)
             cov[a, b] = cov[b, a] = ab
             cov[a, c] = cov[c, a] = ac
-            cov[a, a] = own + sb * ab + sc * ac
+            cov[a, a] = given + sb * ab + sc * ac

@@ -230,8 +230,8 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
         d0 = p0 - k0 * H[0, 0] - k1 * H[1, 0] - k2 * H[2, 0]
         d1 = p1 - k0 * H[0, 1] - k1 * H[1, 1] - k2 * H[2, 1]
         d2 = p2 - k0 * H[0, 2] - k1 * H[1, 2] - k2 * H[2, 2]
-        own = work[i]
-        own[0], own[1], own[2], own[3], own[4], own[5] = k0, k1, k2, d0, d1, d2
+        row = work[i]
+        row[0], row[1], row[2], row[3], row[4], row[5] = k0, k1, k2, d0, d1, d2
         delta[i] = k0 * z_mean[0] + k1 * z_mean[1] + k2 * z_mean[2]
         for j in range(i + 1):
             g = work[j]

@@ -100,10 +100,10 @@ def unseen_errors(
                 f"{log.name}: the observer was trained on it (as {seen[digest]}); calibration "
                 "takes a log that it has not seen"
             )
-        own = Robot.for_log(log) if robot is None else robot
+        declared = Robot.for_log(log) if robot is None else robot
         names.append(log.name)
-        errors.append(prediction_errors(observer, log, own)[1])
-        mountings.append(np.array(own.R_BI, dtype=float))
+        errors.append(prediction_errors(observer, log, declared)[1])
+        mountings.append(np.array(declared.R_BI, dtype=float))
         if not np.allclose(mountings[-1], mountings[0], atol=1e-4):
             raise BoundsError(f"{log.name}: its IMU is mounted at another angle than {names[0]}'s")
     return names, errors, mountings[0]

@@ -113,14 +113,14 @@ def likelihood_ratios(calibration: np.ndarray, new: np.ndarray) -> tuple[np.ndar
 
 
 def weighted_quantile(
-    scores: np.ndarray, weights: np.ndarray, own: float, level: float
+    scores: np.ndarray, weights: np.ndarray, new_weight: float, level: float
 ) -> float | None:
-    """Weighted conformal quantile of scores (n,); `own` is the weight of the point to come.
+    """Weighted conformal quantile of scores (n,); `new_weight` is the weight of the point to come.
 
     None if it is infinite: the existing scores do not make up `level` of the weight.
     """
     order = np.argsort(scores)
-    share = np.cumsum(weights[order]) / (weights.sum() + own)
+    share = np.cumsum(weights[order]) / (weights.sum() + new_weight)
     k = int(np.searchsorted(share, level))
     return float(scores[order[k]]) if k < len(scores) else None
 

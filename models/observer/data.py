@@ -96,19 +96,19 @@ def prepare(
     first, parts, about = None, [], []
     causal_dq, kinematics, legs = False, None, {}
     for log, held in chain(((log, False) for log in logs), ((log, True) for log in held_out)):
-        own = Robot.for_log(log) if robot is None else robot
+        declared = Robot.for_log(log) if robot is None else robot
         if first is None:
-            first = own, log.joints, log.name
-            legs = leg_geometry(own, log.joints) if "feet" in inputs else {}
-            kinematics = Kinematics.of(legs, own) if legs else None
+            first = declared, log.joints, log.name
+            legs = leg_geometry(declared, log.joints) if "feet" in inputs else {}
+            kinematics = Kinematics.of(legs, declared) if legs else None
             if start is not None:
-                check_robot(start, own, log.joints, f"{log.name}: ")
-                if not np.allclose(start.R_BI, own.R_BI, atol=1e-4):
+                check_robot(start, declared, log.joints, f"{log.name}: ")
+                if not np.allclose(start.R_BI, declared.R_BI, atol=1e-4):
                     raise ObserverError(f"{log.name}: its IMU is turned against the observer's")
         model, joints, name = first
-        if own.name != model.name:
-            raise ObserverError(f"{log.name}: is of {own.name}, {name} of {model.name}")
-        if not same_mounting(own, model):
+        if declared.name != model.name:
+            raise ObserverError(f"{log.name}: is of {declared.name}, {name} of {model.name}")
+        if not same_mounting(declared, model):
             raise ObserverError(f"{log.name}: its IMU is mounted elsewhere than {name}'s")
         if log.joints != joints:
             raise ObserverError(f"{log.name}: its joints differ from {name}'s")

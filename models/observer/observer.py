@@ -332,8 +332,8 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
     joints = (x.shape[1] - measured) // (2 + ("tau" in inputs))
     q, dq, rest = np.split(x, [joints, 2 * joints], axis=1)
     omega = rest[:, :3] if "gyro" in inputs else np.zeros((len(x), 3))
-    own = x if "q" in inputs else rest
-    return np.concatenate((own, contact_points(known, q, dq, omega)), axis=1)
+    logged = x if "q" in inputs else rest
+    return np.concatenate((logged, contact_points(known, q, dq, omega)), axis=1)
 
 
 def check_network(model: str, loss: str) -> None:

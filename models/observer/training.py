@@ -240,18 +240,18 @@ def torch_bytes(values: dict[str, Any]) -> bytes:
     CPU.
     """
 
-    def own(value: Any) -> Any:
+    def copied(value: Any) -> Any:
         """Copy with tensors that share no memory, and each object once."""
         if isinstance(value, torch.Tensor):
             return value.detach().cpu().clone(memory_format=torch.contiguous_format)
         if isinstance(value, dict):
-            return {key: own(item) for key, item in value.items()}
+            return {key: copied(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return type(value)(own(item) for item in value)
+            return type(value)(copied(item) for item in value)
         return value
 
     stream = BytesIO()  # given a path, torch writes the path's name into the file
-    torch.save(own(values), stream)
+    torch.save(copied(values), stream)
     return stream.getvalue()
 
 
