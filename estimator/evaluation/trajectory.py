@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
@@ -166,7 +166,7 @@ class Trajectory:
             covariance = np.empty((len(states), 15, 15))
             covariance[:, *_UPPER] = states[_COVARIANCE]
             covariance[:, *_UPPER[::-1]] = states[_COVARIANCE]
-        vectors = {name: _gathered(states, _columns(short)) for name, short in _VECTORS.items()}
+        vectors: Any = {name: _gathered(states, _columns(c)) for name, c in _VECTORS.items()}
         return cls(
             t=states["t"].to_numpy(),
             R_GI=matrix_from_quaternion(q),
@@ -241,7 +241,7 @@ def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:
     frame = frame.dropna(axis="columns", how="all")
     if "update_t" not in frame:
         return None
-    frame = frame[frame["update_t"].notna()]
+    frame = pd.DataFrame(frame[frame["update_t"].notna()])
     bounded = "update_pi" in frame
     return UpdateRecord(
         frame["update_t"].to_numpy(),
