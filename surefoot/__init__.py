@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from surefoot.models.alignment.alignment import Alignment, align, aligned_log
     from surefoot.models.calibration.bounds import Bounds
     from surefoot.models.calibration.calibrate import calibrate
-    from surefoot.models.calibration.regions import CalibrateSettings
+    from surefoot.models.calibration.settings import CalibrateSettings
     from surefoot.models.observer.observer import Observer
     from surefoot.models.observer.settings import TrainSettings
     from surefoot.models.observer.training import train

@@ -18,14 +18,13 @@ from surefoot.models.calibration.bias_model import estimate_bias_model, long_eno
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.mixing import mixing
 from surefoot.models.calibration.regions import (
-    CALIBRATE_DEFAULT,
     BoundsError,
-    CalibrateSettings,
     Calibrator,
     Region,
     calibrator,
     errors_needed,
 )
+from surefoot.models.calibration.settings import CALIBRATE_DEFAULT, CalibrateSettings
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.odometry import Mounted
 from surefoot.models.observer.predict import prediction_errors

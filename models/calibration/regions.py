@@ -4,8 +4,8 @@ Split conformal prediction for three axes: one bound per axis (`conformal`, `out
 for all (`maxnorm`), whose finite-sample statement is joint by itself. The fourth method,
 `scenario`, is in `surefoot.models.calibration.scenario_box`.
 
-Settings of a calibration and the walk that it needs are here as well, since --help shows them, and
-this module imports neither torch nor pandas.
+The length of the walk that a method needs is here as well: --help shows it, and this module imports
+neither torch nor pandas.
 """
 
 from __future__ import annotations
@@ -32,25 +32,6 @@ ERROR_STEP = 0.01
 """Interval between an observer's errors [s]: 1 / RATE of `surefoot.models.observer.samples`, which
 imports pandas; a --help that prints this length need not wait for it.
 """
-
-
-@dataclass(frozen=True, kw_only=True)
-class CalibrateSettings:
-    """Level and method of bounds, for `surefoot.calibrate`."""
-
-    gamma: float = 0.8
-    """Joint level: probability that the velocity errors of all three axes are within the bounds."""
-    method: str = "conformal"
-    """Calibration method."""
-    confidence: float = CONFIDENCE
-    """Confidence of the bounds of the method `scenario`, over possible calibration walks."""
-    K: int | None = None
-    """Number of 10 ms steps between errors that are treated as independent; by default from the
-    decay of their dependence.
-    """
-
-
-CALIBRATE_DEFAULT = CalibrateSettings()
 
 
 class BoundsError(SurefootError):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from surefoot.models.calibration.regions import CalibrateSettings
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS, LOSSES
 from surefoot.scenarios.cli import options

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.regions import CalibrateSettings
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS

@@ -31,13 +31,13 @@ from surefoot.models.calibration.mixing import LONGEST_LAG, beta_coefficient, di
 from surefoot.models.calibration.regions import (
     ERROR_STEP,
     BoundsError,
-    CalibrateSettings,
     calibrator,
     conformal_quantile,
     level_per_axis,
     rank,
     walk_enough,
 )
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import LEGS, Log

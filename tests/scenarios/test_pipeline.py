@@ -7,7 +7,7 @@ import pytest
 from refusals import refused
 
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.regions import CalibrateSettings
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.scenarios.compare import compare_log, table, write_comparison

@@ -16,7 +16,7 @@ from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.run import every_row
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.regions import CalibrateSettings
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate import file
