@@ -8,7 +8,7 @@ from synthetic import Body, synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.regions import CalibrateSettings
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
