@@ -1,13 +1,42 @@
-"""Probability and moments of a three-dimensional Gaussian on a box: the checked front door."""
+"""Probability and moments of a three-dimensional Gaussian on a box, without sampling.
+
+Two dimensions are integrated by nested Gauss-Legendre rules, the innermost in closed form. Three
+measures keep the precision: the windows of integration follow from the exact nearest point of the
+box (27 faces), all weights are relative to the density there, and moments are accumulated about it.
+The outermost axis is the one with the shortest interval relative to its conditional deviation:
+narrow, or weakly correlated.
+
+For strongly correlated axes the integrand bends sharply at known places, where the conditional mean
+of one axis, given the others, crosses a bound. The rules are split there.
+
+The covariance of a truncated Gaussian does not exceed that of the Gaussian, as for every convex
+set, but only up to rounding in the computed moments: `clip_to_prior` enforces it.
+"""
+
+import math
 
 import numpy as np
 
 from surefoot.estimator.core.checks import asymmetry, is_definite
-from surefoot.estimator.moments.box import box_moments_kernel
+from surefoot.estimator.moments.faces import (
+    Rectangle,
+    nearest_given_first,
+    nearest_in_box,
+    remaining,
+)
+from surefoot.estimator.moments.grid import grid_moments
+from surefoot.estimator.moments.line import DEPTH, About, Conditional2, line_moments, plane_moments
+from surefoot.estimator.moments.parts import outer_parts
+from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, drop_between, rule
 from surefoot.sim.common.kernels import kernel
 
 COVARIANCE_ASYMMETRY = 1e-10
 """Largest `asymmetry` of a covariance."""
+_LOG_2PI = math.log(2.0 * math.pi)
+_FAR = 1e6
+"""Squared distance beyond which differences from the prior's covariance are lost to rounding."""
+_ROUNDING = 5e-10
+"""Tolerance above the prior's covariance, in units of the prior's variances."""
 
 
 def box_moments(
@@ -21,60 +50,296 @@ def box_moments(
     ValueError on wrong shapes, NaN, lower >= upper, or a covariance that is not symmetric positive
     definite.
     """
-    mean, lower, upper = (np.array(x, dtype=float, order="C") for x in (mean, lower, upper))
-    cov = np.array(cov, dtype=float, order="C")
-    for name, array in (("mean", mean), ("cov", cov), ("lower", lower), ("upper", upper)):
-        if array.shape != ((3, 3) if array is cov else (3,)):
-            wanted = "(3, 3)" if array is cov else "(3,)"
+    given = {"mean": mean, "cov": cov, "lower": lower, "upper": upper}
+    arrays = {name: np.array(x, dtype=float, order="C") for name, x in given.items()}
+    mean, cov, lower, upper = arrays.values()
+    for name, array in arrays.items():
+        wanted = (3, 3) if name == "cov" else (3,)
+        if array.shape != wanted:
             raise ValueError(f"box_moments: {name} has shape {array.shape}, not {wanted}")
+        bad = np.isnan(array) if name in ("lower", "upper") else ~np.isfinite(array)
+        if bad.any():
+            raise ValueError(f"box_moments: {name} has values that are not finite")
+    if not np.all(lower < upper):
+        raise ValueError("box_moments: lower must be below upper on every axis")
+    if np.any(lower == np.inf) or np.any(upper == -np.inf):
+        raise ValueError("box_moments: the box is empty, a bound is infinite on the wrong side")
+    if asymmetry(cov) > COVARIANCE_ASYMMETRY:
+        raise ValueError("box_moments: cov is not symmetric")
+    if not is_definite(cov):
+        raise ValueError("box_moments: cov is not positive definite")
     out_mean, out_cov = np.empty(3), np.empty((3, 3))
-    log_prob = _checked(mean, cov, lower, upper, out_mean, out_cov)
-    if log_prob > 0.0:
-        raise ValueError(f"box_moments: {_FAULTS[int(log_prob) - 1]}")
-    return log_prob, out_mean, out_cov
-
-
-_FAULTS = (
-    "mean has values that are not finite",
-    "cov has values that are not finite",
-    "lower has values that are not finite",
-    "upper has values that are not finite",
-    "lower must be below upper on every axis",
-    "the box is empty, a bound is infinite on the wrong side",
-    "cov is not symmetric",
-    "cov is not positive definite",
-)
+    return box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov), out_mean, out_cov
 
 
 @kernel
-def _checked(mean, cov, lower, upper, out_mean, out_cov) -> float:
-    """`box_moments_kernel` with checks of its inputs; returns the number of a fault where there is
-    one, counted from one in the order of _FAULTS.
+def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
+    """`surefoot.estimator.box.box_moments`, compiled; returns the log probability of the box.
+
+    Args:
+        mean: (3,) of the Gaussian, in the unit of the bounds.
+        cov: (3, 3) of the Gaussian, positive definite.
+        lower: (3,), the box's lower bounds; may be -inf.
+        upper: (3,), the box's upper bounds; may be inf.
+        out_mean: (3,), receives the truncated mean.
+        out_cov: (3, 3), receives the truncated covariance.
+    """
+    order, spread = np.empty(3, dtype=np.int64), np.empty(3)
+    C, low, high = np.empty((3, 3)), np.empty(3), np.empty(3)
+    for i in range(3):
+        spread[i] = math.sqrt(cov[i, i])
+    _axis_order(mean, cov, lower, upper, spread, order)
+    for i in range(3):
+        a = order[i]
+        low[i] = (lower[a] - mean[a]) / spread[a]
+        high[i] = (upper[a] - mean[a]) / spread[a]
+        for j in range(3):
+            C[i, j] = cov[a, order[j]] / (spread[a] * spread[order[j]])
+    mode = np.empty(3)
+    distance = nearest_in_box(C, low, high, mode)
+    found, S = np.empty(3), np.empty((3, 3))
+    log_prob = grid_moments(C, low, high, mode, distance, found, S)
+    if np.isnan(log_prob):
+        sums = np.zeros(10)
+        log_prob = _integrate(C, low, high, mode, distance, sums)
+        sound = _sound(sums)
+        if sound:
+            _centre(sums, mode, found, S)
+            sound = distance < _FAR or below_prior(C, S)
+        if not sound:
+            log_prob = _corner(C, low, high, mode, distance, sums)
+            _centre(sums, mode, found, S)
+        log_prob += math.log(sums[0])
+    if not below_prior(C, S):
+        clip_to_prior(C, S)
+    for i in range(3):
+        a = order[i]
+        out_mean[a] = min(max(mean[a] + spread[a] * found[i], lower[a]), upper[a])
+        for j in range(3):
+            out_cov[a, order[j]] = spread[a] * spread[order[j]] * S[i, j]
+    return min(log_prob, 0.0)
+
+
+@kernel
+def _centre(sums, mode, mean, cov):
+    """Mean (3,) and covariance (3, 3) from the moments 0, 1 and 2 about the mode."""
+    total = sums[0]
+    for i in range(3):
+        mean[i] = mode[i] + sums[1 + i] / total
+        for j in range(i, 3):
+            second = sums[4 + 3 * i - i * (i - 1) // 2 + j - i] / total
+            cov[i, j] = cov[j, i] = second - sums[1 + i] * sums[1 + j] / (total * total)
+
+
+@kernel
+def _sound(sums) -> bool:
+    """Whether mass and variances are positive and finite, and the mass is above the mode's
+    rounding.
+    """
+    if not 1e-60 < sums[0] < np.inf:
+        return False
+    for i in range(3):
+        variance = sums[4 + 3 * i - i * (i - 1) // 2] / sums[0] - (sums[1 + i] / sums[0]) ** 2
+        if not 0.0 < variance < np.inf:
+            return False
+    return True
+
+
+@kernel
+def _corner(C, low, high, mode, distance, sums) -> float:
+    """Approximate moments where distances are so large that their differences have no digits left.
+
+    Each axis by itself, given the other two at the nearest point: finite, inside the box and below
+    the prior. Needed beyond 200 deviations with correlations within 1e-6 of one.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds in prior standard deviations from the mean.
+        high: (3,), its upper bounds, likewise.
+        mode: (3,), the point of the box nearest to zero.
+        distance: squared Mahalanobis distance of the mode.
+        sums: (10,), receives the moments 0, 1 and 2 about the mode.
+    """
+    sums[:] = 0.0
+    sums[0] = 1.0
+    log_density = -0.5 * distance - 1.5 * _LOG_2PI
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        b = C[j, k]
+        rest = remaining(1.0, b, 1.0)
+        given = remaining(1.0, C[i, j], 1.0)
+        gain = (C[i, k] - b * C[i, j]) / rest
+        s = math.sqrt(remaining(given, C[i, k] - b * C[i, j], rest))
+        mean = C[i, j] * mode[j] + gain * (mode[k] - b * mode[j])
+        _, n0, n1, n2, about = line_moments((low[i] - mean) / s, (high[i] - mean) / s)
+        first = n1 / n0
+        sums[1 + i] = min(max(mean + s * (about + first), low[i]), high[i]) - mode[i]
+        sums[4 + 3 * i - i * (i - 1) // 2] = s * s * (n2 / n0 - first * first) + sums[1 + i] ** 2
+        log_density += math.log(s * n0)
+    for i in range(2):
+        for j in range(i + 1, 3):
+            sums[4 + 3 * i - i * (i - 1) // 2 + j - i] = sums[1 + i] * sums[1 + j]
+    b1 = C[0, 1]
+    v1 = remaining(1.0, b1, 1.0)
+    v2 = remaining(remaining(1.0, C[0, 2], 1.0), C[1, 2] - b1 * C[0, 2], v1)
+    return log_density - 0.5 * math.log(v1 * v2)
+
+
+@kernel
+def _axis_order(mean, cov, lower, upper, spread, order):
+    """Sort the axes by the length of their interval relative to their conditional deviation.
 
     Args:
         mean: (3,) of the Gaussian.
         cov: (3, 3) of the Gaussian.
         lower: (3,), the box's lower bounds.
-        upper: (3,), the box's upper bounds.
-        out_mean: (3,), receives the truncated mean.
-        out_cov: (3, 3), receives the truncated covariance.
+        upper: (3,), its upper bounds.
+        spread: (3,), prior standard deviations.
+        order: (3,), receives the axes, the shortest interval first.
     """
+    length = np.empty(3)
     for i in range(3):
-        if not np.isfinite(mean[i]):
-            return 1.0
-        if not (np.isfinite(cov[i, 0]) and np.isfinite(cov[i, 1]) and np.isfinite(cov[i, 2])):
-            return 2.0
-        if np.isnan(lower[i]):
-            return 3.0
-        if np.isnan(upper[i]):
-            return 4.0
+        j, k = (i + 1) % 3, (i + 2) % 3
+        b = cov[j, k] / cov[j, j]
+        given = remaining(cov[i, i], cov[i, j], cov[j, j])
+        rest = remaining(cov[k, k], cov[j, k], cov[j, j])
+        left = remaining(given, cov[i, k] - b * cov[i, j], rest)
+        reach = math.sqrt(2.0 * DEPTH) * spread[i]
+        inside = min(upper[i] - mean[i], reach) - max(lower[i] - mean[i], -reach)
+        if inside <= 0.0:
+            inside = min(upper[i] - lower[i], reach)
+        length[i] = inside / math.sqrt(left)
+        order[i] = i
+    for i in range(2):
+        for j in range(2 - i):
+            if length[order[j]] > length[order[j + 1]]:
+                order[j], order[j + 1] = order[j + 1], order[j]
+
+
+@kernel
+def _integrate(C, low, high, mode, distance, sums) -> float:
+    """Moments of the box by nested rules; returns the log of their common factor.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds in prior standard deviations from the mean.
+        high: (3,), its upper bounds, likewise.
+        mode: (3,), the point of the box nearest to zero.
+        distance: squared Mahalanobis distance of the mode.
+        sums: (10,), zeros, receives the moments 0, 1 and 2 about the mode.
+    """
+    # Axis 1 given axis 0, and axis 2 given both.
+    b1, b2 = C[0, 1], C[0, 2]
+    v1 = remaining(1.0, b1, 1.0)
+    slope = (C[1, 2] - b1 * b2) / v1
+    v2 = remaining(remaining(1.0, b2, 1.0), C[1, 2] - b1 * b2, v1)
+    s1, s2 = math.sqrt(v1), math.sqrt(v2)
+    left = _outer_end(C, low, high, mode, distance, -1.0)
+    right = _outer_end(C, low, high, mode, distance, 1.0)
+    cuts, scales = np.empty(16), np.empty(16)
+    parts = outer_parts(C, low, high, left, right, distance, cuts, scales)
+    inner = np.empty(6)
+    rectangle = Rectangle(low[1], high[1], low[2], high[2])
+    for part in range(parts):
+        start, end = cuts[part], cuts[part + 1]
+        drop = drop_between(
+            0.5 * nearest_given_first(start, C, low, high)[0],
+            0.5 * nearest_given_first(end, C, low, high)[0],
+            0.5 * distance,
+            start < mode[0] < end,
+        )
+        pieces, count, at = rule(end - start, scales[part], drop)
+        step = (end - start) / pieces
+        for piece in range(pieces):
+            for i in range(at, at + count):
+                x = start + step * (piece + NODES[i])
+                nearest, x1, _ = nearest_given_first(x, C, low, high)
+                depth = DEPTH - 0.5 * (nearest - distance)
+                if depth <= 0.0:
+                    continue
+                given = Conditional2(b1 * x, b2 * x, s1, slope, s2)
+                about = About(mode[1], mode[2], x1, 0.5 * (distance - x * x), depth)
+                plane_moments(given, rectangle, about, inner)
+                w = step * WEIGHTS[i]
+                y = x - mode[0]
+                sums[0] += w * inner[0]
+                sums[1] += w * y * inner[0]
+                sums[2] += w * inner[1]
+                sums[3] += w * inner[2]
+                sums[4] += w * y * y * inner[0]
+                sums[5] += w * y * inner[1]
+                sums[6] += w * y * inner[2]
+                sums[7] += w * inner[3]
+                sums[8] += w * inner[4]
+                sums[9] += w * inner[5]
+    return -0.5 * distance - 1.5 * _LOG_2PI - math.log(s1 * s2)
+
+
+@kernel
+def _outer_end(C, low, high, mode, distance, side: float) -> float:
+    """End of the window of axis 0 on one side, where its best point lies DEPTH below the mode.
+
+    Args:
+        C: (3, 3), correlation matrix.
+        low: (3,), the box's lower bounds in prior standard deviations from the mean.
+        high: (3,), its upper bounds, likewise.
+        mode: (3,), the point of the box nearest to zero.
+        distance: squared Mahalanobis distance of the mode.
+        side: -1.0 for the lower end, +1.0 for the upper one.
+    """
+    bound = high[0] if side > 0.0 else low[0]
+    # Half the squared distance of the best point is convex, with at least the marginal's curvature.
+    far = mode[0] + side * math.sqrt(2.0 * DEPTH)
+    far = min(far, bound) if side > 0.0 else max(far, bound)
+    fall_far = 0.5 * (nearest_given_first(far, C, low, high)[0] - distance)
+    near, fall_near = mode[0], 0.0
+    for _ in range(40):
+        if fall_far <= DEPTH + 4.0:
+            break
+        # Secant step on the root of the fall, which is linear where the fall is a parabola.
+        root = math.sqrt(fall_near)
+        share = (math.sqrt(DEPTH + 2.0) - root) / (math.sqrt(fall_far) - root)
+        middle = near + (far - near) * min(max(share, 0.05), 0.95)
+        fall = 0.5 * (nearest_given_first(middle, C, low, high)[0] - distance)
+        if fall < DEPTH:
+            near, fall_near = middle, max(fall, 0.0)
+        else:
+            far, fall_far = middle, fall
+    return far
+
+
+@kernel(error_model="numpy")
+def below_prior(C, cov) -> bool:
+    """Whether C - cov (3, 3) is positive semidefinite but for rounding; C a correlation matrix."""
+    a = C[0, 0] - cov[0, 0] + _ROUNDING
+    b = C[1, 0] - cov[1, 0]
+    c = C[2, 0] - cov[2, 0]
+    d = C[1, 1] - cov[1, 1] + _ROUNDING - b * b / a
+    e = C[2, 1] - cov[2, 1] - b * c / a
+    f = C[2, 2] - cov[2, 2] + _ROUNDING - c * c / a - e * e / d
+    return a > 0.0 and d > 0.0 and f > 0.0
+
+
+@kernel(error_model="numpy")
+def clip_to_prior(C, cov):
+    """Reduce cov (3, 3), in place, to the correlation matrix C along the directions that exceed it.
+
+    With C = L L^T, no eigenvalue of L^-1 cov L^-T is above one afterwards.
+    """
+    L = np.zeros((3, 3))
     for i in range(3):
-        if not lower[i] < upper[i]:
-            return 5.0
-        if lower[i] == np.inf or upper[i] == -np.inf:
-            return 6.0
-    if asymmetry(cov) > COVARIANCE_ASYMMETRY:
-        return 7.0
-    if not is_definite(cov):
-        return 8.0
-    return box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov)
+        for j in range(i + 1):
+            rest = C[i, j]
+            for k in range(j):
+                rest -= L[i, k] * L[j, k]
+            L[i, j] = math.sqrt(rest) if i == j else rest / L[j, j]
+    if not L[1, 1] * L[2, 2] > 0.0:
+        return
+    whitening = np.linalg.inv(L)
+    values, vectors = np.linalg.eigh(whitening @ cov @ whitening.T)
+    for k in range(3):
+        if values[k] > 1.0:
+            direction = L @ np.ascontiguousarray(vectors[:, k])
+            for i in range(3):
+                for j in range(3):
+                    cov[i, j] -= (values[k] - 1.0) * direction[i] * direction[j]

@@ -21,7 +21,7 @@ the inliers (bias-compensated least squares; orthogonal distance regression is a
 import numpy as np
 
 from surefoot.estimator.core.checks import numbers
-from surefoot.estimator.updates.velocity_output import inverse_3
+from surefoot.estimator.updates.velocity import inverse_3
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
@@ -60,7 +60,11 @@ def ego_velocities(
     direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
     ends = np.searchsorted(frame, np.arange(frames + 1))
     velocities, covariances = np.empty((frames, 3)), np.empty((frames, 3, 3))
-    good = _each(ends, direction, doppler, noises, velocities, covariances)
+    good = np.zeros(frames, dtype=bool)
+    for k in range(frames):
+        of_frame = slice(ends[k], ends[k + 1])
+        u, d, inlier = direction[of_frame], doppler[of_frame], np.empty(ends[k + 1] - ends[k], bool)
+        good[k] = _ego_velocity(u, d, noises, velocities[k], covariances[k], inlier)
     rows = np.flatnonzero(good)
     return rows, velocities[rows], covariances[rows]
 
@@ -74,26 +78,6 @@ def _checked(direction, doppler, noise, angle_noise):
     if noises.min() < 0:
         raise SurefootError("angle_noise: two numbers >= 0 are expected")
     return direction, doppler, noises
-
-
-@kernel
-def _each(ends, direction, doppler, noises, velocities, covariances):
-    """`_ego_velocity` of each frame; returns which frames have a result, (M,) bool.
-
-    Args:
-        ends: (M+1,), row of each frame's first return, and the end of the last.
-        direction: (n, 3), unit vectors to the returns.
-        doppler: (n,) [m/s].
-        noises: (3,), standard deviations of Doppler [m/s], azimuth and elevation [rad].
-        velocities: (M, 3) [m/s], filled.
-        covariances: (M, 3, 3) [m^2/s^2], filled.
-    """
-    good = np.zeros(len(velocities), dtype=np.bool_)
-    for k in range(len(velocities)):
-        u, d = direction[ends[k] : ends[k + 1]], doppler[ends[k] : ends[k + 1]]
-        inlier = np.empty(len(d), dtype=np.bool_)
-        good[k] = _ego_velocity(u, d, noises, velocities[k], covariances[k], inlier)
-    return good
 
 
 @kernel

@@ -20,9 +20,9 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.estimator.run import (
     NO_VELOCITIES,
     ImuSamples,
+    NavigationFilter,
     Velocities,
     empty_estimates,
-    every_row,
     trajectory,
 )
 from surefoot.estimator.updates.bias_states import (
@@ -30,7 +30,6 @@ from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     NOT_PERSISTENT,
     PersistentError,
-    PersistentModel,
     propagate_bias,
 )
 from surefoot.estimator.updates.coverage import (
@@ -38,13 +37,17 @@ from surefoot.estimator.updates.coverage import (
     update_coverage,
     update_coverage_checked,
 )
-from surefoot.estimator.updates.outliers import REJECTED, UNLIMITED, fresh_counts
 from surefoot.estimator.updates.velocity import (
+    REJECTED,
+    UNLIMITED,
     UPDATE_VELOCITY,
+    add_velocity,
+    fresh_counts,
+    no_contacts,
+    note_velocity,
     update_velocity_checked,
     update_velocity_unless_outlier,
 )
-from surefoot.estimator.updates.velocity_output import add_velocity, no_contacts, note_velocity
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compiled, kernel
@@ -75,7 +78,7 @@ class FilterMemory(NamedTuple):
         noise: (4, 3), from `FilterNoise.packed`.
         columns: (15+3E, 6), work space of `propagate`.
         coupling: (3E, 3), zeros, of the extras to the rotation error.
-        counts: (2,), see `surefoot.estimator.updates.outliers`.
+        counts: (2,), see `surefoot.estimator.updates.velocity`.
     """
 
     mean: np.ndarray
@@ -86,49 +89,45 @@ class FilterMemory(NamedTuple):
     counts: np.ndarray
 
 
-class InvariantFilter:
+class InvariantFilter(NavigationFilter):
     """Right-invariant filter on SE_2(3) x R^6 (paper, Sec. II), called once per sample.
 
     state: NavState; covariance (15, 15) in the error order (rotation, velocity, position, b_a,
-    b_g); noise: FilterNoise.
+    b_g); noise: FilterNoise; persistent: error of an observer to be estimated as well, see
+    `PersistentFilter`.
 
     Raises SurefootError on wrong shapes, values that are not finite and covariances that are not
     positive definite; its subclass SampleError for steps and readings that no sensor gives;
     DivergedError once the state has diverged. In each case the filter is unchanged.
     """
 
-    def __init__(self, state: NavState, covariance: np.ndarray, noise: FilterNoise | None = None):
-        self._begin(state.pack(), spd("covariance", covariance, 15), noise, NOT_PERSISTENT)
-
-    def _begin(
+    def __init__(
         self,
-        mean: np.ndarray,
+        state: NavState,
         covariance: np.ndarray,
-        noise: FilterNoise | None,
-        model: PersistentModel,
-    ) -> None:
-        """Set up the memory of a state with or without a persistent part.
-
-        Args:
-            mean: (7+E, 3), packed.
-            covariance: (15+3E, 15+3E).
-            noise: of the IMU.
-            model: of the persistent part.
-        """
+        noise: FilterNoise | None = None,
+        persistent: PersistentError | None = None,
+    ):
         compiled(predict_checked, PREDICT)
-        n, extras = len(mean), len(mean) - EXTRA
+        covariance, extras = spd("covariance", covariance, 15), 0
+        self._model = NOT_PERSISTENT
+        if persistent is not None:
+            covariance, extras = persistent.enter(covariance), EXTRAS
+            self._model = persistent.model()
+        n = EXTRA + extras
         # What a prediction takes lies in few arrays: each costs 40 ns in a call.
         self._vectors = np.zeros((n + 6 + 3 * extras, 3))
-        self._vectors[:n], self._vectors[n : n + 4] = mean, (noise or FilterNoise()).packed()
-        self._mean, self._covariance = self._vectors[:n], covariance
-        self._columns, self._counts = np.zeros((15 + 3 * extras, 6)), fresh_counts()
-        noise_rows, coupling = self._vectors[n : n + 4], self._vectors[n + 6 :]
+        self._vectors[:n] = state.pack(extras)
+        self._vectors[n : n + 4] = (noise or FilterNoise()).packed()
         self._memory = FilterMemory(
-            self._mean, covariance, noise_rows, self._columns, coupling, self._counts
+            self._vectors[:n],
+            covariance,
+            self._vectors[n : n + 4],
+            np.zeros((15 + 3 * extras, 6)),
+            self._vectors[n + 6 :],
+            fresh_counts(),
         )
-        self._model = model
         self.t = np.nan
-        """Stamp [s] of the last sample, NaN before the first; `run` continues from there."""
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
         """IMU step (eq. covariance_propagation).
@@ -138,14 +137,16 @@ class InvariantFilter:
         """
         try:
             omega, force = _array(gyro, _FLOAT), _array(accel, _FLOAT)
-            done = predict_checked(
-                self._vectors, self._covariance, self._columns, omega, force, float(dt)
-            )
+            memory = self._memory
+            work = self._vectors, memory.covariance, memory.columns
+            done = predict_checked(*work, omega, force, float(dt))
         except (TypeError, ValueError):  # not three numbers
             done = False
         if not done:
             check_step(gyro, accel, dt)
-            check_sound(self._mean, self._covariance)
+            check_sound(*self._memory[:2])
+        if self._model is not NOT_PERSISTENT:
+            propagate_bias(*self._memory[:2], self._model, float(dt))
 
     def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
         """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3), or in a
@@ -157,13 +158,13 @@ class InvariantFilter:
         update, model = compiled(update_velocity_checked, UPDATE_VELOCITY), self._model
         try:
             given = _array(v_I, _FLOAT), _array(cov, _FLOAT), model.max_error, model.window
-            distance = update(self._mean, self._covariance, *given, self._counts)
+            distance = update(*self._memory[:2], *given, self._memory.counts)
         except (TypeError, ValueError):  # not numbers of these shapes
             distance = -1.0
         if distance < 0.0:
             check_velocity(v_I)
             spd("cov", cov, 3)
-            check_sound(self._mean, self._covariance)
+            check_sound(*self._memory[:2])
         return distance
 
     def update_coverage(
@@ -188,7 +189,7 @@ class InvariantFilter:
             gamma: their joint level.
             iterations: of the projection; more than one bring the posterior's mass closer to gamma.
             max_error: errors beyond (3,) > 0 [m/s] are rejected as outliers
-                (`surefoot.estimator.updates.outliers`); by default none is, and of a
+                (`surefoot.estimator.updates.velocity`); by default none is, and of a
                 PersistentFilter those beyond its model's.
         """
         max_error = self._model.max_error if max_error is None else max_error
@@ -196,13 +197,13 @@ class InvariantFilter:
         try:
             given = _array(v_I, _FLOAT), _array(epsilon, _FLOAT), float(gamma), int(iterations)
             limit = _array(max_error, _FLOAT), self._model.window
-            pi = update(self._mean, self._covariance, *given, *limit, self._counts)
+            pi = update(*self._memory[:2], *given, *limit, self._memory.counts)
         except (TypeError, ValueError):  # not three numbers
             pi = -1.0
         if pi < 0.0:
             check_velocity(v_I)
             check_bounds(numbers("epsilon", epsilon, (3,)), gamma, iterations)
-            check_sound(self._mean, self._covariance)
+            check_sound(*self._memory[:2])
             if not np.all(numbers("max_error", max_error, (3,)) > 0):
                 raise SurefootError("max_error: every one must be > 0 m/s")
         return pi
@@ -230,7 +231,7 @@ class InvariantFilter:
         settings = settings or CoverageSettings()
         if len(velocities.epsilon):
             check_bounds(velocities.epsilon, settings.gamma, settings.iterations)
-        found = empty_estimates(every_row(imu.t) if rows is None else rows)
+        found = empty_estimates(imu.t, rows)
         pi = np.full(len(velocities.rows), np.nan)
         window = windows_of(imu.t)
         sums = empty_sums(window, 1)
@@ -246,16 +247,6 @@ class InvariantFilter:
         elif len(v_I):
             updates = UpdateRecord(t, v_I, None, None, done)
         return trajectory(imu.t, found, updates, sums)
-
-    @property
-    def state(self) -> NavState:
-        """The estimate (a copy)."""
-        return NavState.unpack(self._mean)
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance (15, 15) of the error state (a copy)."""
-        return self._covariance[:15, :15].copy()
 
 
 class PersistentFilter(InvariantFilter):
@@ -273,18 +264,13 @@ class PersistentFilter(InvariantFilter):
         persistent: PersistentError,
         noise: FilterNoise | None = None,
     ):
-        P = persistent.enter(spd("covariance", covariance, 15))
-        self._begin(state.pack(EXTRAS), P, noise, persistent.model())
-
-    def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
-        """IMU step, and that of the persistent error; see `InvariantFilter.predict`."""
-        super().predict(gyro, accel, dt)
-        propagate_bias(self._mean, self._covariance, self._model, float(dt))
+        super().__init__(state, covariance, noise, persistent)
 
     @property
     def persistent(self) -> tuple[np.ndarray, np.ndarray]:
         """Estimate (3,) [m/s] and covariance (3, 3) of the persistent error (copies)."""
-        return self._mean[EXTRA].copy(), self._covariance[BIAS_AT:, BIAS_AT:][:3, :3].copy()
+        mean, covariance = self._memory[:2]
+        return mean[EXTRA].copy(), covariance[BIAS_AT:, BIAS_AT:][:3, :3].copy()
 
 
 @kernel

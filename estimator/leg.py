@@ -23,9 +23,9 @@ from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.run import (
     NO_VELOCITIES,
     ImuSamples,
+    NavigationFilter,
     Velocities,
     empty_estimates,
-    every_row,
     trajectory,
 )
 from surefoot.estimator.updates.contact import (
@@ -38,8 +38,7 @@ from surefoot.estimator.updates.contact import (
     update_contacts,
     update_contacts_checked,
 )
-from surefoot.estimator.updates.velocity import update_velocity
-from surefoot.estimator.updates.velocity_output import add_velocity, note_velocity
+from surefoot.estimator.updates.velocity import add_velocity, note_velocity, update_velocity
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compiled, kernel
@@ -86,7 +85,7 @@ class LegNoise:
         return contact**2, float(self.rolling) ** 2
 
 
-class LegFilter:
+class LegFilter(NavigationFilter):
     """Contact-aided invariant EKF, called once per sample.
 
     state, covariance (15, 15) as for `InvariantFilter`; noise: LegNoise. foot_radius [m]: 0 for
@@ -116,7 +115,6 @@ class LegFilter:
         self._model = ContactModel(noise.imu.packed(), *noise.packed(), radius, gate)
         self._memory = contact_memory(state.pack(feet), P)
         self.t = np.nan
-        """Stamp [s] of the last sample, NaN before the first; `run` continues from there."""
 
     def predict(
         self, gyro: np.ndarray, accel: np.ndarray, dt: float, foot_rates_I: np.ndarray | None = None
@@ -191,16 +189,6 @@ class LegFilter:
         return update_velocity(memory.mean, memory.covariance, feet, v_I, cov)
 
     @property
-    def state(self) -> NavState:
-        """The estimate (a copy)."""
-        return NavState.unpack(self._memory.mean)
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance (15, 15) of the error state without the contacts (a copy)."""
-        return self._memory.covariance[:15, :15].copy()
-
-    @property
     def contacts(self) -> dict[int, np.ndarray]:
         """Foot index -> estimated centre (3,) [m] in G of each standing foot."""
         standing = np.flatnonzero(self._memory.standing)
@@ -240,7 +228,7 @@ class LegFilter:
             velocities: additional measurements, by a radar say, from `gaussian_velocities`.
             rows: of these samples, whose estimates are returned; at 100 Hz by default.
         """
-        found = empty_estimates(every_row(imu.t) if rows is None else rows)
+        found = empty_estimates(imu.t, rows)
         if len(legs.contact) != len(imu.t):
             raise SurefootError(f"feet_I: {len(legs.contact)} rows where t has {len(imu.t)}")
         window = windows_of(imu.t)

@@ -209,25 +209,21 @@ def nees(reference: Trajectory, estimate: Trajectory) -> Nees:
         nothing = np.full(len(estimate.t), np.nan)
         return Nees(nothing, nothing, nothing)
     S = estimate.covariance[:, :9, :9]
-    position = _normalised(estimate.p_GI - reference.p_GI, position_jacobian(estimate.p_GI), S)
-    velocity = _normalised(estimate.v_GI - reference.v_GI, velocity_jacobian(estimate.v_GI), S)
+    position = _normalised(estimate.p_GI - reference.p_GI, vector_jacobian(estimate.p_GI, 6), S)
+    velocity = _normalised(estimate.v_GI - reference.v_GI, vector_jacobian(estimate.v_GI, 3), S)
     rotation = Rotation.from_matrix(estimate.R_GI @ np.swapaxes(reference.R_GI, 1, 2)).as_rotvec()
     attitude = _normalised(rotation, np.eye(3, 9)[None], S)
     return Nees(position, velocity, attitude)
 
 
-def position_jacobian(p: np.ndarray) -> np.ndarray:
-    """Jacobian (N, 3, 9) of p_bar - p with respect to (rotation, velocity, position), at p (N,
-    3).
-    """
-    return np.concatenate([-hats(p), np.zeros((len(p), 3, 3)), _eyes(len(p))], axis=2)
+def vector_jacobian(x: np.ndarray, at: int) -> np.ndarray:
+    """Jacobian (N, 3, 9) of x_bar - x with respect to (rotation, velocity, position).
 
-
-def velocity_jacobian(v: np.ndarray) -> np.ndarray:
-    """Jacobian (N, 3, 9) of v_bar - v with respect to (rotation, velocity, position), at v (N,
-    3).
+    x (N, 3) is the velocity, whose error begins at column 3, or the position, at column 6.
     """
-    return np.concatenate([-hats(v), _eyes(len(v)), np.zeros((len(v), 3, 3))], axis=2)
+    J = np.zeros((len(x), 3, 9))
+    J[:, :, :3], J[:, :, at : at + 3] = -hats(x), np.eye(3)
+    return J
 
 
 def path_length(t: np.ndarray, p: np.ndarray, every: float = 0.5) -> float:
@@ -258,10 +254,6 @@ def _relative(trajectory: Trajectory, i: np.ndarray, j: np.ndarray):
 def _angle(R: np.ndarray) -> np.ndarray:
     """Geodesic angle (N,) [deg] of the rotations (N, 3, 3)."""
     return np.degrees(Rotation.from_matrix(R).magnitude())
-
-
-def _eyes(n: int) -> np.ndarray:
-    return np.broadcast_to(np.eye(3), (n, 3, 3))
 
 
 def _rms(x: np.ndarray) -> float:

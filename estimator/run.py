@@ -1,15 +1,15 @@
-"""Conversion of a log's rows for the compiled loops, and of their estimates to a trajectory.
+"""What the filters share: rows of a log for the compiled loops, estimates, and the trajectory.
 
 Row k of a log holds gyro and accel as means over (t[k-1], t[k]]. The first row is therefore the
 time of the filter's initial state and predicts nothing; every later row predicts, then updates.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from surefoot.estimator.core.checks import numbers, row_indices
-from surefoot.estimator.core.state import B_A, B_G, P, V
+from surefoot.estimator.core.state import B_A, B_G, NavState, P, V
 from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.sim.common.errors import SurefootError
@@ -105,8 +105,9 @@ def every_row(t: np.ndarray) -> np.ndarray:
     return np.arange(0, len(t), output_stride(t))
 
 
-def empty_estimates(rows: np.ndarray) -> Estimates:
-    """Estimates at these rows, to be filled."""
+def empty_estimates(t: np.ndarray, rows: np.ndarray | None) -> Estimates:
+    """Estimates at these rows of t (N,) [s], by default `every_row`, to be filled."""
+    rows = every_row(t) if rows is None else rows
     return Estimates(rows, np.empty((len(rows), 7, 3)), np.empty((len(rows), 15, 15)))
 
 
@@ -137,3 +138,24 @@ def state_parts(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """R_GI (L, 3, 3), v_GI, p_GI, b_a and b_g (L, 3) of packed means (L, 7, 3)."""
     return mean[:, :3], mean[:, V], mean[:, P], mean[:, B_A], mean[:, B_G]
+
+
+class NavigationFilter:
+    """What the filters have in common: the state that they carry from sample to sample.
+
+    Attributes:
+        t: stamp [s] of the last sample, NaN before the first; `run` continues from there.
+    """
+
+    t: float
+    _memory: Any  # FilterMemory or ContactMemory
+
+    @property
+    def state(self) -> NavState:
+        """The estimate (a copy)."""
+        return NavState.unpack(self._memory.mean)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (15, 15) of the error state, without extras (a copy)."""
+        return self._memory.covariance[:15, :15].copy()

@@ -51,7 +51,7 @@ def export(file: str | Path, out: str | Path, force: bool = False) -> str:
     if out.suffix not in FORMATS:
         raise SurefootError(f"{out}: give a file ending in {' or '.join(FORMATS)}")
     if out.suffix == ".safetensors":
-        from surefoot.models.observer.earlier import observer_of_torch
+        from surefoot.models.observer.observer import observer_of_torch
 
         observer = observer_of_torch(file)
         observer.save(out, force)

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from surefoot.models.noise.allan import AxisNoise, Density
-from surefoot.models.noise.rest import RestNoise, rest_noise
+from surefoot.models.noise import AxisNoise, Density, RestNoise, rest_noise
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_figure, set_title
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.common.files import refuse_overwrite, whole_file

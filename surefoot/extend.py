@@ -18,16 +18,19 @@ if TYPE_CHECKING:
     from surefoot.estimator.updates.bias_states import PersistentError
     from surefoot.models.bootstrap import block_bootstrap_counts
     from surefoot.models.calibration.bias_model import BOUNDED_MEAN, estimate_bias_model
-    from surefoot.models.calibration.conformal import (
+    from surefoot.models.calibration.regions import (
         BoundsError,
+        Calibrator,
+        Conformal,
+        Region,
         conformal_quantile,
         least_rank,
         level_per_axis,
+        mahalanobis,
     )
-    from surefoot.models.calibration.regions import Calibrator, Conformal, Region, mahalanobis
-    from surefoot.models.observer.decimate import RATE as OBSERVER_RATE
     from surefoot.models.observer.network import Architecture
     from surefoot.models.observer.predict import prediction_errors
+    from surefoot.models.observer.samples import RATE as OBSERVER_RATE
     from surefoot.models.registry import ARCHITECTURES
     from surefoot.models.residuals.binning import BIN, ReferenceMotion, bin_mean
     from surefoot.models.residuals.channel import Channel, Column, ResidualInputs

@@ -20,8 +20,9 @@ runs. Each test states when it failed first.
 - Speed, variances that are not positive, estimates that are not finite.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -34,9 +35,23 @@ from surefoot.estimator.evaluation.innovation_sums import (
     SUM,
     SUM_WINDOW,
     VARIANCE,
+    windows_of,
 )
-from surefoot.estimator.evaluation.run_summary import RunSummary
+from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
+from surefoot.sim.log import Log
 
+ACCEL_NOISE = 0.03
+"""Largest accelerometer noise density of the bundled filters [m/s^2/sqrt(Hz)]."""
+_MERGED = {
+    "start": np.minimum,
+    "sums": np.add,
+    "speed": np.maximum,
+    "pushed": np.add,
+    "push_claimed": np.maximum,
+    "definite": np.logical_and,
+}
+"""How what two pieces of a run say of one window is combined; of its biases the last are kept."""
 RUN_ALARM = 1e-4
 """Probability that one of the tests fails on a run of a filter whose model is correct."""
 TOLERATED = 3.0
@@ -51,6 +66,106 @@ BREAKDOWN = 0.5
 """Share of a sensor's measurements that may be rejected: the breakdown point of any robust
 estimate.
 """
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """Innovations, biases, speed and corrections of a filter in each window of SUM_WINDOW.
+
+    Attributes:
+        start: start of the windows (W,) [s].
+        sums: `surefoot.estimator.evaluation.innovation_sums` (W, S, 10); S = 0 without
+            innovations.
+        bias: b_a [m/s^2] and b_g [rad/s] at the window's end (W, 6).
+        speed: the highest (W,) [m/s].
+        pushed: total change of the velocity by updates (W,) [m/s].
+        push_claimed: standard deviation of an axis of it that the claimed errors of tilt and
+            accelerometer explain (W,) [m/s].
+        definite: whether all variances are positive (W,).
+        first: biases at the first estimate (6,).
+        prior: their claimed deviations there (6,).
+        diverged: whether the estimates end because they were no longer finite.
+    """
+
+    start: np.ndarray
+    sums: np.ndarray
+    bias: np.ndarray
+    speed: np.ndarray
+    pushed: np.ndarray
+    push_claimed: np.ndarray
+    definite: np.ndarray
+    first: np.ndarray
+    prior: np.ndarray
+    diverged: bool
+
+
+def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
+    """Summarise an estimate of a log, or of a piece of one."""
+    if not len(estimate.t):
+        none = np.zeros(0)
+        sums, bias, flags = np.zeros((0, 0, 10)), np.zeros((0, 6)), np.zeros(0, dtype=bool)
+        first = np.zeros(6)
+        return RunSummary(
+            none, sums, bias, none, none, none, flags, first, first, estimate.diverged
+        )
+    windows = windows_of(estimate.t)
+    at = np.flatnonzero(np.r_[True, np.diff(windows) != 0])
+    bias = np.concatenate([estimate.b_a, estimate.b_g], axis=1)
+    P = estimate.covariance
+    variances = np.zeros((len(estimate.t), 15)) if P is None else P.diagonal(axis1=1, axis2=2)
+    start = windows[at] * SUM_WINDOW
+    sums = np.zeros((len(at), 0, 10))
+    if estimate.innovations is not None:
+        known = estimate.innovations
+        sums = known.sums[np.searchsorted(known.start, start - 0.5 * SUM_WINDOW)]
+    return RunSummary(
+        start,
+        sums,
+        bias[np.r_[at[1:] - 1, len(bias) - 1]],
+        np.maximum.reduceat(np.linalg.norm(estimate.v_GI, axis=1), at),
+        np.linalg.norm(np.add.reduceat(_pushes(estimate, log), at), axis=1),
+        np.sqrt(np.maximum.reduceat(_push_variance(variances), at)),
+        np.logical_and.reduceat((variances > 0).all(axis=1), at),
+        bias[0].copy(),  # without the array that it is a row of
+        np.sqrt(variances[0, 9:]),
+        estimate.diverged,
+    )
+
+
+def _pushes(estimate: Trajectory, log: Log) -> np.ndarray:
+    """Velocity (L, 3) [m/s] in G that updates added to each estimate since the one before."""
+    rows = np.searchsorted(log.t, estimate.t - 1e-9)
+    dt = np.diff(log.t, prepend=log.t[0])
+    force = np.cumsum(log.accel * dt[:, None], axis=0)
+    R = 0.5 * (estimate.R_GI[1:] + estimate.R_GI[:-1])
+    elapsed = np.diff(estimate.t)[:, None]
+    force_I = np.diff(force[rows], axis=0) - 0.5 * elapsed * (estimate.b_a[1:] + estimate.b_a[:-1])
+    moved = np.einsum("nij,nj->ni", R, force_I) + GRAVITY_G * elapsed
+    return np.concatenate([np.zeros((1, 3)), np.diff(estimate.v_GI, axis=0) - moved])
+
+
+def _push_variance(variances: np.ndarray) -> np.ndarray:
+    """Variance (L,) [m^2/s^2] of the change of an axis of the velocity in a window.
+
+    From variances (L, 15) of the error state: errors of tilt and bias act throughout, and the
+    velocity itself is uncertain at both ends.
+    """
+    tilt, velocity, b_a = (variances[:, at].max(axis=1) for at in ([0, 1], [3, 4, 5], [9, 10, 11]))
+    return SUM_WINDOW**2 * (GRAVITY**2 * tilt + b_a) + 2.0 * velocity + ACCEL_NOISE**2 * SUM_WINDOW
+
+
+def joined_summary(parts: Iterable[RunSummary]) -> RunSummary:
+    """Join the summaries of successive pieces; a window may lie in two of them."""
+    parts = list(parts)
+    known = [part for part in parts if len(part.start)]
+    if not known:
+        return parts[-1]
+    every = {name: np.concatenate([getattr(part, name) for part in known]) for name in _MERGED}
+    begins = np.r_[True, np.diff(every["start"]) != 0.0]
+    at = np.flatnonzero(begins)
+    joint: dict[str, Any] = {name: _MERGED[name].reduceat(x, at) for name, x in every.items()}
+    bias = np.concatenate([part.bias for part in known])[np.r_[begins[1:], True]]
+    return replace(known[0], **joint, bias=bias, diverged=parts[-1].diverged)
 
 
 @dataclass(frozen=True)
@@ -144,18 +259,17 @@ def health(run: RunSummary, names: Sequence[str], walk: tuple[float, float]) -> 
     """
     if not len(run.start):
         return Health((), np.zeros(6), 0.0, (Doubt("not one of its estimates is finite", 0.0),))
-    sensors = [f"foot {name}" for name in names] if run.sums.shape[1] > 1 else []
-    sensors = [*sensors, "velocity"][: run.sums.shape[1]]
+    names = [f"foot {name}" for name in names] if run.sums.shape[1] > 1 else []
+    sensors = dict(zip([*names, "velocity"], run.sums.swapaxes(0, 1), strict=False))
     deviations = _bias_deviations(run, walk)
     found = [*_ends(run), *_innovations(run, sensors), *_rejected(run, sensors)]
     found += [*_corrections(run), *_biases(run, deviations)]
     return Health(
-        tuple(_sensor(run.sums[:, k].sum(axis=0), run.sums[:, k], n) for k, n in enumerate(sensors)
-              if run.sums[:, k, :2].any()),
+        tuple(_sensor(sums, n) for n, sums in sensors.items() if sums[:, [COUNT, LEFT_OUT]].any()),
         deviations.max(axis=0),
         float(run.speed.max()),
         tuple(sorted(found, key=lambda doubt: doubt.since)),
-    )  # fmt: skip
+    )
 
 
 def _drifts(sums: np.ndarray) -> np.ndarray:
@@ -165,63 +279,58 @@ def _drifts(sums: np.ndarray) -> np.ndarray:
     return np.divide(square, variance, out=np.zeros_like(square), where=variance > 0).sum(axis=-1)
 
 
-def _sensor(total: np.ndarray, windows: np.ndarray, name: str) -> SensorHealth:
+def _sensor(sums: np.ndarray, name: str) -> SensorHealth:
+    total = sums.sum(axis=0)
     used = total[COUNT]
     nis = total[SQUARED] / used if used else np.nan
-    drift = float(_drifts(windows)[windows[:, COUNT] > 0].mean() / 3.0) if used else np.nan
+    drift = float(_drifts(sums)[sums[:, COUNT] > 0].mean() / 3.0) if used else np.nan
     rejected = total[LEFT_OUT] / (used + total[LEFT_OUT])
     whiteness = 3.0 * drift / nis if nis > 0 else np.nan
     return SensorHealth(name, int(used), float(rejected), float(nis), float(whiteness), drift)
 
 
+def _first(run: RunSummary, wrong: np.ndarray, reason: str) -> Iterator[Doubt]:
+    """A doubt from the first of the windows `wrong` (W,) on, if there is one."""
+    if wrong.any():
+        yield Doubt(reason, float(run.start[np.argmax(wrong)]))
+
+
 def _ends(run: RunSummary) -> Iterator[Doubt]:
     if run.diverged:
         yield Doubt("its estimates are no longer finite", float(run.start[-1]))
-    bad = np.flatnonzero(~run.definite)
-    if len(bad):
-        yield Doubt("it claims variances that are not positive", float(run.start[bad[0]]))
-    fast = np.flatnonzero(run.speed > FASTEST)
-    if len(fast):
-        yield Doubt(f"it runs at {run.speed.max():.0f} m/s", float(run.start[fast[0]]))
+    yield from _first(run, ~run.definite, "it claims variances that are not positive")
+    yield from _first(run, run.speed > FASTEST, f"it runs at {run.speed.max():.0f} m/s")
 
 
-def _innovations(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
-    drifts = _drifts(run.sums)
-    if not drifts.size:
-        return
-    limit = TOLERATED**2 * chdtri(3, RUN_ALARM / drifts.size)
-    for k in np.flatnonzero((drifts > limit).any(axis=0)).tolist():
-        factor = np.sqrt(drifts[:, k].max() / 3.0)
-        since = float(run.start[np.argmax(drifts[:, k] > limit)])
-        yield Doubt(
-            f"innovations of {names[k]} drift by up to {factor:.0f} of their claimed standard "
-            "deviations",
-            since,
+def _innovations(run: RunSummary, sensors: dict[str, np.ndarray]) -> Iterator[Doubt]:
+    for name, sums in sensors.items():
+        drifts = _drifts(sums)
+        limit = TOLERATED**2 * chdtri(3, RUN_ALARM / run.sums[..., COUNT].size)
+        reason = (
+            f"innovations of {name} drift by up to {np.sqrt(drifts.max() / 3.0):.0f} of their "
+            "claimed standard deviations"
         )
+        yield from _first(run, drifts > limit, reason)
 
 
-def _rejected(run: RunSummary, names: Sequence[str]) -> Iterator[Doubt]:
+def _rejected(run: RunSummary, sensors: dict[str, np.ndarray]) -> Iterator[Doubt]:
     again = run.sums[:, :, RESTARTED].max(axis=1, initial=0.0)
-    if again.any():
-        times = f"{again.sum():.0f} times" if again.sum() > 1 else "once"
-        text = f"no foot passed the test of slipping for long, {times}"
-        yield Doubt(text, float(run.start[np.argmax(again > 0)]))
-    for k, name in enumerate(names):
-        used, rejected = run.sums[:, k, COUNT], run.sums[:, k, LEFT_OUT]
+    times = f"{again.sum():.0f} times" if again.sum() > 1 else "once"
+    yield from _first(run, again > 0, f"no foot passed the test of slipping for long, {times}")
+    for name, sums in sensors.items():
+        used, rejected = sums[:, COUNT], sums[:, LEFT_OUT]
         share = rejected.sum() / max(used.sum() + rejected.sum(), 1.0)
         if share > BREAKDOWN:
-            first = float(run.start[np.argmax(rejected > used)])
-            yield Doubt(f"{100 * share:.0f} % of {name}'s updates were rejected", first)
+            reason = f"{100 * share:.0f} % of {name}'s updates were rejected"
+            yield from _first(run, rejected > used, reason)
 
 
 def _corrections(run: RunSummary) -> Iterator[Doubt]:
     limit = TOLERATED * np.sqrt(chdtri(3, RUN_ALARM / len(run.pushed)))
     ratio = np.divide(run.pushed, run.push_claimed, where=run.push_claimed > 0, out=0 * run.pushed)
-    wrong = np.flatnonzero(ratio > limit)
-    if len(wrong):
-        most = run.pushed[wrong].max()
-        text = f"its updates contradict the IMU by {most:.1f} m/s in a second"
-        yield Doubt(text, float(run.start[wrong[0]]))
+    most = run.pushed[ratio > limit].max(initial=0.0)
+    reason = f"its updates contradict the IMU by {most:.1f} m/s in a second"
+    yield from _first(run, ratio > limit, reason)
 
 
 def _bias_deviations(run: RunSummary, walk: tuple[float, float]) -> np.ndarray:
@@ -236,12 +345,10 @@ def _biases(run: RunSummary, deviations: np.ndarray) -> Iterator[Doubt]:
     limit = -ndtri(RUN_ALARM / (2 * 6))
     for name, unit, at in (("accelerometer", "m/s^2", 0), ("gyro", "rad/s", 3)):
         mine = deviations[:, at : at + 3]
-        if mine.max() > limit:
-            window, axis = np.unravel_index(np.argmax(mine), mine.shape)
-            moved = run.bias[window, at + axis] - run.first[at + axis]
-            since = run.start[np.argmax((mine > limit).any(axis=1))]
-            yield Doubt(
-                f"the bias of the {name} about {'xyz'[axis]} moved by {moved:.2g} {unit}, "
-                f"{mine.max():.1f} of its standard deviations",
-                since,
-            )
+        window, axis = np.unravel_index(np.argmax(mine), mine.shape)
+        moved = run.bias[window, at + axis] - run.first[at + axis]
+        reason = (
+            f"the bias of the {name} about {'xyz'[axis]} moved by {moved:.2g} {unit}, "
+            f"{mine.max():.1f} of its standard deviations"
+        )
+        yield from _first(run, (mine > limit).any(axis=1), reason)

@@ -34,11 +34,6 @@ class InnovationSums:
     sums: np.ndarray
 
 
-def no_sums(sensors: int) -> np.ndarray:
-    """Sums (S, 10) of sensors without updates."""
-    return np.zeros((sensors, 10))
-
-
 def windows_of(t: np.ndarray) -> np.ndarray:
     """Index of each stamp's window (N,), in multiples of SUM_WINDOW; t (N,) [s]."""
     return np.floor(t / SUM_WINDOW).astype(np.int64)
@@ -48,12 +43,6 @@ def empty_sums(window: np.ndarray, sensors: int) -> InnovationSums:
     """Empty sums for the windows of successive rows (N,)."""
     start = window[np.r_[True, np.diff(window) != 0]] if len(window) else window
     return InnovationSums(start * SUM_WINDOW, np.zeros((len(start), sensors, 10)))
-
-
-@kernel
-def add_rejected(sums):
-    """Count a rejected update."""
-    sums[LEFT_OUT] += 1.0
 
 
 @kernel

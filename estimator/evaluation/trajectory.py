@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
@@ -14,6 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from surefoot.estimator.core.lie import hats
 from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
@@ -23,21 +24,20 @@ from surefoot.sim.log import Log, reference_velocity
 
 _KEY = b"surefoot_trajectory"
 _SCHEMA = b"1"
-_UPPER = [(i, j) for i in range(15) for j in range(i, 15)]
-_POSE = {"p_GI": "p", "v_GI": "v", "b_a": "b_a", "b_g": "b_g"}
-_STATE = (
-    "t",
-    *(f"q_{c}" for c in "wxyz"),
-    *(f"{short}_{c}" for short in _POSE.values() for c in "xyz"),
-)
-_COLUMNS = (
-    *_STATE,
-    *(f"cov_{i}_{j}" for i, j in _UPPER),
-    "update_t",
-    *(f"update_{name}_{c}" for name in ("v", "epsilon") for c in "xyz"),
-    "update_pi",
-    "update_active",
-)
+_VECTORS = {"p_GI": "p", "v_GI": "v", "b_a": "b_a", "b_g": "b_g"}
+ACROSS = np.diag([1.0, 1.0, 0.0])
+"""Axes of I about which a mounting error appears as tilt, for an upright body."""
+
+
+def _columns(name: str, axes: str = "xyz") -> list[str]:
+    return [f"{name}_{axis}" for axis in axes]
+
+
+_UPPER = np.triu_indices(15)
+_STATE = ["t", *_columns("q", "wxyz"), *(c for name in _VECTORS.values() for c in _columns(name))]
+_COVARIANCE = [f"cov_{i}_{j}" for i, j in zip(*_UPPER, strict=True)]
+_UPDATES = ["update_t", *_columns("update_v")]
+_BOUNDED = [*_columns("update_epsilon"), "update_pi"]
 
 
 class TrajectoryError(SurefootError):
@@ -95,7 +95,7 @@ class Trajectory:
     def __post_init__(self):
         n = len(self.t)
         wanted = {"R_GI": (n, 3, 3), "covariance": (n, 15, 15), "t": (n,)}
-        for name in ("t", "R_GI", *_POSE, "covariance"):
+        for name in ("t", "R_GI", *_VECTORS, "covariance"):
             value = getattr(self, name)
             if value is not None and np.shape(value) != wanted.get(name, (n, 3)):
                 raise TrajectoryError(
@@ -110,7 +110,7 @@ class Trajectory:
 
     def rows(self, which: slice | np.ndarray) -> Trajectory:
         """Select rows by a slice, a mask (N,) or indices. Updates are kept whole."""
-        arrays = {name: getattr(self, name)[which] for name in ("t", "R_GI", *_POSE)}
+        arrays = {name: getattr(self, name)[which] for name in ("t", "R_GI", *_VECTORS)}
         covariance = None if self.covariance is None else self.covariance[which]
         return replace(self, **arrays, covariance=covariance)
 
@@ -119,26 +119,21 @@ class Trajectory:
 
         `warnings`, about what in the log was not plausible, are kept in its metadata.
         """
-        with TrajectoryWriter(path, force, tuple(self.columns()), warnings) as file:
-            file.write(self)
+        with trajectory_file(path, force, tuple(self.columns()), warnings) as write:
+            write(self)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Values by the names of a file's columns, see `TrajectoryWriter`."""
-        columns = {"t": self.t}
-        _spread(columns, "q", quaternion_from_matrix(self.R_GI), "wxyz")
-        for name, short in _POSE.items():
-            _spread(columns, short, getattr(self, name), "xyz")
+        """Values by the names of a file's columns, see `trajectory_file`."""
+        vectors = (getattr(self, name) for name in _VECTORS)
+        state = np.column_stack([self.t, quaternion_from_matrix(self.R_GI), *vectors])
+        columns = dict(zip(_STATE, state.T, strict=True))
         if self.covariance is not None:
-            for i, j in _UPPER:
-                columns[f"cov_{i}_{j}"] = self.covariance[:, i, j]
-        if self.updates is not None:
-            columns["update_t"] = self.updates.t
-            _spread(columns, "update_v", self.updates.v_I, "xyz")
-            if self.updates.epsilon is not None:
-                _spread(columns, "update_epsilon", self.updates.epsilon, "xyz")
-            if self.updates.pi is not None:
-                columns["update_pi"] = self.updates.pi
-            columns["update_active"] = self.updates.active.astype(float)
+            columns |= zip(_COVARIANCE, self.covariance[:, *_UPPER].T, strict=True)
+        if (updates := self.updates) is not None:
+            columns |= zip(_UPDATES, (updates.t, *updates.v_I.T), strict=True)
+            if updates.epsilon is not None:
+                columns |= zip(_BOUNDED, (*updates.epsilon.T, updates.pi), strict=True)
+            columns["update_active"] = updates.active.astype(float)
         return columns
 
     @classmethod
@@ -162,16 +157,16 @@ class Trajectory:
         missing = [name for name in _STATE if name not in frame]
         if missing:
             raise TrajectoryError(f"{path}: column {missing[0]} is missing")
-        states = pd.DataFrame(frame[frame["t"].notna()])
-        q = _gather(states, "q", "wxyz")
+        states = frame[frame["t"].notna()]
+        q = _gathered(states, _columns("q", "wxyz"))
         if not np.all(np.abs(np.linalg.norm(q, axis=1) - 1) < 1e-6):
             raise TrajectoryError(f"{path}: q_w..q_z are not unit quaternions")
         covariance = None
         if "cov_0_0" in frame:
             covariance = np.empty((len(states), 15, 15))
-            for i, j in _UPPER:
-                covariance[:, i, j] = covariance[:, j, i] = states[f"cov_{i}_{j}"]
-        vectors: Any = {name: _gather(states, short, "xyz") for name, short in _POSE.items()}
+            covariance[:, *_UPPER] = states[_COVARIANCE]
+            covariance[:, *_UPPER[::-1]] = states[_COVARIANCE]
+        vectors: Any = {name: _gathered(states, _columns(c)) for name, c in _VECTORS.items()}
         return cls(
             t=states["t"].to_numpy(),
             R_GI=matrix_from_quaternion(q),
@@ -192,58 +187,41 @@ class Trajectory:
         np.savetxt(file, table, fmt="%.17g")
 
 
-class TrajectoryWriter:
-    """Writer of a trajectory that comes in pieces, one row group each; the file is whole or absent.
+@contextmanager
+def trajectory_file(
+    path: str | Path,
+    force: bool = False,
+    columns: tuple[str, ...] | None = None,
+    warnings: Sequence[str] = (),
+) -> Iterator[Callable[[Trajectory], None]]:
+    """A function that appends the next piece of a trajectory to a file, which is whole or absent.
 
     Columns: t, q_{w,x,y,z}, {p,v,b_a,b_g}_{x,y,z}, the upper triangle cov_<i>_<j>, and for the
-    updates update_{t,v_*,epsilon_*,pi,active}; in each row group the shorter of the two is padded
-    with NaN. `with TrajectoryWriter(path) as file: file.write(trajectory)`, once per piece;
-    `Trajectory.read` returns them as one.
+    updates update_{t,v_*,epsilon_*,pi,active}. Each piece is a row group, in which the shorter of
+    states and updates is padded with NaN; `Trajectory.read` returns them as one.
+
+    Args:
+        path: of the file.
+        force: whether to overwrite an existing file; SurefootError otherwise.
+        columns: of the file, by default all; NaN where a piece has none of them.
+        warnings: about what in its log was not plausible, kept in the file's metadata.
     """
-
-    def __init__(
-        self,
-        path: str | Path,
-        force: bool = False,
-        columns: tuple[str, ...] | None = None,
-        warnings: Sequence[str] = (),
+    names = columns or (*_STATE, *_COVARIANCE, *_UPDATES, *_BOUNDED, "update_active")
+    kept = {b"warnings": json.dumps(list(warnings)).encode()} if warnings else {}
+    schema = pa.schema([(name, pa.float64()) for name in names]).with_metadata(
+        {_KEY: _SCHEMA} | kept
+    )
+    with (
+        whole_file(path, force) as temporary,
+        pq.ParquetWriter(temporary, schema, compression="zstd", write_page_checksum=True) as file,
     ):
-        """Prepare a file; nothing is written yet.
 
-        Args:
-            path: of the file.
-            force: whether to overwrite an existing file; SurefootError otherwise.
-            columns: of the file, by default all; NaN where a piece has none of them.
-            warnings: about what in its log was not plausible, kept in the file's metadata.
-        """
-        self._file = whole_file(path, force)
-        schema = pa.schema([(name, pa.float64()) for name in columns or _COLUMNS])
-        kept = {b"warnings": json.dumps(list(warnings)).encode()} if warnings else {}
-        self._schema = schema.with_metadata({_KEY: _SCHEMA} | kept)
+        def write(piece: Trajectory) -> None:
+            padded = pd.DataFrame({k: pd.Series(v) for k, v in piece.columns().items()})
+            values = padded.reindex(columns=list(names)).to_numpy()
+            file.write_table(pa.table(list(values.T), schema=schema))
 
-    def __enter__(self) -> TrajectoryWriter:
-        with ExitStack() as opened:  # a writer that cannot begin leaves no file
-            temporary = opened.enter_context(self._file)
-            self._writer = pq.ParquetWriter(
-                temporary, self._schema, compression="zstd", write_page_checksum=True
-            )
-            opened.pop_all()
-        return self
-
-    def __exit__(self, *error) -> bool | None:
-        try:
-            self._writer.close()
-        except OSError as full:
-            return self._file.__exit__(type(full), full, full.__traceback__)
-        return self._file.__exit__(*error)
-
-    def write(self, piece: Trajectory) -> None:
-        """Append the next piece."""
-        columns = piece.columns()
-        height = max(len(values) for values in columns.values())
-        known = [columns.get(name, np.zeros(0)) for name in self._schema.names]
-        arrays = [np.concatenate([x, np.full(height - len(x), np.nan)]) for x in known]
-        self._writer.write_table(pa.table(arrays, schema=self._schema))
+        yield write
 
 
 def reference(log: Log) -> Trajectory:
@@ -264,19 +242,37 @@ def _read_updates(frame: pd.DataFrame) -> UpdateRecord | None:
     if "update_t" not in frame:
         return None
     frame = pd.DataFrame(frame[frame["update_t"].notna()])
+    bounded = "update_pi" in frame
     return UpdateRecord(
         frame["update_t"].to_numpy(),
-        _gather(frame, "update_v", "xyz"),
-        _gather(frame, "update_epsilon", "xyz") if "update_epsilon_x" in frame else None,
-        frame["update_pi"].to_numpy() if "update_pi" in frame else None,
+        _gathered(frame, _columns("update_v")),
+        _gathered(frame, _columns("update_epsilon")) if bounded else None,
+        frame["update_pi"].to_numpy() if bounded else None,
         frame["update_active"].to_numpy() > 0.5,
     )
 
 
-def _spread(columns: dict, name: str, values: np.ndarray, axes: str) -> None:
-    for c, axis in enumerate(axes):
-        columns[f"{name}_{axis}"] = values[:, c]
+def _gathered(frame: pd.DataFrame, names: list[str]) -> np.ndarray:
+    return np.ascontiguousarray(frame[names].to_numpy(dtype=float))
 
 
-def _gather(frame: pd.DataFrame, name: str, axes: str) -> np.ndarray:
-    return np.ascontiguousarray(frame[[f"{name}_{axis}" for axis in axes]].to_numpy(dtype=float))
+def with_mounting(estimate: Trajectory, std: float) -> Trajectory:
+    """The same estimate with the covariance for the nominal frame I, to which the IMU is mounted
+    with a tolerance; std [rad] of its error d about x and y.
+
+    A filter estimates the attitude R_GS of the axes along which the IMU measures, whose tilt
+    gravity reveals. A reference gives the attitude of the nominal frame I in the body, R_GI = R_GS
+    exp(-d^), where d is small, constant, and not part of the filter. Alignment cannot remove the
+    two components of d across the vertical; it does remove the one about it, as it does yaw.
+
+    Velocity and position are unchanged: p_bar - p = xi_p - [p_bar]x xi_R to first order, so the
+    right-invariant error moves by (d_G, [v]x d_G, [p]x d_G) with d_G = R_GI d.
+    """
+    if estimate.covariance is None or std == 0.0:
+        return estimate
+    D = std**2 * estimate.R_GI @ ACROSS @ np.swapaxes(estimate.R_GI, 1, 2)
+    unit = np.broadcast_to(np.eye(3), D.shape)
+    J = np.concatenate([unit, hats(estimate.v_GI), hats(estimate.p_GI)], axis=1)
+    covariance = estimate.covariance.copy()
+    covariance[:, :9, :9] += J @ D @ np.swapaxes(J, 1, 2)
+    return replace(estimate, covariance=covariance)

@@ -42,19 +42,13 @@ def remaining(variance: float, c: float, other: float) -> float:
 
 
 @kernel
-def nearest_on_line(mean: float, lower: float, upper: float) -> float:
-    """The point of [lower, upper] nearest to `mean`."""
-    return min(max(mean, lower), upper)
-
-
-@kernel
 def nearest_in_rectangle(gaussian, rectangle):
     """Squared distance of a Gaussian2 to a Rectangle, and the point (two numbers)."""
     m0, m1, v0, c, v1 = gaussian
     l0, u0, l1, u1 = rectangle
     best, x0, x1 = np.inf, m0, m1
     # Axis 1 free: at its conditional mean, given axis 0.
-    a0 = nearest_on_line(m0, l0, u0)
+    a0 = min(max(m0, l0), u0)
     a1 = m1 + c / v0 * (a0 - m0)
     if l1 <= a1 <= u1:
         best, x0, x1 = (a0 - m0) ** 2 / v0, a0, a1
@@ -65,7 +59,7 @@ def nearest_in_rectangle(gaussian, rectangle):
             continue
         off = bound - m1
         centre = m0 + c / v1 * off
-        b0 = nearest_on_line(centre, l0, u0)
+        b0 = min(max(centre, l0), u0)
         distance = off * off / v1 + (b0 - centre) ** 2 / rest
         if distance < best:
             best, x0, x1 = distance, b0, bound

@@ -101,36 +101,26 @@ def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
     ni, nj, nk = sizes[i], sizes[j], sizes[k]
     blocks = (nj + 3) // 4
     wide = 4 * blocks
-    buffer = np.zeros(4 * (ni + wide + nk) + 4 * nk + 3 * wide)
-    at = 0
-    yi, fi = buffer[at : at + ni], buffer[at + ni : at + 2 * ni]
-    at += 2 * ni
-    yj, fj = buffer[at : at + wide], buffer[at + wide : at + 2 * wide]
-    at += 2 * wide
-    yk, fk = buffer[at : at + nk], buffer[at + nk : at + 2 * nk]
-    at += 2 * nk
-    b0, b1, b2 = (
-        buffer[at : at + nk],
-        buffer[at + nk : at + 2 * nk],
-        buffer[at + 2 * nk : at + 3 * nk],
-    )
-    _nodes(sizes[i], pieces[i], half[i], free[i], yi, fi)
-    _nodes(sizes[j], pieces[j], half[j], free[j], yj, fj)
-    _nodes(sizes[k], pieces[k], half[k], free[k], yk, fk)
-    dj, dk = information[j, j], information[k, k]
-    _fall(yi, fi, ni, g[i], information[i, i])
-    _fall(yj, fj, nj, g[j], 0.0 if ridge else dj)
-    _fall(yk, fk, nk, g[k], 0.0 if ridge else dk)
+    tables = np.zeros((2, 3, max(ni, wide, nk)))
+    nodes, weights = tables[0], tables[1]
+    for row, a in ((0, i), (1, j), (2, k)):
+        bend = 0.0 if ridge and a != i else information[a, a]
+        _axis(sizes[a], pieces[a], half[a], free[a], g[a], bend, nodes[row], weights[row])
+    yi, yj, yk = nodes[0], nodes[1], nodes[2]
+    fi, fj, fk = weights[0], weights[1], weights[2]
+    products = np.empty((3, nk))
+    b0, b1, b2 = products[0], products[1], products[2]
     eij, eik = np.zeros((ni, wide)), np.empty((ni, nk))
-    _pair(yi, ni, yj, nj, information[i, j], eij)
-    _pair(yi, ni, yk, nk, information[i, k], eik)
+    _pair(yi, ni, yj, nj, information[i, j], eij.reshape(ni, wide, 1))
+    _pair(yi, ni, yk, nk, information[i, k], eik.reshape(ni, nk, 1))
     ejk = np.zeros((blocks, nk, 4))
     first, last = np.zeros(blocks, dtype=np.int64), np.full(blocks, nk)
     if ridge:
+        dj, dk = information[j, j], information[k, k]
         shift = (abs(information[i, k]) * half[i] + abs(g[k])) / dk
         _ridge(yj, nj, dj, yk, nk, dk, information[j, k], shift, ejk, first, last)
     else:
-        _pair_blocks(yj, nj, yk, nk, information[j, k], ejk)
+        _pair(yj, nj, yk, nk, information[j, k], ejk)
     s = np.zeros(10)
     for p in range(ni):
         x = yi[p]
@@ -200,11 +190,8 @@ def grid_moments(C, low, high, mode, distance, mean, cov) -> float:
         return np.nan
     mi, mj, mk = s[1] / total, s[2] / total, s[3] / total
     mean[i], mean[j], mean[k] = centre[i] + mi, centre[j] + mj, centre[k] + mk
-    cov[i, i], cov[j, j], cov[k, k] = (
-        s[4] / total - mi * mi,
-        s[7] / total - mj * mj,
-        s[9] / total - mk * mk,
-    )
+    cov[i, i], cov[j, j] = s[4] / total - mi * mi, s[7] / total - mj * mj
+    cov[k, k] = s[9] / total - mk * mk
     cov[i, j] = cov[j, i] = s[5] / total - mi * mj
     cov[i, k] = cov[k, i] = s[6] / total - mi * mk
     cov[j, k] = cov[k, j] = s[8] / total - mj * mk
@@ -270,9 +257,8 @@ def _windows(C, information, low, high, mode, distance, centre, half, steep, fre
     """
     left, right = np.empty(3), np.empty(3)
     for a in range(3):
-        slope = (
-            information[a, 0] * mode[0] + information[a, 1] * mode[1] + information[a, 2] * mode[2]
-        )
+        row = information[a]
+        slope = row[0] * mode[0] + row[1] * mode[1] + row[2] * mode[2]
         up = slope if mode[a] <= low[a] else 0.0
         down = -slope if mode[a] >= high[a] else 0.0
         up, down = max(up, 0.0), max(down, 0.0)
@@ -299,16 +285,19 @@ def _windows(C, information, low, high, mode, distance, centre, half, steep, fre
 
 
 @kernel(error_model="numpy")
-def _nodes(count, pieces, half, free, y, f):
-    """Nodes and weights of one axis; a free axis has one node at zero.
+def _axis(count, pieces, half, free, g, d, y, f):
+    """Nodes of one axis, and their weights times exp(-g y - d y^2 / 2); a free axis has one node at
+    zero.
 
     Args:
         count: number of nodes.
         pieces: of equal length that the window is divided into.
         half: half the window's length.
         free: whether the axis is free of its bounds.
-        y: (count,), filled with the nodes about the centre.
-        f: (count,), filled with their weights.
+        g: slope of half the squared distance at the centre.
+        d: its second derivative.
+        y: (count or more,), filled with the nodes about the centre.
+        f: (count or more,), filled with their weights.
     """
     if free:
         y[0], f[0] = 0.0, 1.0
@@ -324,65 +313,27 @@ def _nodes(count, pieces, half, free, y, f):
     # Exactly symmetric, as the tables require.
     for n in range(count // 2):
         y[count - 1 - n] = -y[n]
-
-
-@kernel(error_model="numpy")
-def _fall(y, f, count, g, d):
-    """Multiply the weights by exp(-g y - d y^2 / 2).
-
-    Args:
-        y: (count,), nodes about the centre.
-        f: (count,), weights, in place.
-        count: number of nodes.
-        g: slope of half the squared distance at the centre.
-        d: its second derivative.
-    """
     for n in range(count):
         f[n] *= math.exp(-y[n] * (g + 0.5 * d * y[n]))
 
 
 @kernel(error_model="numpy")
 def _pair(x, nx, y, ny, coupling, out):
-    """out[p, q] = exp(-coupling x_p y_q), one exponential for four entries.
+    """exp(-coupling x_p y_q) in blocks along x, one exponential for four entries.
 
     Args:
-        x: (nx,), symmetric nodes of one axis.
+        x: (nx or more,), symmetric nodes of one axis.
         nx: their number, even where coupled.
-        y: (ny,), symmetric nodes of the other axis.
+        y: (ny or more,), symmetric nodes of the other axis.
         ny: their number, even where coupled.
         coupling: element of the information matrix that couples the two axes.
-        out: (nx, ny), filled.
+        out: (blocks, ny or more, n), filled at [p // n, q, p % n].
     """
+    n = out.shape[2]
     if coupling == 0.0:
         for p in range(nx):
             for q in range(ny):
-                out[p, q] = 1.0
-        return
-    for p in range(nx // 2):
-        c = -coupling * x[p]
-        for q in range(ny // 2):
-            e = math.exp(c * y[q])
-            r = 1.0 / e
-            out[p, q] = out[nx - 1 - p, ny - 1 - q] = e
-            out[nx - 1 - p, q] = out[p, ny - 1 - q] = r
-
-
-@kernel(error_model="numpy")
-def _pair_blocks(x, nx, y, ny, coupling, out):
-    """`_pair`, laid out in blocks of four along x: out[p // 4, q, p % 4].
-
-    Args:
-        x: (nx,), symmetric nodes of one axis.
-        nx: their number, even where coupled.
-        y: (ny,), symmetric nodes of the other axis.
-        ny: their number, even where coupled.
-        coupling: element of the information matrix that couples the two axes.
-        out: (blocks, ny, 4), filled.
-    """
-    if coupling == 0.0:
-        for p in range(nx):
-            for q in range(ny):
-                out[p // 4, q, p % 4] = 1.0
+                out[p // n, q, p % n] = 1.0
         return
     for p in range(nx // 2):
         c = -coupling * x[p]
@@ -390,8 +341,8 @@ def _pair_blocks(x, nx, y, ny, coupling, out):
         for q in range(ny // 2):
             e = math.exp(c * y[q])
             r = 1.0 / e
-            out[p // 4, q, p % 4] = out[o // 4, ny - 1 - q, o % 4] = e
-            out[o // 4, q, o % 4] = out[p // 4, ny - 1 - q, p % 4] = r
+            out[p // n, q, p % n] = out[o // n, ny - 1 - q, o % n] = e
+            out[o // n, q, o % n] = out[p // n, ny - 1 - q, p % n] = r
 
 
 @kernel(error_model="numpy")
@@ -407,7 +358,7 @@ def _ridge(x, nx, dx, y, ny, dy, coupling, shift, out, first, last):
         dy: element of the information matrix of the axis of y.
         coupling: element that couples the two.
         shift: length by which the window along y is widened on both sides.
-        out: (blocks, ny, 4), filled with the densities in the layout of `_pair_blocks`.
+        out: (blocks, ny, 4), filled with the densities in the layout of `_pair`.
         first: (blocks,), filled with the first column of each block that is not zero.
         last: (blocks,), filled with the end of those columns.
     """
@@ -416,7 +367,7 @@ def _ridge(x, nx, dx, y, ny, dy, coupling, shift, out, first, last):
         o = nx - 1 - p
         middle = -coupling * x[p] / dy
         rest = 0.5 * (dx - coupling * coupling / dy) * x[p] * x[p]
-        reach = deviation * math.sqrt(2.0 * 30.0) + shift
+        reach = deviation * math.sqrt(2.0 * _DEPTH) + shift
         for q in range(ny):
             off = y[q] - middle
             if abs(off) < reach:
@@ -424,22 +375,10 @@ def _ridge(x, nx, dx, y, ny, dy, coupling, shift, out, first, last):
                 out[p // 4, q, p % 4] = e
                 out[o // 4, ny - 1 - q, o % 4] = e
     for block in range(out.shape[0]):
-        q = 0
-        while q < ny and not (
-            out[block, q, 0] + out[block, q, 1] + out[block, q, 2] + out[block, q, 3] > 0.0
-        ):
-            q += 1
-        first[block] = q
-        q = ny
-        while q > first[block] and not (
-            out[block, q - 1, 0]
-            + out[block, q - 1, 1]
-            + out[block, q - 1, 2]
-            + out[block, q - 1, 3]
-            > 0.0
-        ):
-            q -= 1
-        last[block] = q
+        first[block] = last[block] = ny
+        for q in range(ny):
+            if out[block, q, 0] + out[block, q, 1] + out[block, q, 2] + out[block, q, 3] > 0.0:
+                first[block], last[block] = min(first[block], q), q + 1
 
 
 @kernel(error_model="numpy")
@@ -464,8 +403,8 @@ def _extend(C, free, mean, cov):
             mean[a] = sb * mean[b] + sc * mean[c]
             ab = sb * cov[b, b] + sc * cov[c, b]
             ac = sb * cov[b, c] + sc * cov[c, c]
-            own = remaining(1.0, C[a, b], 1.0)
-            own = remaining(own, C[a, c] - rho * C[a, b], v)
+            given = remaining(1.0, C[a, b], 1.0)
+            given = remaining(given, C[a, c] - rho * C[a, b], v)
             cov[a, b] = cov[b, a] = ab
             cov[a, c] = cov[c, a] = ac
-            cov[a, a] = own + sb * ab + sc * ac
+            cov[a, a] = given + sb * ab + sc * ac

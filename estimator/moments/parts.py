@@ -54,8 +54,8 @@ def outer_parts(C, low, high, left: float, right: float, distance, cuts, scales)
             parts += 1
     cuts[parts] = right
     v = remaining(1.0, C[1, 2], 1.0)
-    own = remaining(1.0, C[0, 1], 1.0)
-    most = 1.0 / remaining(own, C[0, 2] - C[1, 2] * C[0, 1], v)
+    given = remaining(1.0, C[0, 1], 1.0)
+    most = 1.0 / remaining(given, C[0, 2] - C[1, 2] * C[0, 1], v)
     for part in range(parts):
         precision = 1.0
         for z in range(12):

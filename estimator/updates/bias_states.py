@@ -30,7 +30,7 @@ meanwhile:
 and |s| <= epsilon with probability gamma is the box update with z = -delta s at the window's end;
 then s restarts from zero.
 
-Both updates reject outliers (`surefoot.estimator.updates.outliers`), at most as many in a row as a
+Both updates reject outliers (`surefoot.estimator.updates.velocity`), at most as many in a row as a
 window has.
 """
 

@@ -33,10 +33,9 @@ from surefoot.estimator.core.propagation import (
 )
 from surefoot.estimator.core.state import B_A, B_G, EXTRA, P, V
 from surefoot.estimator.evaluation.innovation_sums import (
+    LEFT_OUT,
     RESTARTED,
     add_innovation,
-    add_rejected,
-    no_sums,
 )
 from surefoot.estimator.updates.velocity import gaussian_update
 from surefoot.sim.common.copies import copy_corner
@@ -135,7 +134,7 @@ def contact_memory(mean: np.ndarray, covariance: np.ndarray) -> ContactMemory:
         clock=np.zeros(2),
         rates=np.full((feet, 3), np.nan),
         biases=mean[[B_A, B_G]],
-        sums=no_sums(feet + 1),
+        sums=np.zeros((feet + 1, 10)),
     )
 
 
@@ -312,7 +311,7 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
         _reopen(mean, covariance, memory.biases)
     for k in range(feet):
         if held[k] > 0.0:
-            add_rejected(memory.sums[k])
+            memory.sums[k, LEFT_OUT] += 1.0
         elif in_contact[k] and not standing[k]:
             _insert(mean, covariance, k, feet_I[k], measurement_cov[k])
             standing[k] = True

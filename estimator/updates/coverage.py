@@ -30,12 +30,18 @@ towards gamma: `iterations`.
 import numpy as np
 from numba import types
 
+from surefoot.estimator.box import box_moments_kernel
 from surefoot.estimator.core.checks import is_bounded, is_sound
 from surefoot.estimator.core.state import EXTRA
-from surefoot.estimator.moments.box import box_moments_kernel
 from surefoot.estimator.updates.bias_states import accumulate_window, restart_window, window_output
-from surefoot.estimator.updates.outliers import GATHERED, MOST_REJECTED, is_outlier
-from surefoot.estimator.updates.velocity_output import lift, no_contacts, velocity_output
+from surefoot.estimator.updates.velocity import (
+    GATHERED,
+    MOST_REJECTED,
+    is_outlier,
+    lift,
+    no_contacts,
+    velocity_output,
+)
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import GIVEN_1, OWN_2, kernel
 
@@ -87,7 +93,7 @@ def update_coverage(
         iterations: of projection and matching; once in the paper.
         max_error: beyond which an error is an outlier (3,) [m/s].
         window: number of measurements in a window, of a state with a persistent part.
-        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
+        counts: of the filter (2,), see `surefoot.estimator.updates.velocity`.
     """
     n, contacts = covariance.shape[0], no_contacts()
     persistent = mean.shape[0] > EXTRA
@@ -135,7 +141,7 @@ def update_coverage_checked(
         iterations: of the projection.
         max_error: beyond which an error is an outlier (3,) [m/s].
         window: number of measurements in a window, of a state with a persistent part.
-        counts: of the filter (2,), see `surefoot.estimator.updates.outliers`.
+        counts: of the filter (2,), see `surefoot.estimator.updates.velocity`.
     """
     if not is_bounded(v_I, epsilon, gamma, iterations) or not is_sound(mean, covariance):
         return -1.0

@@ -33,9 +33,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from surefoot.models.calibration.conformal import conformal_quantile, level_per_axis
+from surefoot.models.calibration.regions import conformal_quantile, level_per_axis
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.kernels import kernel
 
 MIXING_BLOCK = 0.5
 """Averaging time of the mixing part [s]: a trot's stride, with which errors repeat."""
@@ -111,26 +110,22 @@ class BiasModel:
         """As JSON: lists, and null for an infinite time constant."""
         values: dict[str, Any] = {k: np.asarray(v).tolist() for k, v in self.__dict__.items()}
         values["reach"] = values.pop("max_error")  # its name in the file
-        ends = values["time_constant_interval"]
-        values["time_constant_interval"] = [None if math.isinf(end) else end for end in ends]
-        if math.isinf(self.time_constant):
-            values["time_constant"] = None
+        for name in _MAY_BE_INFINITE:
+            value = getattr(self, name)
+            values[name] = np.where(np.isinf(value), None, value).tolist()
         return values
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> BiasModel:
         """Inverse of `plain`. Raises TypeError, KeyError or ValueError where it is not complete."""
-        ends = [math.inf if end is None else end for end in values["time_constant_interval"]]
-        tau = values["time_constant"]
-        named = {("max_error" if k == "reach" else k): v for k, v in values.items()}
-        values = named | {
-            "time_constant": math.inf if tau is None else float(tau),
-            "time_constant_interval": np.array(ends, dtype=float),
-        }
+        values = {("max_error" if k == "reach" else k): v for k, v in values.items()}
         for name, shape in _SHAPES.items():
-            values[name] = np.array(values[name], dtype=float)
-            if values[name].shape != shape or not np.isfinite(values[name]).all():
+            value = np.array(values[name], dtype=float)  # null becomes nan
+            infinite = np.isnan(value) if name in _MAY_BE_INFINITE else False
+            values[name] = np.where(infinite, np.inf, value)
+            if value.shape != shape or not np.all(infinite | np.isfinite(value)):
                 raise ValueError(f"persistent.{name} is not {shape} finite numbers")
+        values["time_constant"] = float(values["time_constant"])
         found = cls(**values)
         for name in ("covariance", "within"):
             np.linalg.cholesky(values[name])
@@ -145,8 +140,10 @@ class BiasModel:
         return found
 
 
-_SHAPES = dict.fromkeys(("epsilon", "max_error", "variance"), (3,)) | {"interval": (3, 2)}
+_SHAPES = dict.fromkeys(("epsilon", "max_error", "variance"), (3,))
+_SHAPES |= {"interval": (3, 2), "time_constant": (), "time_constant_interval": (2,)}
 _SHAPES |= dict.fromkeys(("covariance", "course", "within"), (3, 3))
+_MAY_BE_INFINITE = ("time_constant", "time_constant_interval")
 
 
 def long_enough(errors: np.ndarray, dt: float) -> bool:
@@ -173,16 +170,16 @@ def estimate_bias_model(
     y, fresh = np.concatenate(means), np.concatenate([np.arange(len(m)) == 0 for m in means])
     ratio, variance, tau, interval, tau_interval = _fit(y, fresh, size * dt)
     nu = sum(1.0 + (0.0 if math.isinf(tau) else len(m) * size * dt / tau) for m in means)
-    correlation = _correlation(y, fresh, math.exp(-size * dt / tau), nu)
+    phi = math.exp(-size * dt / tau)
+    correlation = _correlation(y, fresh, phi, nu)
     std = np.maximum(np.sqrt(_next_draw(variance, nu)), LEAST_STD)
     of_course = np.sqrt(_course_variance(sequences, dt, variance, tau))
     mixing = [
-        _mixing(part, mean, size, ratio, math.exp(-size * dt / tau))
-        for part, mean in zip(sequences, means, strict=True)
+        _mixing(part, mean, size, ratio, phi) for part, mean in zip(sequences, means, strict=True)
     ]
     # The smoothed part removes some of the mixing part's variance; rescale by the fitted one.
     left = np.concatenate([block_means(part, size) for part in mixing])
-    scale = np.sqrt(variance_of_mixing(y, fresh, ratio, size * dt, tau) / np.mean(left**2, axis=0))
+    scale = np.sqrt(_innovations(y, fresh, ratio, phi)[0] / np.mean(left**2, axis=0))
     mixing = [part * scale for part in mixing]
     length = max(1, round(window / dt))
     windows = np.concatenate([block_means(part, length) for part in mixing])
@@ -209,25 +206,11 @@ def block_means(x: np.ndarray, size: int) -> np.ndarray:
     return x[: count * size].reshape(count, size, x.shape[1]).mean(axis=1)
 
 
-def variance_of_mixing(y, fresh, ratio, step: float, tau: float) -> np.ndarray:
-    """s (3,) [m^2/s^2], the maximum-likelihood variance of n, the mixing part of block means.
-
-    Args:
-        y: (K, 3) [m/s], means of the errors over blocks.
-        fresh: (K,) bool, whether a sequence begins at the block.
-        ratio: (3,), c / s of each axis.
-        step: time between blocks [s].
-        tau: time constant of the persistent part [s].
-    """
-    phi = math.exp(-step / tau)
-    return np.array([_innovations(y[:, i], fresh, ratio[i], phi)[0] for i in range(3)])
-
-
 def _fit(y, fresh, step: float):
     """Maximum-likelihood c / s (3,), c (3,) and tau, and the intervals of c and tau."""
-    likelihood = np.empty((len(TAUS), 3, len(RATIOS)))
-    c = np.empty_like(likelihood)
-    _survey(y, fresh, np.exp(-step / TAUS), RATIOS, likelihood, c)
+    phi = np.exp(-step / TAUS)[:, None, None]
+    s, likelihood = _innovations(y[:, :, None], fresh, RATIOS, phi)
+    c = RATIOS * s
     allowed = 0.5 * chi2.ppf(0.95, 1)
     by_tau = likelihood.max(axis=2).sum(axis=1)
     # Without a persistent part all tau are equivalent; prefer the longest as the simplest.
@@ -244,40 +227,23 @@ def _fit(y, fresh, step: float):
     return ratio, variance, float(TAUS[best]), interval, np.array([kept.min(), kept.max()])
 
 
-@kernel
-def _survey(y, fresh, phis, ratios, likelihood, c):
-    """Likelihood of every time constant and ratio, and the corresponding variance c.
+def _innovations(y, fresh, ratio, phi):
+    """Maximum-likelihood s, the variance of n, for c / s = ratio, and the log-likelihood there.
 
     Args:
-        y: (K, 3) [m/s], means of the errors over blocks.
+        y: (K, 3, ...) [m/s], means of the errors over blocks.
         fresh: (K,) bool, whether a sequence begins at the block.
-        phis: (T,), correlation of the persistent part between successive blocks.
-        ratios: (Q,), c / s.
-        likelihood: (T, 3, Q), filled.
-        c: (T, 3, Q) [m^2/s^2], filled with the persistent part's variance.
+        ratio: c / s, of a shape that broadcasts with a row of y, as that of the result does.
+        phi: correlation of the persistent part between successive blocks, likewise.
     """
-    for a in range(phis.shape[0]):
-        for i in range(y.shape[1]):
-            for r in range(ratios.shape[0]):
-                s, value = _innovations(y[:, i], fresh, ratios[r], phis[a])
-                likelihood[a, i, r], c[a, i, r] = value, ratios[r] * s
-
-
-@kernel
-def _innovations(y, fresh, ratio: float, phi: float) -> tuple[float, float]:
-    """Maximum-likelihood s for c / s = ratio, and the log-likelihood there, of block means (n,)."""
-    b, p, squares, logs = 0.0, ratio, 0.0, 0.0
-    for k in range(y.shape[0]):
-        if fresh[k]:
-            b, p = 0.0, ratio
-        else:
-            b, p = phi * b, phi * phi * p + (1.0 - phi * phi) * ratio
-        f, v = p + 1.0, y[k] - b
-        squares += v * v / f
-        logs += math.log(f)
+    b = p = squares = logs = np.float64(0.0)
+    for means, begins in zip(y, fresh, strict=True):
+        b, p = (0.0, ratio) if begins else (phi * b, phi * phi * p + (1.0 - phi * phi) * ratio)
+        f, v = p + 1.0, means - b
+        squares, logs = squares + v * v / f, logs + np.log(f)
         b, p = b + p / f * v, p / f
-    s = squares / y.shape[0] + 1e-300
-    return s, -0.5 * (y.shape[0] * math.log(s) + logs)
+    s = squares / len(y) + 1e-300
+    return s, -0.5 * (len(y) * np.log(s) + logs)
 
 
 def _next_draw(variance, nu: float):
@@ -328,24 +294,24 @@ def _mixing(errors, means, size: int, ratio, phi: float) -> np.ndarray:
     """
     if len(means) == 0:
         return errors - errors.mean(axis=0)
-    smooth = np.column_stack([_smoothed(means[:, i], ratio[i], phi) for i in range(3)])
+    smooth = _smoothed(means, ratio, phi)
     at = (np.arange(len(means)) + 0.5) * size - 0.5
     rows = np.arange(len(errors))
     return errors - np.column_stack([np.interp(rows, at, smooth[:, i]) for i in range(3)])
 
 
-@kernel
-def _smoothed(y, ratio: float, phi: float):
-    """Mean (n,) of b given all block means of a sequence (Rauch-Tung-Striebel smoother)."""
-    n = y.shape[0]
-    b, p = np.zeros(n), np.zeros(n)
-    ahead, p_ahead = np.zeros(n), np.zeros(n)
-    for k in range(n):
-        ahead[k] = phi * b[k - 1] if k > 0 else 0.0
-        p_ahead[k] = phi * phi * p[k - 1] + (1.0 - phi * phi) * ratio if k > 0 else ratio
+def _smoothed(y, ratio, phi: float) -> np.ndarray:
+    """Mean (K, 3) of b given all block means of a sequence (Rauch-Tung-Striebel smoother)."""
+    b, p, ahead, p_ahead = (np.zeros(y.shape) for _ in range(4))
+    p_ahead[0] = ratio
+    for k in range(len(y)):
+        if k > 0:
+            ahead[k] = phi * b[k - 1]
+            p_ahead[k] = phi * phi * p[k - 1] + (1.0 - phi * phi) * ratio
         gain = p_ahead[k] / (p_ahead[k] + 1.0)
         b[k], p[k] = ahead[k] + gain * (y[k] - ahead[k]), p_ahead[k] * (1.0 - gain)
-    for k in range(n - 2, -1, -1):
-        if p_ahead[k + 1] > 0.0:
-            b[k] += phi * p[k] / p_ahead[k + 1] * (b[k + 1] - ahead[k + 1])
+    for k in range(len(y) - 2, -1, -1):
+        later = p_ahead[k + 1]
+        gain = np.divide(phi * p[k], later, where=later > 0.0, out=np.zeros_like(later))
+        b[k] += gain * (b[k + 1] - ahead[k + 1])
     return b

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from surefoot.models.calibration.bias_model import BiasModel
-from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import Mixing
+from surefoot.models.calibration.regions import BoundsError
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import whole_file
+from surefoot.sim.common.files import write_whole
 from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.common.quaternion import check_rotation
 
@@ -98,8 +98,7 @@ class Bounds:
             values["persistent"] = self.persistent.plain()
         text = json.dumps(values, indent=1, default=lambda array: array.tolist(), allow_nan=False)
         text = json.dumps({"digest": _digest(json.loads(text))} | json.loads(text), indent=1)
-        with whole_file(path, force) as temporary:
-            temporary.write_text(text + "\n")
+        write_whole(path, text + "\n", force)
 
     @classmethod
     def load(cls, path: str | Path) -> Bounds:

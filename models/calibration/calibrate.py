@@ -16,15 +16,19 @@ import numpy as np
 
 from surefoot.models.calibration.bias_model import estimate_bias_model, long_enough
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.mixing import mixing
-from surefoot.models.calibration.regions import Calibrator, Region, calibrator
+from surefoot.models.calibration.regions import (
+    BoundsError,
+    Calibrator,
+    Region,
+    calibrator,
+    errors_needed,
+)
 from surefoot.models.calibration.settings import CALIBRATE_DEFAULT, CalibrateSettings
-from surefoot.models.calibration.walk_length import errors_needed
-from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.observer import Observer, log_digest
+from surefoot.models.observer.odometry import Mounted
 from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -95,10 +99,10 @@ def unseen_errors(
                 f"{log.name}: the observer was trained on it (as {seen[digest]}); calibration "
                 "takes a log that it has not seen"
             )
-        own = Robot.for_log(log) if robot is None else robot
+        declared = Robot.for_log(log) if robot is None else robot
         names.append(log.name)
-        errors.append(prediction_errors(observer, log, own)[1])
-        mountings.append(np.array(own.R_BI, dtype=float))
+        errors.append(prediction_errors(observer, log, declared)[1])
+        mountings.append(np.array(declared.R_BI, dtype=float))
         if not np.allclose(mountings[-1], mountings[0], atol=1e-4):
             raise BoundsError(f"{log.name}: its IMU is mounted at another angle than {names[0]}'s")
     return names, errors, mountings[0]

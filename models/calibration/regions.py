@@ -3,23 +3,24 @@
 Split conformal prediction for three axes: one bound per axis (`conformal`, `outer`), or one score
 for all (`maxnorm`), whose finite-sample statement is joint by itself. The fourth method,
 `scenario`, is in `surefoot.models.calibration.scenario_box`.
+
+The length of the walk that a method needs is here as well: --help shows it, and this module imports
+neither torch nor pandas.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from fractions import Fraction
+from itertools import count
 from typing import ClassVar
 
 import numpy as np
 
-from surefoot.models.calibration.conformal import (
-    BoundsError,
-    conformal_quantile,
-    least_rank,
-    level_per_axis,
-)
+from surefoot.models.calibration.mixing import LONGEST_LAG
 from surefoot.models.registry import CALIBRATORS
-from surefoot.sim.common.errors import check_known
+from surefoot.sim.common.errors import SurefootError, check_known
 
 CONFIDENCE = 0.95
 """Confidence of `scenario` bounds, over possible calibrations."""
@@ -27,6 +28,49 @@ OUTER_LEVEL = 0.99
 """Level of each axis' `outer` quantile. The paper sets the bounds of its biased regime "from outer
 quantiles" without naming a level; this one needs 99 independent errors, 0.999 would need 999.
 """
+ERROR_STEP = 0.01
+"""Interval between an observer's errors [s]: 1 / RATE of `surefoot.models.observer.samples`, which
+imports pandas; a --help that prints this length need not wait for it.
+"""
+
+
+class BoundsError(SurefootError):
+    """Bounds that cannot be read or computed, or that belong to another observer."""
+
+
+def level_per_axis(gamma: float) -> float:
+    """gamma^(1/3), the level of each axis. Raises BoundsError unless 0 < gamma < 1."""
+    if not 0 < gamma < 1:
+        raise BoundsError(f"gamma {gamma:g}: must lie between 0 and 1")
+    return gamma ** (1 / 3)
+
+
+def rank(n: int, level: float) -> int:
+    """k = ceil((n + 1) level): which of n sorted scores is the bound; none if more than n.
+
+    In exact arithmetic on the level's shortest decimal form, so that 0.9 of 10 is 9 and not 10.
+    """
+    return math.ceil((n + 1) * Fraction(repr(float(level))))
+
+
+def least_rank(level: float) -> int:
+    """The least n whose rank(n, level) is no more than n."""
+    exact = Fraction(repr(float(level)))
+    return math.ceil(exact / (1 - exact))
+
+
+def conformal_quantile(scores: np.ndarray, level: float) -> np.ndarray:
+    """The k-th smallest of scores (N, D) by column, (D,), k = rank(N, level).
+
+    Raises BoundsError where k > N.
+    """
+    k = rank(len(scores), level)
+    if k > len(scores):
+        raise BoundsError(
+            f"{len(scores)} independent samples, a bound at level {level:.4f} needs "
+            f"{least_rank(level)}"
+        )
+    return np.sort(scores, axis=0)[k - 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,3 +204,20 @@ def calibrator(method: str, gamma: float, confidence: float = CONFIDENCE) -> Cal
     """The method of that name. Raises BoundsError where there is none, or gamma is out of range."""
     check_known("method", method, CALIBRATORS, BoundsError)
     return CALIBRATORS[method](gamma, confidence)
+
+
+def errors_needed(how: Calibrator) -> int:
+    """Least number of independent errors for a method, including those for `fit`."""
+    if not 0.0 <= how.fit_share < 1.0:
+        raise ValueError(f"fit_share must be from 0 to below 1, is {how.fit_share}")
+    least = how.samples_needed()
+    return next(m for m in count(least) if m - int(how.fit_share * m) >= least)
+
+
+def walk_enough(gamma: float = 0.8, method: str = "conformal") -> float:
+    """Seconds of walk with a reference that suffice for the slowest mixing.
+
+    That is with K = LONGEST_LAG; a walk that mixes faster needs less. Raises BoundsError like
+    `calibrator`.
+    """
+    return errors_needed(calibrator(method, gamma)) * LONGEST_LAG * ERROR_STEP

@@ -21,9 +21,7 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import binom
 
-from surefoot.models.calibration.conformal import BoundsError
-from surefoot.models.calibration.regions import CONFIDENCE, Calibrator
-from surefoot.sim.common.kernels import kernel
+from surefoot.models.calibration.regions import CONFIDENCE, BoundsError, Calibrator
 
 VARIABLES = 3
 
@@ -38,8 +36,8 @@ class ScenarioBox(Calibrator):
 
     def __init__(self, gamma: float, confidence: float = CONFIDENCE):
         super().__init__(gamma)
-        self.stated = confidence
         self.confidence: float | None = confidence
+        self.stated = confidence
 
     def samples_needed(self) -> int:
         return least_samples(self.gamma, self.stated)
@@ -56,7 +54,7 @@ def scenario_box(errors: np.ndarray, gamma: float, confidence: float = CONFIDENC
     least_samples(gamma, confidence).
     """
     k = discards(len(errors), gamma, confidence)
-    return _discarded_box(np.ascontiguousarray(np.abs(errors)), k)
+    return _discarded_box(np.abs(errors), k)
 
 
 def log_failure(n: int, k: int, gamma: float) -> float:
@@ -71,8 +69,7 @@ def log_failure(n: int, k: int, gamma: float) -> float:
 @lru_cache
 def discards(n: int, gamma: float, confidence: float) -> int:
     """How many of n errors may be discarded. Raises BoundsError if n is too small even for none."""
-    _check_confidence(confidence)
-    allowed = np.log1p(-confidence)
+    allowed = _allowed(confidence)
     if log_failure(n, 0, gamma) > allowed:
         raise BoundsError(
             f"{n} independent samples, gamma {gamma:g} at confidence {confidence:g} needs "
@@ -84,46 +81,25 @@ def discards(n: int, gamma: float, confidence: float) -> int:
 @lru_cache
 def least_samples(gamma: float, confidence: float = CONFIDENCE) -> int:
     """The least number of errors for which the bound holds with nothing discarded."""
-    _check_confidence(confidence)
-    allowed = np.log1p(-confidence)
-    high = VARIABLES
+    allowed, high = _allowed(confidence), VARIABLES
     while log_failure(high, 0, gamma) > allowed:
         high *= 2
     return 2 + bisect_left(range(2, high), True, key=lambda n: log_failure(n, 0, gamma) <= allowed)
 
 
-def _check_confidence(confidence: float) -> None:
+def _allowed(confidence: float) -> float:
+    """Logarithm of the largest probability of failure."""
     if not 0 < confidence < 1:
         raise BoundsError(f"confidence {confidence:g}: must lie between 0 and 1")
+    return float(np.log1p(-confidence))
 
 
-@kernel
 def _discarded_box(sizes: np.ndarray, k: int) -> np.ndarray:
     """Box (D,) of sizes (N, D) after greedily removing k rows, by the reduction of its volume."""
-    N, D = sizes.shape
-    alive = np.ones(N, dtype=np.bool_)
-    box = np.zeros(D)
-    for removed in range(k + 1):
-        # The rows that determine each axis, and the size of the axis without each of them.
-        top, second = np.zeros(D, dtype=np.int64), np.zeros(D)
-        for j in range(D):
-            first, next_ = -1.0, -1.0
-            for i in range(N):
-                if alive[i]:
-                    if sizes[i, j] > first:
-                        first, next_, top[j] = sizes[i, j], first, i
-                    elif sizes[i, j] > next_:
-                        next_ = sizes[i, j]
-            box[j], second[j] = first, next_
-        if removed == k:
-            break
-        best, freed = top[0], -1.0
-        for j in range(D):
-            shrunk = 0.0
-            for a in range(D):
-                if top[a] == top[j]:
-                    shrunk += np.log(box[a]) - np.log(second[a])
-            if shrunk > freed:
-                best, freed = top[j], shrunk
-        alive[best] = False
-    return box
+    for _ in range(k):
+        top = sizes.argmax(axis=0)  # the row that determines each axis
+        second, largest = np.sort(np.partition(sizes, -2, axis=0)[-2:], axis=0)
+        shrunk = np.log(largest) - np.log(second)
+        freed = [shrunk[top == row].sum() for row in top]
+        sizes = np.delete(sizes, top[np.argmax(freed)], axis=0)
+    return sizes.max(axis=0)

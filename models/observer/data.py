@@ -9,8 +9,6 @@ from itertools import chain
 import numpy as np
 import torch
 
-from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.imu_mounting import Mounted, same_mounting
 from surefoot.models.observer.observer import (
     Observer,
     ObserverError,
@@ -19,8 +17,14 @@ from surefoot.models.observer.observer import (
     log_digest,
     observer_inputs,
 )
-from surefoot.models.observer.odometry import Kinematics, LegGeometry, leg_geometry
-from surefoot.models.observer.samples import body_velocity, observer_samples
+from surefoot.models.observer.odometry import (
+    Kinematics,
+    LegGeometry,
+    Mounted,
+    leg_geometry,
+    same_mounting,
+)
+from surefoot.models.observer.samples import RATE, body_velocity, observer_samples
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -92,16 +96,22 @@ def prepare(
     first, parts, about = None, [], []
     causal_dq, kinematics, legs = False, None, {}
     for log, held in chain(((log, False) for log in logs), ((log, True) for log in held_out)):
-        own = Robot.for_log(log) if robot is None else robot
+        declared = Robot.for_log(log) if robot is None else robot
         if first is None:
-            first = own, log.joints, log.name
-            legs = leg_geometry(own, log.joints) if "feet" in inputs else {}
-            kinematics = Kinematics.of(legs, own) if legs else None
+            first = declared, log.joints, log.name
+            legs = leg_geometry(declared, log.joints) if "feet" in inputs else {}
+            kinematics = Kinematics.of(legs, declared) if legs else None
             if start is not None:
-                check_robot(start, own, log.joints, f"{log.name}: ")
-                if not np.allclose(start.R_BI, own.R_BI, atol=1e-4):
+                check_robot(start, declared, log.joints, f"{log.name}: ")
+                if not np.allclose(start.R_BI, declared.R_BI, atol=1e-4):
                     raise ObserverError(f"{log.name}: its IMU is turned against the observer's")
-        _check_alike(log, own, *first)
+        model, joints, name = first
+        if declared.name != model.name:
+            raise ObserverError(f"{log.name}: is of {declared.name}, {name} of {model.name}")
+        if not same_mounting(declared, model):
+            raise ObserverError(f"{log.name}: its IMU is mounted elsewhere than {name}'s")
+        if log.joints != joints:
+            raise ObserverError(f"{log.name}: its joints differ from {name}'s")
         seen = observer_samples(log, inputs)
         causal_dq |= seen.causal_dq
         v_I, measured = body_velocity(log, seen.rows)
@@ -175,23 +185,3 @@ def _scaling(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     values = np.concatenate(parts)
     spread = values.std(axis=0)
     return values.mean(axis=0), np.where(spread > 1e-6, spread, 1.0)
-
-
-def _check_alike(
-    log: Log, robot: Mounted, first: Mounted, joints: tuple[str, ...], name: str
-) -> None:
-    """Raise ObserverError where a log is not like the first one.
-
-    Args:
-        log: to check.
-        robot: its own.
-        first: robot of the first log.
-        joints: of the first log.
-        name: of the first log.
-    """
-    if robot.name != first.name:
-        raise ObserverError(f"{log.name}: is of {robot.name}, {name} of {first.name}")
-    if not same_mounting(robot, first):
-        raise ObserverError(f"{log.name}: its IMU is mounted elsewhere than {name}'s")
-    if log.joints != joints:
-        raise ObserverError(f"{log.name}: its joints differ from {name}'s")

@@ -20,11 +20,11 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
+    Mounted,
     check_leg_geometry,
     contact_points,
 )
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 OBSERVER_FORMAT = "surefoot observer"
 METADATA = "surefoot"
 """Key of the JSON in the metadata."""
-OBSERVER_SCHEMA = 3
-"""3: of the safetensors format. Schema 2, of surefoot 0.1.0, was a file of torch."""
+OBSERVER_SCHEMA, TORCH_SCHEMA = 3, 2
+"""Of the safetensors format, and of the files of torch that surefoot 0.1.0 wrote."""
 WIDEST = 4096
 """Widest layer that a checkpoint may request memory for."""
 INPUTS = ("q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet")
@@ -230,10 +230,33 @@ class Observer:
                     among[key] = np.array(file.get_tensor(name))
         except (SafetensorError, OSError, LookupError, TypeError, ValueError) as error:
             raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
-        return checked_observer(values, OBSERVER_SCHEMA, path)
+        return _checked_observer(values, OBSERVER_SCHEMA, path)
 
 
-def checked_observer(values: dict[str, Any], schema: int, path: Path) -> Observer:
+def observer_of_torch(path: str | Path) -> Observer:
+    """Read an observer that surefoot stored as a file of torch, up to 0.1.0, to convert it.
+
+    Raises SurefootError, one line, where it is no observer, or damaged.
+    """
+    import torch
+
+    def in_numpy(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: in_numpy(one) for name, one in value.items()}
+        return value.numpy() if isinstance(value, torch.Tensor) else value
+
+    path = admitted(path, "piece")
+    try:
+        values: Any = torch.load(path, map_location="cpu", weights_only=True)
+        # Those from before leg odometry have no legs.
+        content = {"legs": {}} | {name: in_numpy(value) for name, value in values.items()}
+    except Exception as error:
+        # torch raises many types here, depending on the file's contents.
+        raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
+    return _checked_observer(content, TORCH_SCHEMA, path)
+
+
+def _checked_observer(values: dict[str, Any], schema: int, path: Path) -> Observer:
     """The observer of a file's contents. Raises ObserverError, one line, where it is not whole, or
     its architecture runs in torch, which is not installed.
 
@@ -309,8 +332,8 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
     joints = (x.shape[1] - measured) // (2 + ("tau" in inputs))
     q, dq, rest = np.split(x, [joints, 2 * joints], axis=1)
     omega = rest[:, :3] if "gyro" in inputs else np.zeros((len(x), 3))
-    own = x if "q" in inputs else rest
-    return np.concatenate((own, contact_points(known, q, dq, omega)), axis=1)
+    logged = x if "q" in inputs else rest
+    return np.concatenate((logged, contact_points(known, q, dq, omega)), axis=1)
 
 
 def check_network(model: str, loss: str) -> None:

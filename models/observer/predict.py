@@ -1,4 +1,4 @@
-"""Prediction with an observer, for a whole log or sample by sample."""
+"""Prediction with an observer: for a whole log, in a robot's own loop, or for a log in pieces."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.observer.imu_mounting import Mounted, move_velocity, same_mounting
 from surefoot.models.observer.inference import cholesky_factor
-from surefoot.models.observer.observer import Observer, ObserverError, check_robot
-from surefoot.models.observer.samples import body_velocity, observer_samples
+from surefoot.models.observer.observer import Observer, ObserverError, check_robot, signals
+from surefoot.models.observer.odometry import Mounted, move_velocity, same_mounting
+from surefoot.models.observer.samples import (
+    ANTI_ALIAS_SPAN,
+    DQ_ZERO_PHASE,
+    RATE,
+    body_velocity,
+    check_rate,
+    decimate,
+    observer_samples,
+)
 from surefoot.sim.log import Log
+from surefoot.sim.log.derived import CausalDerivative
 from surefoot.sim.robot import Robot
 
 _LARGEST = 1e6
@@ -95,7 +104,7 @@ class Loop:
 
         The signals are those of surefoot.models.observer.observer.signals, concatenated: q, dq,
         tau, gyro, contact where the inputs need them. The filter is that of
-        surefoot.models.observer.decimate over the samples of the last 20 ms.
+        surefoot.models.observer.samples over the samples of the last 20 ms.
         """
         v_I, covariance = self.steps(x[None])
         return v_I[0], None if covariance is None else covariance[0]
@@ -109,3 +118,100 @@ class Loop:
             return v_I, None
         L = scale[:, None] * cholesky_factor(outputs).astype(float)
         return v_I, L @ L.swapaxes(-1, -2)
+
+
+class ObserverStream:
+    """`predict` for a log that comes in pieces, keeping the state of decimation, network and
+    mounting.
+
+    A row is an update if it is nearest to a point of the 100 Hz grid that starts at the first row,
+    assuming that the next stamp, not yet known, comes one period later. With even stamps, the rows
+    are those of `predict`, and velocities are equal up to float32 rounding.
+    """
+
+    def __init__(
+        self,
+        observer: Observer,
+        robot: Mounted,
+        rate: float,
+        joints: tuple[str, ...],
+        derived: tuple[str, ...] = (),
+    ):
+        """Start as at the beginning of a log.
+
+        Raises ObserverError or DecimationError where the observer does not fit.
+
+        Args:
+            observer: causal; others are refused.
+            robot: of the log; its mounting may differ from the one that the observer learnt.
+            rate: of the samples [Hz].
+            joints: their names in the order of q.
+            derived: the log's derived columns; zero-phase joint velocities look into the future and
+                are derived again, as are those that samples lack.
+        """
+        check_robot(observer, robot, joints)
+        check_rate(rate)
+        self._observer, self._robot = observer, robot
+        self._moved = not same_mounting(observer, robot)
+        self._loop = Loop(observer)
+        self._period = 1.0 / rate
+        self._signals = signals(observer.inputs)
+        self._rates, self._derives = CausalDerivative(), DQ_ZERO_PHASE in derived
+        self._t, self._x = np.zeros(0), np.zeros((0, 0))
+        self._start, self._last = np.nan, -1
+
+    def advance(
+        self, t: np.ndarray, gyro: np.ndarray, readings: dict[str, np.ndarray | None]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Process the next rows.
+
+        Returns the rows (M,) among these that are updates, v_I (M, 3) [m/s] there and covariances
+        (M, 3, 3), None for an `mse` observer. Raises ObserverError where an input is missing.
+
+        Args:
+            t: stamps (N,) [s].
+            gyro: (N, 3) [rad/s] in I.
+            readings: q, dq and tau (N, J) and contact (N, L), None where not measured.
+        """
+        x = self._inputs(t, readings | {"gyro": gyro})
+        if np.isnan(self._start):
+            self._start, self._x = t[0], x[:0]
+        before = len(self._t)
+        times, x = np.concatenate([self._t, t]), np.concatenate([self._x, x])
+        rows = self._updates(t)
+        seen = decimate(times, x, rows + before)
+        kept = int(np.searchsorted(times, times[-1] - ANTI_ALIAS_SPAN - 1e-6))
+        self._t, self._x = times[kept:], x[kept:]
+        v_I, covariance = self._loop.steps(seen)
+        if self._moved:
+            mountings = self._observer, self._robot
+            v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)
+        return rows, v_I, covariance
+
+    def _inputs(self, t: np.ndarray, readings: dict[str, np.ndarray | None]) -> np.ndarray:
+        values = []
+        for name in self._signals:
+            value = readings[name]
+            if name == "dq" and (self._derives or value is None) and readings["q"] is not None:
+                value = self._rates(t, readings["q"])
+            if value is None:
+                raise ObserverError(
+                    f"the observer reads {','.join(self._signals)}, {name} is missing"
+                )
+            values.append(value)
+        return np.concatenate(values, axis=1)
+
+    def _updates(self, t: np.ndarray) -> np.ndarray:
+        """Rows (M,) of t that are nearest to their grid point, one for each."""
+        step = 1.0 / RATE
+        number = np.rint((t - self._start) / step).astype(np.int64)
+        grid = self._start + step * number
+        near = np.abs(t - grid) <= min(self._period, 0.5 * step) + 1e-7
+        # Ties, within the nanosecond accuracy of stamps, go to the later row, as in
+        # `observer_rows`.
+        later = (t < grid) & (grid - t >= t + self._period - grid - 1e-7)
+        candidates = np.flatnonzero(near & ~later & (number > self._last))
+        rows = candidates[np.unique(number[candidates], return_index=True)[1]]
+        if len(rows):
+            self._last = int(number[rows[-1]])
+        return rows

@@ -22,9 +22,6 @@ import numpy as np
 import torch
 
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
-from surefoot.models.observer.decimate import RATE
-from surefoot.models.observer.device import CPU, torch_device
-from surefoot.models.observer.imu_mounting import Mounted
 from surefoot.models.observer.inference import LOSS_OUTPUTS
 from surefoot.models.observer.network import Network, loss_of
 from surefoot.models.observer.observer import (
@@ -34,12 +31,29 @@ from surefoot.models.observer.observer import (
     check_inputs,
     check_network,
 )
+from surefoot.models.observer.odometry import Mounted
+from surefoot.models.observer.samples import RATE
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
 from surefoot.models.registry import ARCHITECTURES
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import check_plain, kept_file, say_made_again
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.log import Log
+
+CPU = torch.device("cpu")
+
+
+def torch_device(name: str) -> torch.device:
+    """Torch's device of that name. Raises ObserverError where torch cannot use it here."""
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device).item()
+    except Exception as error:
+        # torch raises many types here, depending on device, build and driver.
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ObserverError(f"device {name}: torch cannot use it here ({reason[:200]})") from None
+    return device
+
 
 WARM_UP = 25
 """Steps that a recurrent network is not trained on, in windows that begin inside a log."""
@@ -172,17 +186,13 @@ class Training:
         """Write the state, replacing an earlier one, whole or not at all; `task` identifies the
         training.
         """
-        values = {
+        values = vars(self) | {
             "format": TRAINING_FORMAT,
             "task": task,
-            "step": self.step,
             "network": self.network.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "rng": json.dumps(self.rng.bit_generator.state),
-            "best": self.best,
-            "score": self.score,
             "rmse": self.rmse.tolist(),
-            "since": self.since,
         }
         with kept_file(path) as temporary:
             temporary.write_bytes(torch_bytes(values | {"sha256": _digest(values)}))
@@ -230,18 +240,18 @@ def torch_bytes(values: dict[str, Any]) -> bytes:
     CPU.
     """
 
-    def own(value: Any) -> Any:
+    def copied(value: Any) -> Any:
         """Copy with tensors that share no memory, and each object once."""
         if isinstance(value, torch.Tensor):
             return value.detach().cpu().clone(memory_format=torch.contiguous_format)
         if isinstance(value, dict):
-            return {key: own(item) for key, item in value.items()}
+            return {key: copied(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return type(value)(own(item) for item in value)
+            return type(value)(copied(item) for item in value)
         return value
 
     stream = BytesIO()  # given a path, torch writes the path's name into the file
-    torch.save(own(values), stream)
+    torch.save(copied(values), stream)
     return stream.getvalue()
 
 
@@ -290,7 +300,7 @@ def _fit(
     logs = [log.to(device) for log in dataset.logs]
     scored = [log for log in logs if log.validation.any()]
     trained = [log for log in logs if log.train.any()]
-    now = _begin(dataset, replace(settings, rate=rate), device, start)
+    now = _begin(dataset, settings, device, start)
     if partial:
         now.restore(partial, task)
 
@@ -345,10 +355,9 @@ def _begin(
     start: Observer | None = None,
 ) -> Training:
     """Initialise a training; the weights are drawn on the CPU, so they are the same for every
-    device, or those of `start`. The settings have a width and a rate.
+    device, or those of `start`. The settings have a width.
     """
     assert settings.width is not None
-    assert settings.rate is not None
     rng = np.random.default_rng(settings.seed)
     inputs = len(dataset.x_mean)
     legs = len(dataset.legs["radius"]) if dataset.legs else 0
@@ -360,7 +369,7 @@ def _begin(
         network.load_state_dict(start.network.state_dict())
     best = _kept_weights(network)
     network.to(device)  # before Adam, which keeps its state where the weights are
-    optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
+    optimiser = torch.optim.Adam(network.parameters())  # the schedule sets its rate
     return Training(network, optimiser, rng, best)
 
 

@@ -151,14 +151,26 @@ def missed_spread(values: np.ndarray) -> float:
     return spread(missed - missed_share(values) * speed)
 
 
-def force_peak(walk: WalkView) -> Values:
-    """Largest force of each stance over the median of its middle half."""
-    return _of_force(walk, lambda force: force.max() / np.median(_middle(force)))
+def stance_forces(walk: WalkView) -> Values:
+    """Largest force of each stance, that in its last row, and the median of its middle half (K, 3).
+
+    Stances too short, or not loaded, are left out.
+    """
+    walk.log.require("force")
+    found, times = [], []
+    for leg, stances in enumerate(walk.stances):
+        for first, end in zip(*stances, strict=True):
+            force, quarter = walk.log.force[first:end, leg], (end - first) // 4
+            middle = np.median(force[quarter:-quarter]) if quarter else 0.0
+            if middle > 0.0:
+                found.append((force.max(), force[-1], middle))
+                times.append(walk.log.t[first])
+    return np.array(found).reshape(-1, 3), np.array(times)
 
 
-def force_threshold(walk: WalkView) -> Values:
-    """Force in the last row of each stance, over the median of its middle half."""
-    return _of_force(walk, lambda force: force[-1] / np.median(_middle(force)))
+def over_middle(forces: np.ndarray, column: int) -> float:
+    """Median ratio of a column of `stance_forces` (K, 3) to the middle."""
+    return float(np.median(forces[:, column] / forces[:, 2]))
 
 
 def force_weight(walk: WalkView) -> Values:
@@ -168,13 +180,13 @@ def force_weight(walk: WalkView) -> Values:
     unit cannot be the newton.
     """
     weight = walk.robot.mass * GRAVITY
-    walk.log.require("force")
+    forces, times = stance_forces(walk)
     total = float(walk.log.force[walk.walks].sum(axis=1).mean() / weight)
     if not WEIGHED[0] < total < WEIGHED[1]:
         raise SurefootError(
             f"forces are not in newton: their mean sum is {total:.2f} of the weight's {weight:.0f}"
         )
-    return _of_force(walk, lambda force: force.max() / weight)
+    return forces[:, 0] / weight, times
 
 
 def joint_ripple(walk: WalkView, kind: int) -> Values:
@@ -198,17 +210,30 @@ def forward_speed(walk: WalkView) -> Values:
     return _by_stride(walk, walk.velocity[:, 0])
 
 
-def spectra(walk: WalkView, sensor: str) -> Values:
-    """Power spectral densities (K, len(FREQUENCIES)) of `gyro` or `accel`, summed over the axes.
+def spectra(walk: WalkView, sensor: str, axis: int | None = None) -> Values:
+    """Power spectral densities (K, len(FREQUENCIES)) of `gyro` or `accel`, summed over the axes, or
+    along one axis of the base: forward, left, up.
 
     [unit^2/Hz], one for each second of walk, overlapping by half; NaN above half the log's rate.
     """
-    return _spectra(walk, getattr(walk.log, sensor))
-
-
-def vibration(walk: WalkView, axis: int) -> Values:
-    """`spectra` of the accelerometer along one axis of the base: forward, left, up."""
-    return _spectra(walk, (walk.log.accel @ walk.robot.R_BI[axis])[:, None])
+    reading = getattr(walk.log, sensor)
+    if axis is not None:
+        reading = (reading @ walk.robot.R_BI[axis])[:, None]
+    n = round(walk.log.rate)
+    rows = np.flatnonzero(walk.walks)
+    first = rows[0] + np.arange(0, rows[-1] - rows[0] - n + 1, n // 2)
+    if not len(first):
+        raise SurefootError("less than a second of walk")
+    pieces = reading[first[:, None] + np.arange(n)]
+    window = np.hanning(n)[:, None]
+    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window
+    # Pieces are a second long: the density per Hz is that of a bin.
+    power = (np.abs(np.fft.rfft(pieces, axis=1)) ** 2).sum(axis=2)
+    power *= 2.0 / (n * (window**2).sum())
+    found = np.full((len(first), len(FREQUENCIES)), np.nan)
+    shown = min(len(FREQUENCIES), power.shape[1] - 1)
+    found[:, :shown] = power[:, 1 : shown + 1]
+    return found, walk.log.t[first]
 
 
 def bandwidth(spectrum: np.ndarray) -> float:
@@ -281,25 +306,6 @@ def _known(values: np.ndarray, times: np.ndarray) -> Values:
     return values[known], times[known]
 
 
-def _of_force(walk: WalkView, number: Callable[[np.ndarray], float]) -> Values:
-    """A number of each stance's forces; stances too short, or not loaded, are left out."""
-    walk.log.require("force")
-    force = walk.log.force
-    found = [
-        (number(force[a:b, leg]), walk.log.t[a])
-        for leg, stances in enumerate(walk.stances)
-        for a, b in zip(*stances, strict=True)
-        if b - a >= 4 and np.median(_middle(force[a:b, leg])) > 0.0
-    ]
-    values, times = np.array(found).T
-    return values, times
-
-
-def _middle(force: np.ndarray) -> np.ndarray:
-    """The middle half of a stance's rows."""
-    return force[len(force) // 4 : -(len(force) // 4)]
-
-
 def _by_stride(walk: WalkView, values: np.ndarray) -> Values:
     """Means of values (N,) over each stride, while the base moves; empty strides are left out."""
     rows = np.flatnonzero(walk.walks)
@@ -309,28 +315,11 @@ def _by_stride(walk: WalkView, values: np.ndarray) -> Values:
     return np.bincount(stride, values[rows], len(walk.clock))[has] / count[has], walk.clock[has]
 
 
-def _spectra(walk: WalkView, reading: np.ndarray) -> Values:
-    n = round(walk.log.rate)
-    rows = np.flatnonzero(walk.walks)
-    first = rows[0] + np.arange(0, rows[-1] - rows[0] - n + 1, n // 2)
-    if not len(first):
-        raise SurefootError("less than a second of walk")
-    pieces = reading[first[:, None] + np.arange(n)]
-    window = np.hanning(n)[:, None]
-    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window
-    # Pieces are a second long: the density per Hz is that of a bin.
-    power = (np.abs(np.fft.rfft(pieces, axis=1)) ** 2).sum(axis=2)
-    power *= 2.0 / (n * (window**2).sum())
-    found = np.full((len(first), len(FREQUENCIES)), np.nan)
-    shown = min(len(FREQUENCIES), power.shape[1] - 1)
-    found[:, :shown] = power[:, 1 : shown + 1]
-    return found, walk.log.t[first]
-
-
 _STEPS = enumerate(DIRECTIONS_OF_FEET[:2])
 _SLIPS = [(part, *side) for part in PARTS for side in enumerate(DIRECTIONS_OF_FEET)]
 _JOINTS, _AXES = enumerate(("hip", "thigh", "calf")), enumerate(("forward", "lateral", "up"))
 _ACCEL = partial(spectra, sensor="accel")
+_PEAK, _LAST = partial(over_middle, column=0), partial(over_middle, column=1)
 QUANTITIES = (
     Quantity("forward speed", "m/s", forward_speed, np.mean),
     Quantity("stride period", "s", period, np.median),
@@ -353,15 +342,15 @@ QUANTITIES = (
     ),
     Quantity("speed missed by standing legs", "share", walk_stance_means, missed_share),
     Quantity("the same, stance to stance", "m/s", walk_stance_means, missed_spread),
-    Quantity("foot force, peak to middle", "ratio", force_peak, np.median),
+    Quantity("foot force, peak to middle", "ratio", stance_forces, _PEAK),
     Quantity("foot force, peak to weight", "ratio", force_weight, np.median),
-    Quantity("foot force, threshold to middle", "ratio", force_threshold, np.median),
+    Quantity("foot force, threshold to middle", "ratio", stance_forces, _LAST),
     *(
         Quantity(f"joint rate ripple, {name}", "rad/s", partial(joint_ripple, kind=i), root_mean)
         for i, name in _JOINTS
     ),
     *(
-        Quantity(f"accelerometer, {name}", "m/s^2", partial(vibration, axis=i), all_power)
+        Quantity(f"accelerometer, {name}", "m/s^2", partial(_ACCEL, axis=i), all_power)
         for i, name in _AXES
     ),
     Quantity("accelerometer, line", "Hz", _ACCEL, line),

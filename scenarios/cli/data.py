@@ -29,7 +29,7 @@ SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundle
 
 
 def _for_observers(_default: str) -> str:
-    from surefoot.models.calibration.walk_length import walk_enough
+    from surefoot.models.calibration.regions import walk_enough
 
     return f"Walks of {walk_enough():g} s or more suffice to train observers and calibrate bounds."
 

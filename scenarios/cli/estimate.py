@@ -39,7 +39,7 @@ def _labels(default: str) -> str:
 
 
 def _walk_enough(gamma: str) -> str:
-    from surefoot.models.calibration.walk_length import walk_enough
+    from surefoot.models.calibration.regions import walk_enough
 
     seconds = walk_enough(float(gamma))
     return f"{seconds:g} s of walk with a reference suffice at {gamma}. (default: {gamma})"
@@ -77,10 +77,9 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
     """Folder for a report: error on unseen walks against the number of walks, up to --walks."""
 
     def run(self) -> None:
-        from surefoot.models.calibration.walk_length import walk_enough
-        from surefoot.models.observer.device import torch_device
+        from surefoot.models.calibration.regions import walk_enough
         from surefoot.models.observer.observer import Observer
-        from surefoot.models.observer.training import partial_path, train
+        from surefoot.models.observer.training import partial_path, torch_device, train
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.training.error_by_walks import write_error_by_walks
         from surefoot.scenarios.training.many_walks import many_walks

@@ -23,8 +23,7 @@ from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.predict import predict
-from surefoot.models.observer.stream import ObserverStream
+from surefoot.models.observer.predict import ObserverStream, predict
 from surefoot.scenarios.estimate.contract import (
     Beginning,
     Learnt,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.metrics import align_first, matched, position_jacobian
+from surefoot.estimator.metrics import align_first, matched, vector_jacobian
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def error_series(
     to_I, to_I_true = (x.R_GI.transpose(0, 2, 1) for x in (aligned, reference))
     if aligned.covariance is not None:
         S = aligned.covariance[:, :9, :9]
-        J = position_jacobian(aligned.p_GI)
+        J = vector_jacobian(aligned.p_GI, 6)
         covariance = J @ S @ J.swapaxes(1, 2)
         position_sigma = _sigma(J, S)
         attitude_sigma = _sigma(to_heading, S[:, :3, :3])

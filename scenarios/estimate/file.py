@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.estimator.evaluation.health import Health
-from surefoot.estimator.evaluation.run_summary import RunSummary, summary_of_run
+from surefoot.estimator.evaluation.health import Health, RunSummary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import (
     Trajectory,
     TrajectoryError,
-    TrajectoryWriter,
     reference,
+    trajectory_file,
 )
 from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
 from surefoot.scenarios.estimate.advice import advice, needs_advice
@@ -135,13 +134,13 @@ def _opened(
     """
     columns = None if only is None else tuple(only.columns())
     with (
-        TrajectoryWriter(out, force, columns, doubts) as table,
+        trajectory_file(out, force, columns, doubts) as append,
         whole_file(out.with_suffix(".tum"), force) as path,
         path.open("w") as lines,
     ):
 
         def write(part: Trajectory) -> None:
-            table.write(part)
+            append(part)
             part.append_tum(lines)
 
         yield write

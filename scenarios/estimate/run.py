@@ -12,10 +12,19 @@ import numpy as np
 
 from surefoot.estimator.core.checks import DivergedError, numbers
 from surefoot.estimator.core.state import FilterNoise, NavState
-from surefoot.estimator.evaluation.health import Health, health
-from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
-from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
-from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord, reference
+from surefoot.estimator.evaluation.health import (
+    Health,
+    RunSummary,
+    health,
+    joined_summary,
+    summary_of_run,
+)
+from surefoot.estimator.evaluation.trajectory import (
+    Trajectory,
+    UpdateRecord,
+    reference,
+    with_mounting,
+)
 from surefoot.estimator.metrics import Metrics, evaluate
 from surefoot.estimator.run import output_stride, state_parts
 from surefoot.scenarios.estimate.contract import (

@@ -15,8 +15,7 @@ import pandas as pd
 
 from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.core.state import NavState
-from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
-from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.evaluation.trajectory import Trajectory, with_mounting
 from surefoot.estimator.initial import MOVING_WINDOW, STILL_WINDOW, Start, start_of
 from surefoot.estimator.run import state_parts
 from surefoot.scenarios.estimate.contract import (

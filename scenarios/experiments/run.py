@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from surefoot.models.calibration.conformal import BoundsError
+from surefoot.models.calibration.regions import BoundsError
 from surefoot.scenarios.cache import Product, finished_case, read_case
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.experiments.file import Cell, Experiment, Group, Learning, cells_of

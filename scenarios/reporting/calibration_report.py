@@ -10,7 +10,6 @@ import pandas as pd
 from surefoot.estimator.evaluation.innovation import innovations
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import region_of, samples_for
-from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.empirical_coverage import (
     CaseCoverage,
     binomial_interval,
@@ -18,18 +17,17 @@ from surefoot.models.calibration.empirical_coverage import (
     coverage_by,
     worst_case,
 )
-from surefoot.models.calibration.regions import CONFIDENCE, Region, calibrator
+from surefoot.models.calibration.regions import CONFIDENCE, BoundsError, Region, calibrator
 from surefoot.models.calibration.shift import (
     FALSE_ALARM,
     block_sizes,
     inflation,
     shift_alarm,
+    weighted_bounds,
 )
-from surefoot.models.calibration.weighted import weighted_bounds
-from surefoot.models.observer.decimate import RATE, observer_rows
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.samples import observer_samples
+from surefoot.models.observer.samples import RATE, observer_rows, observer_samples
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
 from surefoot.scenarios.reporting.html import Picture, Section

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.special import stdtrit
 
-from surefoot.estimator.evaluation.run_summary import summary_of_run
+from surefoot.estimator.evaluation.health import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import SEGMENT, Metrics, align_first, evaluate, matched, path_length
 from surefoot.models.attribution.evidence import LogUnderModel

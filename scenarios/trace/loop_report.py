@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.models.calibration.conformal import BoundsError
 from surefoot.models.calibration.empirical_coverage import coverage
+from surefoot.models.calibration.regions import BoundsError
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.compare import Comparison
 from surefoot.scenarios.estimate.error_series import error_series

@@ -8,12 +8,11 @@ import numpy as np
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.calibration.empirical_coverage import QUARTERS, stride_phase
 from surefoot.models.calibration.settings import CalibrateSettings
-from surefoot.models.calibration.walking_conditions import QUARTERS, stride_phase
-from surefoot.models.observer.decimate import RATE
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.samples import body_velocity
+from surefoot.models.observer.samples import RATE, body_velocity
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot

@@ -10,7 +10,7 @@ import torch
 from synthetic import synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.observer.earlier import observer_of_torch
+from surefoot.models.observer.observer import observer_of_torch
 from surefoot.sim.log import LEGS
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"

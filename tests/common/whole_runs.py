@@ -11,7 +11,7 @@ from surefoot.estimator.run import (
     gaussian_velocities,
     imu_samples,
 )
-from surefoot.estimator.updates.outliers import UNLIMITED
+from surefoot.estimator.updates.velocity import UNLIMITED
 
 
 def rows_of(t, stride):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.estimator.moments.prior import below_prior, clip_to_prior
+from surefoot.estimator.box import below_prior, clip_to_prior
 
 
 def test_what_is_above_the_prior_is_clipped_to_it_and_the_rest_is_kept():

@@ -9,9 +9,16 @@ from scipy.integrate import quad
 from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
-from surefoot.estimator.updates.outliers import SIGMAS, UNLIMITED, fresh_counts, is_outlier
-from surefoot.estimator.updates.velocity import update_velocity, update_velocity_checked
-from surefoot.estimator.updates.velocity_output import note_velocity, velocity_output
+from surefoot.estimator.updates.velocity import (
+    SIGMAS,
+    UNLIMITED,
+    fresh_counts,
+    is_outlier,
+    note_velocity,
+    update_velocity,
+    update_velocity_checked,
+    velocity_output,
+)
 
 WIDE = 60.0
 

@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.updates.coverage import FLOOR, posterior_moments, update_coverage
-from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
-from surefoot.estimator.updates.velocity_output import inverse_3, velocity_output
+from surefoot.estimator.updates.velocity import UNLIMITED, fresh_counts, inverse_3, velocity_output
 
 INF = np.inf
 

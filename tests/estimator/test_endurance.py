@@ -17,8 +17,11 @@ from surefoot.estimator.updates.contact import (
     update_contacts,
 )
 from surefoot.estimator.updates.coverage import update_coverage
-from surefoot.estimator.updates.outliers import UNLIMITED
-from surefoot.estimator.updates.velocity import update_velocity, update_velocity_unless_outlier
+from surefoot.estimator.updates.velocity import (
+    UNLIMITED,
+    update_velocity,
+    update_velocity_unless_outlier,
+)
 from surefoot.sim.common.kernels import kernel
 
 KINDS = (

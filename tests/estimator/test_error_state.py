@@ -10,8 +10,7 @@ from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.initial import InitialStd, start_covariance
 from surefoot.estimator.updates.coverage import update_coverage
-from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
-from surefoot.estimator.updates.velocity_output import velocity_output
+from surefoot.estimator.updates.velocity import UNLIMITED, fresh_counts, velocity_output
 
 D = np.array([0.0, 0.0, 0.0, -1.0, 0.0])
 """The paper's d of the velocity output."""

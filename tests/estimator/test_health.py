@@ -9,14 +9,11 @@ from motions import feet, motion
 from numpy.testing import assert_allclose
 
 from surefoot.estimator.core.state import FilterNoise, retract
-from surefoot.estimator.evaluation.health import health
+from surefoot.estimator.evaluation.health import RunSummary, health, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.innovation_sums import (
     add_innovation,
-    add_rejected,
-    no_sums,
     windows_of,
 )
-from surefoot.estimator.evaluation.run_summary import RunSummary, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.leg import LegFilter, LegNoise
@@ -28,6 +25,7 @@ from surefoot.estimator.run import (
     imu_samples,
     trajectory,
 )
+from surefoot.estimator.updates.velocity import add_velocity
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.log import Log, Meta
 
@@ -137,9 +135,10 @@ def test_windows_are_of_a_second():
 
 
 def test_updates_used_and_left_out_are_counted_apart():
-    sums, residual, one = no_sums(2), np.array([1.0, -2.0, 0.5]), np.eye(3)
+    sums, residual, one = np.zeros((2, 10)), np.array([1.0, -2.0, 0.5]), np.eye(3)
+    note = np.zeros((7, 3))
     for _ in range(3):
-        add_rejected(sums[0])
+        add_velocity(sums[0], note, False)
     for _ in range(2):
         add_innovation(sums[1], 5.25, residual, 0.75 * one, 0.25 * one)
     assert_allclose(sums[0], [0, 3, 0, 0, 0, 0, 0, 0, 0, 0])

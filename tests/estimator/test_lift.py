@@ -6,8 +6,7 @@ from lie_group import so3_exp
 from numpy.testing import assert_allclose
 
 from surefoot.estimator.core.state import NavState, retract
-from surefoot.estimator.updates.velocity import update_velocity
-from surefoot.estimator.updates.velocity_output import lift, velocity_output
+from surefoot.estimator.updates.velocity import lift, update_velocity, velocity_output
 
 
 @pytest.fixture

@@ -7,8 +7,7 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.special import erf
 
-from surefoot.estimator.box import box_moments
-from surefoot.estimator.moments.box import _centre, _corner
+from surefoot.estimator.box import _centre, _corner, box_moments
 from surefoot.estimator.moments.faces import Rectangle
 from surefoot.estimator.moments.line import (
     About,

@@ -8,8 +8,7 @@ from whole_runs import run_leg
 
 from surefoot.estimator.core import lie
 from surefoot.estimator.core.state import FilterNoise
-from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
-from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.evaluation.trajectory import Trajectory, with_mounting
 from surefoot.estimator.leg import LegNoise
 from surefoot.estimator.metrics import evaluate, nees
 

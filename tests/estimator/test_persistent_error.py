@@ -19,8 +19,11 @@ from surefoot.estimator.updates.bias_states import (
     propagate_bias,
 )
 from surefoot.estimator.updates.coverage import update_coverage
-from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
-from surefoot.estimator.updates.velocity import update_velocity_unless_outlier
+from surefoot.estimator.updates.velocity import (
+    UNLIMITED,
+    fresh_counts,
+    update_velocity_unless_outlier,
+)
 
 INF = np.full(3, np.inf)
 GRAVITY = np.array([0.0, 0.0, 9.8])

@@ -10,7 +10,7 @@ from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
-from surefoot.estimator.updates.outliers import UNLIMITED, fresh_counts
+from surefoot.estimator.updates.velocity import UNLIMITED, fresh_counts
 from surefoot.sim.common.errors import SurefootError
 
 

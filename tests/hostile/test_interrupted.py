@@ -21,8 +21,7 @@ from PIL import Image
 from pyarrow import parquet
 from synthetic import synthetic_walk
 
-from surefoot.models.observer.earlier import observer_of_torch
-from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.observer import Observer, observer_of_torch
 from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.files import MANIFEST

@@ -18,29 +18,28 @@ from surefoot.models.calibration.calibrate import (
     subsample,
     unseen_errors,
 )
-from surefoot.models.calibration.conformal import (
-    BoundsError,
-    conformal_quantile,
-    level_per_axis,
-    rank,
-)
 from surefoot.models.calibration.empirical_coverage import (
+    SLIPPERY,
     binomial_interval,
     coverage,
     coverage_by,
+    stride_phase,
+    walking_conditions,
     worst_case,
 )
 from surefoot.models.calibration.mixing import LONGEST_LAG, beta_coefficient, discretise
-from surefoot.models.calibration.regions import calibrator
-from surefoot.models.calibration.settings import CalibrateSettings
-from surefoot.models.calibration.walk_length import ERROR_STEP, walk_enough
-from surefoot.models.calibration.walking_conditions import (
-    SLIPPERY,
-    stride_phase,
-    walking_conditions,
+from surefoot.models.calibration.regions import (
+    ERROR_STEP,
+    BoundsError,
+    calibrator,
+    conformal_quantile,
+    level_per_axis,
+    rank,
+    walk_enough,
 )
-from surefoot.models.observer.decimate import RATE
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import LEGS, Log
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surefoot.models.observer.decimate import (
+from surefoot.models.observer.samples import (
     ANTI_ALIAS_SPAN,
     DecimationError,
     anti_alias,

@@ -14,8 +14,7 @@ import pytest
 from synthetic import Body, synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.observer.earlier import observer_of_torch
-from surefoot.models.observer.observer import Observer, ObserverError
+from surefoot.models.observer.observer import Observer, ObserverError, observer_of_torch
 from surefoot.models.observer.predict import predict
 from surefoot.scenarios.export import export
 from surefoot.sim.robot import Robot

@@ -5,8 +5,14 @@ import pandas as pd
 import pytest
 from refusals import refused
 
-from surefoot.models.noise.allan import allan_curve, axis_noise
-from surefoot.models.noise.rest import _stance_noise, encoder_noise, rest_noise, rest_of
+from surefoot.models.noise import (
+    _stance_noise,
+    allan_curve,
+    axis_noise,
+    encoder_noise,
+    rest_noise,
+    rest_of,
+)
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.sim.log import Log, Meta

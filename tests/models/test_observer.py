@@ -10,9 +10,8 @@ from safetensors.numpy import save
 from synthetic import Body, synthetic_walk, without
 
 from surefoot.models.observer.observer import Observer, ObserverError, check_inputs
-from surefoot.models.observer.predict import predict
+from surefoot.models.observer.predict import ObserverStream, predict
 from surefoot.models.observer.samples import observer_samples
-from surefoot.models.observer.stream import ObserverStream
 from surefoot.sim.common.errors import SurefootError
 
 

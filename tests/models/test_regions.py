@@ -12,9 +12,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from surefoot.models.calibration.calibrate import region_of
-from surefoot.models.calibration.conformal import BoundsError, rank
 from surefoot.models.calibration.mixing import mixing
-from surefoot.models.calibration.regions import Region, calibrator
+from surefoot.models.calibration.regions import BoundsError, Region, calibrator, rank
 from surefoot.models.calibration.scenario_box import (
     _discarded_box,
     discards,

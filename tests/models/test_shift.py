@@ -6,16 +6,14 @@ from scipy.signal import lfilter
 from scipy.stats import binom, norm
 
 from surefoot.models.calibration.shift import (
+    RIDGE,
     SETTLING_BLOCKS,
     UPDATES_OF_BLOCK,
     block_sizes,
     fortune,
     inflation,
-    shift_alarm,
-)
-from surefoot.models.calibration.weighted import (
-    RIDGE,
     likelihood_ratios,
+    shift_alarm,
     weighted_bounds,
     weighted_quantile,
 )
@@ -96,7 +94,7 @@ def test_true_weights_keep_the_level_that_is_lost_without_them():
 
 
 def test_equal_weights_are_split_conformal():
-    from surefoot.models.calibration.conformal import conformal_quantile
+    from surefoot.models.calibration.regions import conformal_quantile
 
     scores = np.random.default_rng(5).standard_normal(77)
     for level in (0.5, 0.83, 0.97):

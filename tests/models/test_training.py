@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 from synthetic import Body, synthetic_walk, without
 
 from surefoot.models.observer.data import SHORTEST, validation_rows
-from surefoot.models.observer.decimate import decimate
-from surefoot.models.observer.imu_mounting import move_velocity
 from surefoot.models.observer.observer import ObserverError
+from surefoot.models.observer.odometry import move_velocity
 from surefoot.models.observer.predict import Loop, predict, prediction_errors
-from surefoot.models.observer.samples import body_velocity, observer_samples
+from surefoot.models.observer.samples import body_velocity, decimate, observer_samples
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.sim.log import LogError

@@ -9,11 +9,10 @@ from synthetic import Body, synthetic_walk
 
 from surefoot.models.observer.architectures import GRU
 from surefoot.models.observer.data import draw, prepare
-from surefoot.models.observer.device import CPU, torch_device
 from surefoot.models.observer.network import loss_of
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import _begin, torch_bytes, train
+from surefoot.models.observer.training import CPU, _begin, torch_bytes, torch_device, train
 
 META = torch.device("meta")
 BEGUN = TrainSettings(width=8, rate=1e-2)

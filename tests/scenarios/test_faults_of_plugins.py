@@ -7,8 +7,7 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.regions import calibrator
-from surefoot.models.calibration.walk_length import errors_needed
+from surefoot.models.calibration.regions import calibrator, errors_needed
 from surefoot.models.observer.network import Network
 from surefoot.models.residuals.channels import CHANNELS, channels
 from surefoot.models.residuals.layout import layout_for, residual

@@ -11,8 +11,7 @@ from synthetic import without
 from written import written
 
 from studies.measured import measured_folder
-from surefoot.estimator.evaluation.mounting_tolerance import with_mounting
-from surefoot.estimator.evaluation.trajectory import Trajectory
+from surefoot.estimator.evaluation.trajectory import Trajectory, with_mounting
 from surefoot.estimator.run import every_row
 from surefoot.scenarios.cli.estimate import NOT_TRUSTED
 from surefoot.scenarios.estimate.contract import Beginning, Learnt

@@ -18,7 +18,7 @@ from synthetic import synthetic_walk
 
 from surefoot.estimator.core.checks import DivergedError, SampleError
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.observer.earlier import observer_of_torch
+from surefoot.models.observer.observer import observer_of_torch
 from surefoot.scenarios.estimate import streaming
 from surefoot.scenarios.estimate.contract import Beginning, Learnt, Sample, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named

@@ -1,1 +1,0 @@
-"""Noise of sensors, from a log in which the robot rests."""
