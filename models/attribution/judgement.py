@@ -280,8 +280,8 @@ class Residuals:
         return self.left_by([e for e in self.effects if e != one])
 
     def gained(self, one: Effect, used: np.ndarray) -> tuple[str, np.ndarray]:
-        """The fitted channel that one of the effects changes most, and the 95 % interval (2,) of what
-        it explains there, over the bins of a mask `used` (M,); "" where it changes nothing.
+        """The fitted channel that one of the effects changes most, and the 95 % interval (2,) of
+        what it explains there, over the bins of a mask `used` (M,); "" where it changes nothing.
         """
         weight = np.where(used[:, None], self.weights.weight, 0.0)
         less = self.left_without(one)
