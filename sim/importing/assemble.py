@@ -28,7 +28,7 @@ from surefoot.sim.importing.reference import (
     unit_quaternions,
     with_reference,
 )
-from surefoot.sim.importing.reference_contradictions import contradicted
+from surefoot.sim.importing.reference_check import contradicted
 from surefoot.sim.importing.sections import EvenTable, by_name
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses

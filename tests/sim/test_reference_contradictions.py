@@ -7,7 +7,7 @@ from motions import attitude, motion, position
 from studies.measured import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.recording import read_recording
-from surefoot.sim.importing.reference_contradictions import _closed, contradicted
+from surefoot.sim.importing.reference_check import _closed, contradicted
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.log.reference import Poses
 
