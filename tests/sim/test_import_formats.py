@@ -19,8 +19,8 @@ from surefoot.sim.importing.guessing.recorded_file import recorded_files
 from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_npz, rows_first
 from surefoot.sim.importing.readers.file import read_file
 from surefoot.sim.importing.readers.json_file import read_json
-from surefoot.sim.importing.readers.layout import _separator
 from surefoot.sim.importing.readers.table import RecordedTable, column_readings
+from surefoot.sim.importing.readers.text import _separator
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source

@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guessing.guess import guess_map
-from surefoot.sim.importing.readers.layout import encoding_of, layout_of
+from surefoot.sim.importing.readers.text import encoding_of, layout_of
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import JOINTS
 

@@ -22,8 +22,8 @@ from surefoot.sim.importing.guessing.names import (
 from surefoot.sim.importing.readers.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.readers.bag import RECEIVED, UNREADABLE
 from surefoot.sim.importing.readers.file import detected_layout, read_file
-from surefoot.sim.importing.readers.layout import is_number
 from surefoot.sim.importing.readers.table import RecordedTable, columns_of
+from surefoot.sim.importing.readers.text import is_number
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.robot.machine import Machine
 
