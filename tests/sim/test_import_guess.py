@@ -327,16 +327,6 @@ def test_without_an_accelerometer_a_gyro_s_unit_is_told_by_its_size(most, unit):
     assert unit_of_gyro(None, gyro, None, set())[0] == unit
 
 
-def test_counted_feet_are_in_the_order_of_their_numbers(tmp_path):
-    """Whatever the order of their columns."""
-    t = np.arange(400) / 100.0
-    columns = {"t": t} | {f"gyro_{a}": 0.1 * np.sin(t) for a in "xyz"}
-    columns |= {f"contact_{k}": (np.sin(9.0 * t + k) > 0.0).astype(float) for k in (2, 0, 3, 1)}
-    pd.DataFrame(columns).to_csv(tmp_path / "run.csv", index=False)
-    drafted = {e.name: e.theirs for e in guess_map([tmp_path / "run.csv"]).main}
-    assert [drafted[f"contact_{leg}"] for leg in LEGS] == [f"contact_{k}" for k in range(4)]
-
-
 def test_a_gyro_that_reads_twice_as_much_is_still_in_rad():
     """A body that turns once in 2.5 s about x, as its accelerometer says."""
     t = np.arange(2000) / 100.0
@@ -396,15 +386,6 @@ def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path,
         "times the change" in doubts(frame.assign(**{c: 7.0 * frame[c] for c in rates}))[rates[0]]
     )
     assert "sign = -1" in doubts(frame.assign(**{c: -frame[c] for c in rates}))[rates[0]]
-
-
-def test_a_text_without_a_header_and_without_names_is_asked_about(tmp_path):
-    t = 0.01 * np.arange(200)
-    pd.DataFrame({"a": t, "b": np.sin(t)}).to_csv(tmp_path / "run.csv", index=False, header=False)
-    draft = guess_map([tmp_path / "run.csv"])
-    assert "header = false" in draft.text
-    assert [(e.name, e.theirs, bool(e.doubt)) for e in draft.main] == [("t", "0", True)]
-    assert "not understood): 1" in draft.text
 
 
 def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
@@ -525,53 +506,6 @@ def test_a_contacts_thresholds_lie_between_no_load_and_all(tmp_path):
     feet = {f"foot_force_{leg}": np.where(np.sin(9.0 * t) > 0.0, 210.0, 10.0) for leg in LEGS}
     pd.DataFrame({"t": t} | feet).to_csv(tmp_path / "run.csv", index=False)
     assert guess_map([tmp_path / "run.csv"]).contact == pytest.approx((110.0, 90.0))
-
-
-def test_angles_without_a_name_are_no_joints_beside_those_that_have_one(tmp_path):
-    t = 0.01 * np.arange(400)
-    named = {f"q_FL_{part}": 0.3 * np.sin(5.0 * t + k) for k, part in enumerate(PARTS)}
-    pd.DataFrame({"t": t} | named | {"angle": 0.2 * np.cos(3.0 * t)}).to_csv(
-        tmp_path / "run.csv", index=False
-    )
-    entries = guess_map([tmp_path / "run.csv"]).main
-    assert [e.theirs for e in entries if e.name.startswith("q_")] == [*named]
-
-
-def test_a_reading_goes_before_its_filtered_copy_and_commands_are_commands(tmp_path):
-    """As drives' software logs them: readings, filtered ones, targets and what it compensates."""
-    t = 0.002 * np.arange(2000)
-    columns = {"time": t}
-    for k in (1, 2):
-        q, dq = np.sin(k * t), k * np.cos(k * t)
-        columns |= {f"pos_meas{k}": q, f"vel_meas{k}": dq, f"pos_filt{k}": q, f"vel_filt{k}": dq}
-        columns |= {f"pos_des{k}": q, f"tau_con{k}": dq, f"tau_fric{k}": 0.1 * dq}
-        columns |= {f"tau_meas{k}": dq, f"tau_des{k}": dq}
-    pd.DataFrame(columns).to_csv(tmp_path / "bench.csv", index=False)
-    main = drafted(guess_map([tmp_path / "bench.csv"]))
-    theirs = {"q": "pos_meas", "dq": "vel_meas", "tau": "tau_meas", "q_des": "pos_des"}
-    expected = {f"{o}_joint{k}": f"{t}{k + 1}" for o, t in theirs.items() for k in (0, 1)}
-    assert {name: column for name, (column, *_) in main.items()} == expected | {
-        "t": "time",
-        "tau_ff_joint0": "tau_con1",
-        "tau_ff_joint1": "tau_con2",
-    }
-    assert main["tau_ff_joint0"][3] == "this, or tau_des1?"
-
-
-@pytest.mark.parametrize("group", ["", "recordings/"])
-def test_counted_contacts_are_drafted_whatever_group_they_are_in(tmp_path, group):
-    """As gym-quadruped writes them, beside forces that are vectors."""
-    t = 0.01 * np.arange(400)
-    with h5py.File(tmp_path / "run.h5", "w") as file:
-        file[f"{group}time"] = t[None, :, None]
-        file[f"{group}imu_gyro"] = np.sin(t[:, None] + np.arange(3))[None]
-        file[f"{group}contact_state"] = (np.sin(9.0 * t[:, None] + np.arange(4)) > 0.0)[None]
-        file[f"{group}contact_forces"] = np.ones((1, 400, 12))
-    entries = [e for e in guess_map([tmp_path / "run.h5"]).main if e.name.startswith("contact_")]
-    assert [(e.name, e.theirs) for e in entries] == [
-        (f"contact_{leg}", f"{group}contact_state[{k}]") for k, leg in enumerate(LEGS)
-    ]
-    assert all(e.doubt for e in entries)
 
 
 def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
