@@ -29,6 +29,8 @@ from surefoot.sim.importing.reference import poses_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses
+from surefoot.sim.robot.catalog import SUFFIXES
+from surefoot.sim.robot.model_of_log import model_metadata
 
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""
@@ -89,7 +91,7 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     clock = clock - epoch
     streams = {column: (stamps - epoch, values) for column, (stamps, values) in streams.items()}
     shared = on_clock(clock, streams, str(main))
-    rules = replace(rules, robot=_robot_file(rules, main))
+    rules = _with_robots_file(rules, main)
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
     notes += gap_lines(clock, streams)
     if poses is not None:
@@ -97,12 +99,14 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     return RawRecording(kept, poses, rules, main, tuple(notes))
 
 
-def _robot_file(rules: ImportMap, main: Path) -> str | None:
-    """The robot's name or, for a file beside the map or the recording, its full path."""
-    for folder in (rules.path.parent, main.parent):
-        if rules.robot and Path(rules.robot).suffix and is_file(folder / rules.robot):
-            return str((folder / rules.robot).resolve())
-    return rules.robot
+def _with_robots_file(rules: ImportMap, main: Path) -> ImportMap:
+    """The map with the full path of the robot's file, where it names one, and its metadata."""
+    for folder in (rules.path.parent, main.parent, Path.cwd()):
+        file = folder / (rules.robot or "")
+        if file.suffix in SUFFIXES and is_file(file):
+            model = rules.model | model_metadata(file.stem, file.resolve())
+            return replace(rules, robot=str(file.resolve()), model=model)
+    return rules
 
 
 def _main_file(path: Path, rules: ImportMap) -> Path:

@@ -1,4 +1,4 @@
-"""Checks of a reference: by itself (miscounted frames, jumps, held samples and gaps), and by the IMU
+"""Checks of a reference: by itself (miscounted frames, jumps, held samples, gaps), and by the IMU
 (noise of its samples, and samples that the IMU contradicts).
 
 Relative to the IMU's integrals (`sim.log.reference_vs_imu`), the path of a tracked point varies
