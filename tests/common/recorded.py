@@ -3,7 +3,10 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pandas as pd
+import scipy.io
 
 from surefoot.sim.importing.guessing.draft import Draft, Entry
 from surefoot.sim.importing.guessing.guess import guess_map
@@ -15,6 +18,18 @@ def csv(folder: Path, columns, name: str = "run.csv", **options) -> Path:
     """A table of text in a folder, of columns by name; options are those of pandas."""
     pd.DataFrame(columns).to_csv(folder / name, index=False, **options)
     return folder / name
+
+
+def saved(path: Path, arrays: Mapping) -> Path:
+    """A file of arrays by name, of the kind that its suffix says: .npz, .mat or .h5."""
+    if path.suffix == ".npz":
+        np.savez(path, **arrays)
+    elif path.suffix == ".mat":
+        scipy.io.savemat(path, dict(arrays))
+    else:
+        with h5py.File(path, "w") as file:
+            file.update(arrays)
+    return path
 
 
 def imported(files: Path | Sequence[Path], rules: str | Draft) -> Log:

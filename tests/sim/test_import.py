@@ -287,8 +287,9 @@ def test_faults_are_one_line_with_file_and_place(folder, file, old, new, said):
 
 def test_no_file_no_map_no_overlap(folder):
     refused("No such file", import_log, folder / "nowhere.csv", folder / "map.toml")
-    with pytest.raises(SurefootError, match=r"import map .*No such file; bundled are .*go1_square"):
-        import_log(folder, "go7_square")
+    refused(
+        r"import map .*No such file; bundled are .*go1_square", import_log, folder, "go7_square"
+    )
     mocap = pd.read_csv(folder / "mocap.csv")
     mocap.assign(time=mocap["time"] + 50.0).to_csv(folder / "mocap.csv", index=False)
     assert "do not overlap" in fault(folder)
@@ -467,8 +468,9 @@ def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):
     np.testing.assert_allclose(log.ref_p, at_imu.ref_p[both], atol=1e-9)
     np.testing.assert_allclose(log.ref_R_GI, at_imu.ref_R_GI[both], atol=1e-9)
     edited(folder, "map.toml", "robot = 2.5", "walk = 2.5")
-    with pytest.raises(SurefootError, match=r"offset.* has none for 'robot' \(known: walk\)"):
-        import_log(folder, folder / "map.toml")
+    refused(
+        r"offset.* has none for 'robot' \(known: walk\)", import_log, folder, folder / "map.toml"
+    )
 
 
 def test_a_column_takes_an_offset(folder):

@@ -8,11 +8,10 @@ import subprocess
 import tomllib
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from recorded import check_entries, csv, entries_of, imported
+from recorded import check_entries, csv, entries_of, imported, saved
 from refusals import refusal
 
 from surefoot.sim.importing.guessing.guess import guess_map
@@ -37,8 +36,7 @@ def text(folder: Path, lines) -> Path:
 
 
 def npz(folder: Path, **arrays) -> Path:
-    np.savez(folder / "run.npz", **arrays)
-    return folder / "run.npz"
+    return saved(folder / "run.npz", arrays)
 
 
 def pickled(folder: Path, content: object) -> Path:
@@ -60,9 +58,7 @@ def json_lines(folder: Path) -> Path:
 
 
 def h5(folder: Path, **arrays) -> Path:
-    with h5py.File(folder / "run.h5", "w") as file:
-        file.update(arrays)
-    return folder / "run.h5"
+    return saved(folder / "run.h5", arrays)
 
 
 def poses(t) -> pd.DataFrame:
