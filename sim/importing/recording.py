@@ -180,7 +180,8 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Poses, list[
         keys = ("separator", "header", "skip", "comment", "decimal", "sparse")
         unsaid = [key for key in keys if getattr(source, key) == getattr(Source(), key)]
         source = replace(source, **{key: getattr(rules.sections.source, key) for key in unsaid})
-    table, read, notes = _read(path, source, columns, columns.pop("t", None))
+    clock = columns.pop("t", None)
+    table, read, notes = _read(path, source, columns, clock)
     if len(topics := {one.topic for one in read}) > 1:
         raise SurefootError(
             f"{path}: [reference.columns] are of {' and '.join(sorted(topics))};"
@@ -234,7 +235,8 @@ def _read(
             raise SurefootError(
                 f"{path}: column {column.theirs!r} has {count} rows, the times {len(times[topic])}"
             )
-        groups.setdefault((topic, rows.tobytes()), (rows, {}))[1][name] = column.read(values)
+        key = (topic, rows.tobytes() if _is_scattered(source) else b"")
+        groups.setdefault(key, (rows, {}))[1][name] = column.read(values)
     if leading in times and leading not in {topic for topic, _ in groups}:
         groups[leading, b""] = np.arange(len(times[leading])), {}
     found = []
@@ -244,8 +246,8 @@ def _read(
         where = f"{path}: column {named.theirs if named else 't'!r}"
         t, numbers = times[topic][rows], rows + table.first
         kept, note = kept_rows(t, [*members.values()], where, table.row, numbers)
-        table_of = {"t": t[kept]} | {name: values[kept] for name, values in members.items()}
-        found.append(_Rows(topic, table_of, numbers[kept], note))
+        in_rows = {"t": t[kept]} | {name: values[kept] for name, values in members.items()}
+        found.append(_Rows(topic, in_rows, numbers[kept], note))
     return table, found, [x.note for x in found if x.note] + _blank_lines(path, blank, found)
 
 

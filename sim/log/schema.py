@@ -306,13 +306,13 @@ def _check_each(
     found = [_pattern(name, patterns) for name in names]
     for pattern in patterns:
         start, end = pattern.split("<")[0], pattern.split(">")[1]
-        own = [one[1] for one in found if one and one[0] == pattern]
-        for part in own:
+        there = [one[1] for one in found if one and one[0] == pattern]
+        for part in there:
             if part not in parts:
                 needed = f"{first.split('<')[0]}{part}{first.split('>')[1]}"
                 raise SurefootError(f"column {needed} is missing beside {start}{part}{end}")
         for part in parts:
-            if own and part not in own:
+            if there and part not in there:
                 raise SurefootError(f"column {start}{part}{end} is missing")
 
 

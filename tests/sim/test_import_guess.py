@@ -232,15 +232,15 @@ def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, 
 
 def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     model, letters = robot_file("spot_class").read_text(), {"hip": "A", "thigh": "B", "calf": "C"}
-    own = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in walked.joints}
-    for ours, theirs in own.items():
+    renamed = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in walked.joints}
+    for ours, theirs in renamed.items():
         model = model.replace(ours, theirs)
     (tmp_path / "mine.xml").write_text(model)
     rows = walked.frame[::5]
     columns = {"Time (s)": rows["t"], "Battery A": 24.0 - 0.01 * rows["t"]}
     columns |= {f"Acc {a.upper()} [g]": IN_G * rows[f"accel_{a}"] for a in "xyz"}
     columns |= {f"Gyro {a.upper()} [°/s]": DEGREES * rows[f"gyro_{a}"] for a in "xyz"}
-    columns |= {f"{name} angle (°)": DEGREES * rows[f"q_{j}"] for j, name in own.items()}
+    columns |= {f"{name} angle (°)": DEGREES * rows[f"q_{j}"] for j, name in renamed.items()}
     run = tmp_path / "run.csv"
     pd.DataFrame(columns).to_csv(run, index=False, sep=";", decimal=",", encoding="utf-8-sig")
     tracked = {"sec": rows["t"]} | {f"{a.upper()} (mm)": 1e3 * rows[f"ref_p_{a}"] for a in "xyz"}
@@ -248,7 +248,7 @@ def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     pd.DataFrame(tracked).to_csv(tmp_path / "vicon.txt", index=False, sep="\t")
     draft = guess_map([run, tmp_path / "vicon.txt"], str(tmp_path / "mine.xml"))
     assert {e.name: (e.theirs, e.unit) for e in draft.main if e.name.startswith("q_")} == {
-        f"q_{j}": (f"{name} angle (°)", "deg") for j, name in own.items()
+        f"q_{j}": (f"{name} angle (°)", "deg") for j, name in renamed.items()
     }
     assert not [e for e in draft.main if e.doubt]
     assert ["contacts" in note for note in draft.notes] == [True]
@@ -407,10 +407,10 @@ def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):
     read = [
         pd.DataFrame(
             values[::every],
-            index=pd.Index(np.round(1.7e9 + walked.t[::every] + late, 6), name="__time"),
+            index=pd.Index(np.round(1.7e9 + walked.t[::every] + delay, 6), name="__time"),
             columns=[name.format(one) for one in names],
         )
-        for name, (values, names, every, late) in topics.items()
+        for name, (values, names, every, delay) in topics.items()
     ]
     path = tmp_path / "topics.csv"
     pd.concat(read, axis=1).sort_index().to_csv(path)

@@ -67,11 +67,11 @@ def test_errors_of_stamps_are_told_from_those_of_positions():
     rng = np.random.default_rng(6)
     walk = motion(1.5, 400.0)
     t = np.arange(0.01, 1.45, 1 / 90)
-    late = rng.normal(0.0, 3e-3, len(t))
-    seen = poses(t + late, t, 2e-4, rng)
+    delay = rng.normal(0.0, 3e-3, len(t))
+    seen = poses(t + delay, t, 2e-4, rng)
     found = reference_noise(walk.t, walk.gyro, walk.accel, seen)
     assert found is not None
-    assert found.stamp == pytest.approx(np.std(late), rel=0.2)
+    assert found.stamp == pytest.approx(np.std(delay), rel=0.2)
 
 
 def test_the_force_drifts_in_a_second_as_by_a_tilt_of_some_tenths_of_a_degree():
@@ -164,7 +164,7 @@ def test_a_body_that_was_lost_for_a_while_is_no_clock():
 def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_removed():
     t = 0.01 * np.arange(1000)
     true = poses(t)
-    p, gone = true.p.copy(), np.r_[300:304, 310:315, 600:603, 603:607]
+    p, aside_rows = true.p.copy(), np.r_[300:304, 310:315, 600:603, 603:607]
     for rows, aside in (
         (slice(300, 304), 0.1),
         (slice(310, 315), 0.1),
@@ -173,7 +173,7 @@ def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_remo
     ):
         p[rows] += [aside, 0.0, 0.0]
     left = without_jumps(Poses(t, p, true.q))
-    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[gone])
+    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[aside_rows])
 
 
 def test_the_largest_jump_is_told_by_its_size_and_time():

@@ -95,13 +95,7 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     if any(np.isnan(every[name]).any() for name in columns):
         layout["sparse"] = True
     lists, stated = _lists(path, table.cells), _stated_rate(columns)
-    found = [_of_bag(table, every, machine)] if table.stamps and every else []
-    long = {n: v for n, v in columns.items() if len(v) > 1 and not table.stamps}
-    for part in _by_clock(long):
-        names = _names(part, machine)
-        part, t = _at_rising_times(part, column_of_times(part, names))
-        seconds = t.scale * part[t.theirs] if t else None
-        found.append(RecordedFile(path, _label(path, part, long), part, part, names, t, seconds))
+    found = _of_bag(table, every, machine) if table.stamps else _by_clock(path, columns, machine)
     there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
     skipped = {name: UNREADABLE for name in table.cells if name not in there}
     skipped |= {name: PARAMETERS for name, cells in table.cells.items() if len(cells) == 1}
@@ -154,8 +148,10 @@ def _leading(readings: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> 
     return next(gyro, None) or max(readings, key=lambda name: np.count_nonzero(readings[name]))
 
 
-def _of_bag(table: RecordedTable, every: Columns, machine: Machine | None) -> RecordedFile:
-    """The columns of a bag, at the readings of the leading one."""
+def _of_bag(table: RecordedTable, every: Columns, machine: Machine | None) -> list[RecordedFile]:
+    """The columns of a bag, at the readings of the leading one; none if there are none."""
+    if not every:
+        return []
     readings = {name: np.isfinite(x) for name, x in every.items()}
     stamps = {name: table.stamps[table.topic(name)][k] for name, k in readings.items()}
     recorded = {name: every[name][k] for name, k in readings.items()}
@@ -164,7 +160,18 @@ def _of_bag(table: RecordedTable, every: Columns, machine: Machine | None) -> Re
     at = stamps[first]
     columns = {name: np.interp(at, stamps[name], x) for name, x in recorded.items()}
     t = times_of_topic(table.topic(first), recorded, names)
-    return RecordedFile(table.path, _plain(table.path.stem), columns, recorded, names, t, at)
+    return [RecordedFile(table.path, _plain(table.path.stem), columns, recorded, names, t, at)]
+
+
+def _by_clock(path: Path, columns: Columns, machine: Machine | None) -> list[RecordedFile]:
+    """The columns of a file, those of each clock by themselves."""
+    found, long = [], {n: v for n, v in columns.items() if len(v) > 1}
+    for part in _with_equal_times(long):
+        names = _names(part, machine)
+        part, t = _at_rising_times(part, column_of_times(part, names))
+        seconds = t.scale * part[t.theirs] if t else None
+        found.append(RecordedFile(path, _label(path, part, long), part, part, names, t, seconds))
+    return found
 
 
 def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, ...]]:
@@ -236,7 +243,7 @@ def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
     return by_their_lists(by_their_legs({name: name_in_file(name, machine) for name in columns}))
 
 
-def _by_clock(columns: Columns) -> list[Columns]:
+def _with_equal_times(columns: Columns) -> list[Columns]:
     """Group the columns by number of rows and, within these, by equal times."""
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):
