@@ -2,7 +2,7 @@
 
 The reference in a log is interpolated between the samples of the motion capture, which
 `sim.log.reference` recovers; the noise of their poses and time stamps is estimated from the IMU
-(`sim.importing.reference_noise`). Simulated references have one sample a row and no noise.
+(`sim.importing.reference_check`). Simulated references have one sample a row and no noise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,8 +19,11 @@ from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.effects.targets import AXES
-from surefoot.sim.importing.reference_check import check_reference
-from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, reference_noise
+from surefoot.sim.importing.reference_check import (
+    FEWEST_SAMPLES,
+    check_reference,
+    reference_noise,
+)
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import reference_poses
 from surefoot.sim.sensors.streams import Sensors

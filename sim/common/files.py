@@ -501,13 +501,13 @@ def refuse_full(out: Path, force: bool) -> None:
         raise SurefootError(
             f"-o {out}: is not empty; give {force_option()} to overwrite what is in it"
         )
-    own = _own_files(out)
-    if _run is not None and not own:
+    made = _own_files(out)
+    if _run is not None and not made:
         raise SurefootError(
             f"-o {out}: --force replaces what surefoot {_run.command} made, and it made nothing "
             "here; give another folder"
         )
-    for name in own:
+    for name in made:
         if (out / name).exists():
             refuse_overwrite(out / name, force)
 

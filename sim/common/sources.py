@@ -71,10 +71,10 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
     """
     found: dict[str, Path] = {}
     waiting = [module]
-    own = module.partition(".")[0]
+    home = module.partition(".")[0]
     while waiting:
         name = waiting.pop()
-        if name in found or not _counts(name.partition(".")[0], own):
+        if name in found or not _counts(name.partition(".")[0], home):
             continue
         path = Path(file) if file and name == module else _source(name)
         if path is None or not path.is_file():
@@ -88,7 +88,7 @@ def imported_sources(module: str, file: str | None = None) -> dict[str, Path]:
             if level:
                 base = resolve_name("." * level + base, package) if package else base
             # `from a import b`: b may be a module itself. A package runs before what lies in it.
-            for one in (base, *(f"{base}.{n}" for n in names), *_imported_late(base, names, own)):
+            for one in (base, *(f"{base}.{n}" for n in names), *_imported_late(base, names, home)):
                 parts = one.split(".")
                 waiting += [".".join(parts[: k + 1]) for k in range(len(parts))]
     return found
@@ -100,26 +100,26 @@ class _Contents(NamedTuple):
     """
 
     imports: tuple[tuple[int, str, tuple[str, ...]], ...]
-    late: dict[str, str]
+    lazy: dict[str, str]
     files: frozenset[str]
     code: bytes
 
 
-def _counts(top: str, own: str) -> bool:
-    """Whether a top-level package counts: surefoot, the module's `own` one, or one that is not
+def _counts(top: str, home: str) -> bool:
+    """Whether a top-level package counts: surefoot, the module's own (`home`), or one that is not
     installed.
     """
-    if top in (LIBRARY, own):
+    if top in (LIBRARY, home):
         return True
     folders = () if top in sys.stdlib_module_names else _folders(top)
     return bool(folders) and not any(INSTALLED & set(folder.parts) for folder in folders)
 
 
-def _imported_late(base: str, names: tuple[str, ...], own: str) -> list[str]:
+def _imported_late(base: str, names: tuple[str, ...], home: str) -> list[str]:
     """Modules that a package imports when these names are requested; "*" stands for all."""
-    path = _source(base) if _counts(base.partition(".")[0], own) else None
-    late = _contents(path).late if path else {}
-    return [late[name] for name in (late if "*" in names else names) if name in late]
+    path = _source(base) if _counts(base.partition(".")[0], home) else None
+    lazy = _contents(path).lazy if path else {}
+    return [lazy[name] for name in (lazy if "*" in names else names) if name in lazy]
 
 
 def _contents(path: Path) -> _Contents:
@@ -132,7 +132,7 @@ def _contents(path: Path) -> _Contents:
 @cache
 def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
     imports: list[tuple[int, str, tuple[str, ...]]] = []
-    late: dict[str, str] = {}
+    lazy: dict[str, str] = {}
     source = path.read_bytes()
     tree = ast.parse(source)
     texts: list[ast.expr | ast.Expr] = []
@@ -163,10 +163,10 @@ def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
         elif isinstance(node, ast.ImportFrom):
             imports.append((node.level, node.module or "", tuple(a.name for a in node.names)))
     if b"__getattr__" in source:
-        late = {a.asname or a.name: node.module or "" for node in typed for a in node.names}
+        lazy = {a.asname or a.name: node.module or "" for node in typed for a in node.names}
     strings = {node.value for node in texts if isinstance(node, ast.Constant)}
     files = {one for one in strings if isinstance(one, str) and _FILE.fullmatch(one)}
-    return _Contents(tuple(imports), late, frozenset(files), _code(source, texts))
+    return _Contents(tuple(imports), lazy, frozenset(files), _code(source, texts))
 
 
 def _code(source: bytes, texts: Iterable[ast.expr | ast.Expr]) -> bytes:

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError, errors_in
-from surefoot.sim.common.files import is_file
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.importing.clock import (
     Columns,
@@ -28,13 +27,11 @@ from surefoot.sim.importing.reference import (
     unit_quaternions,
     with_reference,
 )
-from surefoot.sim.importing.reference_contradictions import contradicted
+from surefoot.sim.importing.reference_check import contradicted
 from surefoot.sim.importing.sections import EvenTable, by_name
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS, check_frame, joint_names, joint_prefix
-from surefoot.sim.robot.catalog import SUFFIXES
-from surefoot.sim.robot.model_of_log import model_metadata
 
 _QUATERNION = GROUPS["reference"][3:]
 
@@ -91,53 +88,46 @@ class RawRecording:
 
     def log(self) -> Log:
         """Assemble the log and check every column. Raises LogError naming path and map."""
-        main = dict(self.main)
+        rules, sections, derived = self.rules, self.rules.sections, list[str]()
+        main, late_contacts = dict(self.main), dict[str, float]()
         if "ref_q_w" in main:
             q = np.column_stack([main[name] for name in _QUATERNION])
             main |= zip(_QUATERNION, unit_quaternions(self.path, q).T, strict=True)
-        poses, wrong = self.reference()
+        main = _with_joint_signs(main, rules)
+        if even := sections.even:
+            # Contacts may be found below, in columns that are in time.
+            late_contacts = {k: x for k, x in even.late.items() if column_kind(k) == "contact"}
+            others = {k: x for k, x in even.late.items() if k not in late_contacts}
+            main, derived = _made_even(main, replace(even, late=others))
+        model, (poses, wrong) = rules.model, self.reference()
         if poses is not None and wrong is not None:
-            poses = poses.rows(~wrong)
-        log = _log_from_tables(main, poses, self.rules, self.name)
+            main = with_reference(main, poses.rows(~wrong), str(rules.path))
+            offset = reference_offset(rules, self.name)
+            model = model | ({REFERENCE_OFFSET: offset} if offset else {})
+        joints = joint_names(main)
+        law = _motor_law(rules, joints)
+        if torques := _torques_by_law(main, joints, law):
+            main |= torques
+            derived.append("tau (motor law)")
+        frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
+        meta = Meta(
+            rate=sections.source.rate or _rate(main["t"]),
+            robot=rules.robot,
+            motor_law=law,
+            derived=tuple(derived),
+            versions={"surefoot": version("surefoot")},
+            model=model,
+        )
+        log = Log(frame, meta, self.name)
+        if sections.contact is not None:
+            log = feet_that_stand(log, sections.contact)
+        if late_contacts:
+            log = _with_contacts_forward(log, late_contacts)
         try:
             check_frame(log.frame, log.rate)
         except SurefootError as error:
-            raise LogError(f"{self.path} as {self.rules.path}: {error}") from error
+            raise LogError(f"{self.path} as {rules.path}: {error}") from error
         return log
-
-
-def _log_from_tables(main: Columns, reference: Poses | None, rules: ImportMap, name: str) -> Log:
-    sections, derived, late_contacts = rules.sections, [], {}
-    main = _with_joint_signs(main, rules)
-    if even := sections.even:
-        # Contacts may be found below, in columns that are in time.
-        late_contacts = {k: x for k, x in even.late.items() if column_kind(k) == "contact"}
-        others = {k: x for k, x in even.late.items() if k not in late_contacts}
-        main, said = _made_even(main, replace(even, late=others))
-        derived += said
-    if reference is not None:
-        main = with_reference(main, reference, str(rules.path))
-    joints = joint_names(main)
-    law = _motor_law(rules, joints)
-    offset = reference_offset(rules, name) if reference is not None else 0.0
-    if torques := _torques_by_law(main, joints, law):
-        main |= torques
-        derived.append("tau (motor law)")
-    frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
-    meta = Meta(
-        rate=sections.source.rate or _rate(main["t"]),
-        robot=rules.robot,
-        motor_law=law,
-        derived=tuple(derived),
-        versions={"surefoot": version("surefoot")},
-        model=rules.model
-        | _robot_file(rules.robot)
-        | ({REFERENCE_OFFSET: offset} if offset else {}),
-    )
-    log = Log(frame, meta, name)
-    if sections.contact is not None:
-        log = feet_that_stand(log, sections.contact)
-    return _with_contacts_forward(log, late_contacts) if late_contacts else log
 
 
 def _with_contacts_forward(log: Log, delays: Mapping[str, float]) -> Log:
@@ -161,12 +151,6 @@ def _check_known(key: str, named: Iterable[str], columns: Iterable[str]) -> None
             raise SurefootError(
                 f"[even] {key}: no column of kind {kind!r}; there are {', '.join(sorted(kinds))}"
             )
-
-
-def _robot_file(robot: str | None) -> dict[str, dict[str, str]]:
-    """Metadata of a robot that the map names by a file."""
-    file = Path(robot or "")
-    return model_metadata(file.stem, file) if file.suffix in SUFFIXES and is_file(file) else {}
 
 
 def _rate(t: np.ndarray) -> float:

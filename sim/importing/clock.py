@@ -43,13 +43,15 @@ def is_event(name: str) -> bool:
     return name.startswith(("contact_", "ref_ok"))
 
 
-def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Columns:
+def on_clock(
+    t: np.ndarray, streams: Mapping[str, Stamped], where: str, averaged: float = _AVERAGING_RATIO
+) -> Columns:
     """Resample streams to the times t (N,) [s], including `t`; times outside any stream are cut.
 
     Streams with exactly these times are used as they are. Of others, events hold their last value,
-    readings are interpolated, and gyro and accel with a higher rate are averaged over the interval
-    since the preceding row, which is their definition in a log. Raises SurefootError, starting with
-    `where`, where they do not overlap in time.
+    readings are interpolated, and gyro and accel, from a ratio `averaged` of their rate to that of
+    the rows, are averaged over the interval since the preceding row, which is their definition in a
+    log. Raises SurefootError, starting with `where`, where they do not overlap in time.
     """
     begin = max([t[0], *(stamps[0] for stamps, _ in streams.values())])
     end = min([t[-1], *(stamps[-1] for n, (stamps, _) in streams.items() if not is_event(n))])
@@ -67,7 +69,7 @@ def on_clock(t: np.ndarray, streams: Mapping[str, Stamped], where: str) -> Colum
             table[name] = values[inside]
         elif is_event(name):
             table[name] = values[np.searchsorted(stamps, t[inside], "right") - 1]
-        elif name.startswith(("gyro_", "accel_")) and _rate(stamps) > _AVERAGING_RATIO * _rate(t):
+        elif name.startswith(("gyro_", "accel_")) and _rate(stamps) > averaged * _rate(t):
             table[name] = means(t[inside], stamps, values)
         else:
             table[name] = np.interp(t[inside], stamps, values)
@@ -171,11 +173,7 @@ def evened(table: Columns, rate: float) -> Columns:
     t = table["t"]
     even = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
     streams = {name: (t, values) for name, values in table.items() if name != "t"}
-    found = on_clock(even, streams, "the log")
-    for name in found:
-        if name.startswith(("gyro_", "accel_")):
-            found[name] = means(found["t"], t, table[name])
-    return found
+    return on_clock(even, streams, "the log", averaged=0.0)
 
 
 def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:

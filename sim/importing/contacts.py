@@ -104,13 +104,7 @@ def foot_speeds(log: Log, v_I: np.ndarray) -> np.ndarray:
 
 def _velocities_by_body(t: np.ndarray, feet_I: np.ndarray, gyro: np.ndarray) -> np.ndarray:
     """Velocities (N, L, 3) [m/s] of feet over the ground, less that of the IMU, in I."""
-    return _velocities(t, feet_I) + np.cross(gyro[:, None], feet_I)
-
-
-def _velocities(t: np.ndarray, feet_I: np.ndarray) -> np.ndarray:
-    """Derivatives (N, L, 3) [m/s] of positions (N, L, 3) [m] at t (N,) [s]."""
-    v = derivative(t, feet_I.reshape(len(t), -1), JOINT_WINDOW, causal=False)
-    return v.reshape(feet_I.shape)
+    return derivative(t, feet_I, JOINT_WINDOW, causal=False) + np.cross(gyro[:, None], feet_I)
 
 
 def heights_beside_others(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -147,7 +141,7 @@ def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[lis
         feet_I: (N, L, 3) [m].
         up: (N, 3) upward direction in I.
     """
-    v = _velocities(t, feet_I)
+    v = derivative(t, feet_I, JOINT_WINDOW, causal=False)
     v = v - np.einsum("nli,ni->nl", v, up)[..., None] * up[:, None]
     along = v[:, :, int(np.argmax(np.var(v, axis=0).sum(axis=0)))]
     alike = np.corrcoef(along.T) > _IN_PHASE

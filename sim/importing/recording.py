@@ -1,7 +1,7 @@
 """Import a recording of any files as a Log, by an import map (`sim.importing.map`)."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +29,9 @@ from surefoot.sim.importing.reference import poses_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses
+from surefoot.sim.robot.catalog import SUFFIXES
+from surefoot.sim.robot.model_of_log import model_metadata
 
-_Rows = tuple[np.ndarray, np.ndarray]
-"""Indices of rows, and the values there, both (M,)."""
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""
 Files = str | Path | Sequence[str | Path]
@@ -91,7 +91,7 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     clock = clock - epoch
     streams = {column: (stamps - epoch, values) for column, (stamps, values) in streams.items()}
     shared = on_clock(clock, streams, str(main))
-    rules = replace(rules, robot=_robot_file(rules, main))
+    rules = _with_robots_file(rules, main)
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
     notes += gap_lines(clock, streams)
     if poses is not None:
@@ -99,12 +99,14 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     return RawRecording(kept, poses, rules, main, tuple(notes))
 
 
-def _robot_file(rules: ImportMap, main: Path) -> str | None:
-    """The robot's name or, for a file beside the map or the recording, its full path."""
-    for folder in (rules.path.parent, main.parent):
-        if rules.robot and Path(rules.robot).suffix and is_file(folder / rules.robot):
-            return str((folder / rules.robot).resolve())
-    return rules.robot
+def _with_robots_file(rules: ImportMap, main: Path) -> ImportMap:
+    """The map with the full path of the robot's file, where it names one, and its metadata."""
+    for folder in (rules.path.parent, main.parent, Path.cwd()):
+        file = folder / (rules.robot or "")
+        if file.suffix in SUFFIXES and is_file(file):
+            model = rules.model | model_metadata(file.stem, file.resolve())
+            return replace(rules, robot=str(file.resolve()), model=model)
+    return rules
 
 
 def _main_file(path: Path, rules: ImportMap) -> Path:
@@ -116,6 +118,23 @@ def _main_file(path: Path, rules: ImportMap) -> Path:
     return inside
 
 
+@dataclass(frozen=True)
+class _Rows:
+    """Columns of a file that have readings in the same rows.
+
+    Attributes:
+        topic: of a bag; "" of any other file.
+        columns: of the log, in SI, and their times `t` [s], each (M,).
+        numbers: of the rows in the file, (M,).
+        note: on rows that are left out; "" if none is.
+    """
+
+    topic: str
+    columns: Columns
+    numbers: np.ndarray
+    note: str
+
+
 def _streams(
     path: Path, source: Source, rules: ImportMap, name: str | None
 ) -> tuple[dict[str, Stamped], np.ndarray, list[str]]:
@@ -124,110 +143,30 @@ def _streams(
     """
     columns = {n: c for n, c in rules.columns.items() if c.source == name and n != "t"}
     clock = rules.columns.get("t") if name is None else rules.clocks.get(name)
-    needed = [*columns.values(), *([clock] if clock and name is None else [])]
-    table = read_file(path, source, {column.theirs for column in needed})
-    bag = bool(table.stamps)
-    if bag and source.rate is not None:
-        raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
-    if not bag and clock is None and source.rate is None:
+    if name and is_bag(path):  # which has clocks of its own
+        clock = None
+    elif clock is None and source.rate is None:
         raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
-    # A further bag has clocks of its own.
-    clock = None if bag and name else clock
+    table, read, notes = _read(path, source, columns, clock)
+    if table.stamps and source.rate is not None:
+        raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
     leading = table.topic(clock.theirs) if clock else ""
-    times = dict(table.stamps)
-    if clock or not bag:
-        times[leading] = _times(table, clock, source)
-        _check_attitude(table, columns, leading)
-    alone = source.sparse or source.long is not None
-    # Columns that share their stamps lose the same rows.
-    groups: dict[tuple[str, str], dict[str, _Rows]] = (
-        {} if alone or (bag and name) else {(leading, ""): {}}
-    )
-    blank: dict[str, SurefootError] = {}
-    for log_name, column in columns.items():
-        topic = table.topic(column.theirs)
-        try:
-            read = _rows(table, column, source, times[topic], alone)
-        except NoReadings as error:
-            blank[log_name] = error
-            continue
-        groups.setdefault((topic, log_name if alone else ""), {})[log_name] = read
     found: dict[str, Stamped] = {}
-    t, first, notes = np.zeros(0), "", []
-    for (topic, log_name), members in groups.items():
-        column = columns[next(iter(members))] if alone or topic != leading else clock
-        kept, _, said = _kept(table, members, times[topic], column)
-        stamps = kept.pop("t")
-        found |= {n: (stamps, values) for n, values in kept.items()}
-        notes += said
-        # If columns have different times, the rows are those of the most frequent one.
-        if topic == leading and len(stamps) > len(t):
-            t, first = stamps, log_name
-    if alone and found:
-        notes.append(f"rows: at the readings of {first}")
-    return found, t, [*notes, *_blank_lines(path, blank, found)]
-
-
-def _rows(
-    table: RecordedTable, column: MapColumn, source: Source, times: np.ndarray, sparse: bool
-) -> _Rows:
-    """Rows and values of a column in SI.
-
-    Raises SurefootError where there are more than times, or fewer, unless it is sparse.
-
-    Args:
-        table: of the file.
-        column: of the map.
-        source: of the map.
-        times: of the rows [s].
-        sparse: whether rows may be missing.
-    """
-    rows, values = column_readings(table, column.theirs, source, column.word)
-    count = rows[-1] + 1 if len(rows) else 0
-    if count > len(times) or (count < len(times) and not sparse):
-        raise SurefootError(
-            f"{table.path}: column {column.theirs!r} has {count} rows, the times {len(times)}"
-        )
-    return rows, column.read(values)
-
-
-def _kept(
-    table: RecordedTable, members: Mapping[str, _Rows], times: np.ndarray, clock: MapColumn | None
-) -> tuple[Columns, np.ndarray, list[str]]:
-    """Columns of readings in the same rows, with their times `t`; the numbers (M,) of these rows;
-    and a note on rows that are left out.
-    """
-    rows = next((rows for rows, _ in members.values()), np.arange(len(times)))
-    where = f"{table.path}: column {clock.theirs if clock else 't'!r}"
-    values, numbers = [x for _, x in members.values()], rows + table.first
-    kept, said = kept_rows(times[rows], values, where, table.row, numbers)
-    columns = {"t": times[rows][kept]} | {n: x[kept] for n, (_, x) in members.items()}
-    return columns, numbers[kept], [said] if said else []
-
-
-def _check_attitude(table: RecordedTable, columns: Mapping[str, MapColumn], topic: str) -> None:
-    """Raise SurefootError where an attitude would be interpolated to the rows of another topic."""
-    for name, column in columns.items():
-        if name.startswith("ref_q_") and table.topic(column.theirs) != topic:
+    for one in read:
+        stamps = one.columns["t"]
+        found |= {n: (stamps, values) for n, values in one.columns.items() if n != "t"}
+        attitude = next((n for n in one.columns if n.startswith("ref_q_")), "")
+        if attitude and clock and one.topic != leading:
             raise SurefootError(
-                f"{table.path}: {name} is of another topic than t: give a [reference]"
+                f"{path}: {attitude} is of another topic than t: give a [reference]"
             )
-
-
-def _blank_lines(path: Path, blank: Mapping[str, SurefootError], found: Iterable[str]) -> list[str]:
-    """A note on columns without a reading; raises the error of one that a log cannot lack."""
-    there = {column_kind(name) for name in found}
-    for name, error in blank.items():
-        if column_kind(name) not in _MAY_LACK or column_kind(name) in there:
-            raise error
-    return [f"{path}: left out, NaN or empty throughout: {', '.join(blank)}"] if blank else []
-
-
-def _times(table: RecordedTable, clock: MapColumn | None, source: Source) -> np.ndarray:
-    if clock is None:
-        rows = max(map(len, table.cells.values()), default=0)
-        return np.arange(rows) / (source.rate or 1.0)
-    return clock.read(column_readings(table, clock.theirs, Source(names=source.names))[1])
+    # If columns have different rows, the log's are those of the most frequent one.
+    first = max((x for x in read if x.topic == leading), key=lambda x: len(x.numbers), default=None)
+    if first is None:
+        return found, np.zeros(0), notes
+    if _is_scattered(source) and found:
+        notes.append(f"rows: at the readings of {next(n for n in first.columns if n != 't')}")
+    return found, first.columns["t"], notes
 
 
 def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Poses, list[str]]:
@@ -235,23 +174,89 @@ def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Poses, list[
 
     shared: whether it is in the main file.
     """
-    columns, source = rules.reference_columns, rules.sections.reference
+    columns, source = dict(rules.reference_columns), rules.sections.reference
     assert source is not None
     if shared:
         keys = ("separator", "header", "skip", "comment", "decimal", "sparse")
         unsaid = [key for key in keys if getattr(source, key) == getattr(Source(), key)]
         source = replace(source, **{key: getattr(rules.sections.source, key) for key in unsaid})
-    read = read_file(path, source, {column.theirs for column in columns.values()})
-    if len(topics := {read.topic(column.theirs) for column in columns.values()}) > 1:
+    clock = columns.pop("t", None)
+    table, read, notes = _read(path, source, columns, clock)
+    if len(topics := {one.topic for one in read}) > 1:
         raise SurefootError(
             f"{path}: [reference.columns] are of {' and '.join(sorted(topics))};"
             " t, ref_p and ref_q are of one topic"
         )
-    clock = columns.get("t")
-    times = _times(read, clock, source)
-    members = {n: _rows(read, c, source, times, True) for n, c in columns.items() if n != "t"}
-    if len(lengths := {len(rows) for rows, _ in members.values()}) > 1:
-        raise SurefootError(f"{path}: [reference.columns] have {sorted(lengths)} rows")
-    table, numbers, said = _kept(read, members, times, clock)
-    poses, lost = poses_of(table, path, read.row, numbers)
-    return poses, said + lost
+    if len(read) > 1:
+        lengths = sorted({len(one.numbers) for one in read})
+        raise SurefootError(f"{path}: [reference.columns] have readings in other rows: {lengths}")
+    poses, lost = poses_of(read[0].columns, path, table.row, read[0].numbers)
+    return poses, notes + lost
+
+
+def _is_scattered(source: Source) -> bool:
+    """Whether the columns of a file have readings in rows of their own."""
+    return source.sparse or source.long is not None
+
+
+def _read(
+    path: Path, source: Source, columns: Mapping[str, MapColumn], clock: MapColumn | None
+) -> tuple[RecordedTable, list[_Rows], list[str]]:
+    """Read columns of a file, together those that share their rows, and the times of the clock
+    alone where no column does; and notes.
+
+    Raises SurefootError naming file, column and row.
+
+    Args:
+        path: of the file.
+        source: of the map.
+        columns: by the log's names.
+        clock: of the rows; None for the messages' own in a bag, and for the source's rate.
+    """
+    table = read_file(path, source, {one.theirs for one in (*columns.values(), clock) if one})
+    times, leading = dict(table.stamps), table.topic(clock.theirs) if clock else ""
+    if clock:
+        times[leading] = clock.read(
+            column_readings(table, clock.theirs, Source(names=source.names))[1]
+        )
+    elif not table.stamps:
+        times[""] = np.arange(max(map(len, table.cells.values()), default=0)) / (source.rate or 1.0)
+    groups: dict[tuple[str, bytes], tuple[np.ndarray, Columns]] = {}
+    blank: dict[str, SurefootError] = {}
+    for name, column in columns.items():
+        topic = table.topic(column.theirs)
+        try:
+            rows, values = column_readings(table, column.theirs, source, column.word)
+        except NoReadings as error:
+            blank[name] = error
+            continue
+        count = rows[-1] + 1 if len(rows) else 0
+        if count > len(times[topic]) or (count < len(times[topic]) and not _is_scattered(source)):
+            raise SurefootError(
+                f"{path}: column {column.theirs!r} has {count} rows, the times {len(times[topic])}"
+            )
+        key = (topic, rows.tobytes() if _is_scattered(source) else b"")
+        groups.setdefault(key, (rows, {}))[1][name] = column.read(values)
+    if leading in times and leading not in {topic for topic, _ in groups}:
+        groups[leading, b""] = np.arange(len(times[leading])), {}
+    found = []
+    for (topic, _), (rows, members) in groups.items():
+        named = columns[next(iter(members))] if members else clock
+        named = clock if topic == leading and not _is_scattered(source) else named
+        where = f"{path}: column {named.theirs if named else 't'!r}"
+        t, numbers = times[topic][rows], rows + table.first
+        kept, note = kept_rows(t, [*members.values()], where, table.row, numbers)
+        in_rows = {"t": t[kept]} | {name: values[kept] for name, values in members.items()}
+        found.append(_Rows(topic, in_rows, numbers[kept], note))
+    return table, found, [x.note for x in found if x.note] + _blank_lines(path, blank, found)
+
+
+def _blank_lines(
+    path: Path, blank: Mapping[str, SurefootError], found: Iterable[_Rows]
+) -> list[str]:
+    """A note on columns without a reading; raises the error of one that a log cannot lack."""
+    there = {column_kind(name) for one in found for name in one.columns}
+    for name, error in blank.items():
+        if column_kind(name) not in _MAY_LACK or column_kind(name) in there:
+            raise error
+    return [f"{path}: left out, NaN or empty throughout: {', '.join(blank)}"] if blank else []

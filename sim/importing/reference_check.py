@@ -1,14 +1,27 @@
-"""Checks of a reference by itself: miscounted frames, jumps, held samples and gaps."""
+"""Checks of a reference: by itself (miscounted frames, jumps, held samples, gaps), and by the IMU
+(noise of its samples, and samples that the IMU contradicts).
+
+Relative to the IMU's integrals (`sim.log.reference_vs_imu`), the path of a tracked point varies
+slowly: initial position and velocity, a force that drifts with tilt and bias, and a lever arm that
+rotates with the body. The rest of a sample is the noise of its position, and its velocity times the
+error of its stamp. The noise levels are found by maximum likelihood of a Kalman filter with the
+states position, velocity, drift and lever arm (Bar-Shalom et al., Estimation with Applications to
+Tracking and Navigation, 2001, ch. 5).
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
+from surefoot.sim.common.kernels import kernel
 from surefoot.sim.importing.clock import seconds, set_forward
 from surefoot.sim.importing.reference import MAX_GAP
+from surefoot.sim.log.derived import REFERENCE_WINDOW, derivative
 from surefoot.sim.log.reference import Poses
+from surefoot.sim.log.reference_vs_imu import ReferenceVsImu, compare_with_imu
 
 _MISCOUNTED = {1: (2.0,), 2: (1 / 2, 3 / 2), 3: (2 / 3,)}
 """Number of frames of a step by its stamps -> its speeds relative to the surrounding ones if that
@@ -41,6 +54,46 @@ _SHOWN_DOUBTFUL = 5e-4
 """Share below which doubtful stamps are not reported, as it would print as 0.0 %."""
 _JUMP_RATIO = 8.0
 """Ratio of a jump to the usual change of speed; noise of a reference stays below it."""
+
+FEWEST_SAMPLES = 100
+"""Least number of samples for an estimate."""
+_LONGEST = 4000
+"""Number of samples used, from the middle of a longer reference."""
+_LEVER = 0.3
+"""Prior standard deviation of each coordinate of the lever arm [m]."""
+_DRIFT = 0.3
+"""Prior standard deviation of the drift of the force, from bias and tilt [m/s^2]."""
+_WANDER = 0.05
+"""Random walk of this drift [m/s^2/sqrt(s)]: errors of a walking body's tilt of a few tenths of a
+degree.
+"""
+_START = (1e-3, 2e-3, 0.1)
+"""Initial values of the search: position [m], stamp [s] and force [m/s^2/sqrt(Hz)]."""
+_SMALLEST = np.array([1e-5, 1e-5, 1e-3])
+"""Lower limits of these values."""
+_WINDOW = 0.1
+"""Interval over which rotation and velocity of a reference are compared with the IMU's integrals
+[s]: a few samples of motion capture, short compared with a stride, and short enough that bias and
+tilt change the velocity by centimetres per second only.
+"""
+_MOST_MISSED_ROTATION = 0.5
+"""Share of the gyro's rotation that a reference may miss; beyond it, it belongs to another body
+or clock. Noise of a walking robot's motion capture leaves a few hundredths.
+"""
+
+_LEAST_CHANGE = 0.25
+"""Least contradiction [m/s], 25 mm in the window: beyond the noise of a legged robot's reference.
+"""
+_OUTLYING = 8.0
+"""Ratio to the usual change beyond which a change is not noise."""
+_SURELY = 3.0
+"""Standard deviations of what samples of the accelerometer may miss between them."""
+_MOST_CONTRADICTED = 0.05
+"""Share of samples above which reference and IMU do not match at all: another clock, axes or
+position, which `surefoot align` estimates.
+"""
+_SHORTEST_SECTION = 1.0
+"""Shortest section between two contradictions, or at an end, that is not marked with them [s]."""
 
 
 @dataclass(frozen=True)
@@ -199,3 +252,214 @@ def _median_around(x: np.ndarray) -> np.ndarray:
     padded = np.pad(x, _NEIGHBOURS, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
     return np.nanmedian(np.delete(windows, _NEIGHBOURS, axis=1), axis=1)
+
+
+@dataclass(frozen=True)
+class ReferenceNoise:
+    """Noise of a reference.
+
+    Attributes:
+        position: standard deviation of a sample's position [m].
+        stamp: standard deviation of a sample's stamp [s].
+        angle: standard deviation of a sample's attitude [rad].
+        innovation: standard deviation of the prediction error from one sample to the next [m].
+    """
+
+    position: float
+    stamp: float
+    angle: float
+    innovation: float
+
+    @property
+    def line(self) -> str:
+        """The result in words."""
+        return (
+            f"reference compared with the IMU: noise of {1e3 * self.position:.2g} mm, "
+            f"{np.degrees(self.angle):.2g} deg and {1e3 * self.stamp:.2g} ms; a filter over both "
+            f"predicts a sample to {1e3 * self.innovation:.2g} mm"
+        )
+
+
+def reference_noise(
+    t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
+) -> ReferenceNoise | None:
+    """Estimate the noise of a reference's samples.
+
+    None where there are too few, or where it does not rotate like the IMU.
+
+    Args:
+        t: (N,) of the IMU's rows [s].
+        gyro: (N, 3) [rad/s], mean over the step before each row.
+        accel: (N, 3) [m/s^2], likewise.
+        poses: with the attitude of the IMU frame; the tracked point may be elsewhere on the body.
+    """
+    poses = poses.rows((poses.t > t[1]) & (poses.t < t[-1]))
+    extra = max(len(poses.t) - _LONGEST, 0) // 2
+    poses = poses.rows(slice(extra, extra + _LONGEST))
+    beside = matching_imu(t, gyro, accel, poses)
+    if beside is None:
+        return None
+    velocity = derivative(poses.t, poses.p, REFERENCE_WINDOW, causal=False)
+    tables = (np.diff(poses.t, prepend=poses.t[0]), beside.path - beside.path[0])
+    tables += (np.ascontiguousarray(beside.R_GI), velocity)
+
+    def unlikely(log_sizes: np.ndarray) -> float:
+        # Without noise the likelihood has no maximum; constant below the limits, it lets the
+        # search end.
+        return _filtered(*tables, *np.maximum(np.exp(log_sizes), _SMALLEST))[0]
+
+    enough = {"xatol": 0.03, "fatol": 0.1}
+    best = minimize(unlikely, np.log(_START), method="Nelder-Mead", options=enough)
+    position, stamp, force = np.maximum(np.exp(best.x), _SMALLEST).tolist()
+    _, innovation = _filtered(*tables, position, stamp, force)
+    predicted = float(np.sqrt(np.mean(innovation[1:] ** 2)))
+    return ReferenceNoise(position, stamp, _angle(beside, stamp), predicted)
+
+
+def matching_imu(
+    t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
+) -> ReferenceVsImu | None:
+    """Poses of the IMU frame, within the times of the IMU's rows, relative to the IMU's integrals;
+    None where they are too few, or do not rotate like the IMU.
+
+    Args:
+        t: (N,) of the IMU's rows [s].
+        gyro: (N, 3) [rad/s], mean over the step before each row.
+        accel: (N, 3) [m/s^2], likewise.
+        poses: of the IMU frame.
+    """
+    if len(poses.t) < FEWEST_SAMPLES:
+        return None
+    beside = compare_with_imu(t, gyro, accel, poses)
+    return beside if missed_rotation(beside) <= _MOST_MISSED_ROTATION else None
+
+
+def missed_rotation(beside: ReferenceVsImu, at: np.ndarray | slice = slice(None)) -> float:
+    """Share of the gyro's rotation that the reference does not have at samples of a mask (K,), by
+    default all; over 1 for another body's.
+
+    The median of the three axes: a robot that turns on a wrong clock, or by other axes, still has
+    most of its rotation about the vertical.
+    """
+    other = derivative(beside.t, beside.turn, _WINDOW, causal=False)
+    other = np.einsum("kji,kj->ki", beside.R_GI, other)
+    turning = np.maximum(np.var(beside.omega[at], axis=0), 1e-12)
+    return float(np.median(np.var(other[at], axis=0) / turning))
+
+
+def _angle(beside: ReferenceVsImu, stamp: float) -> float:
+    """Standard deviation of a sample's attitude [rad], about each axis.
+
+    From the changes, between samples, of its rotation relative to the gyro's integral, less the
+    contribution of the stamp's error [s].
+    """
+    square = np.sort(np.sum(np.diff(beside.turn, axis=0) ** 2, axis=1)) / 6.0
+    by_stamps = stamp**2 * np.mean(np.sum(beside.omega**2, axis=1)) / 3.0
+    # Up to 1 % of the samples may belong to another body.
+    most = square[: int(np.ceil(0.99 * len(square)))].mean()
+    return float(np.sqrt(max(most - by_stamps, 0.0)))
+
+
+@kernel
+def _transition(dt, force):
+    """Transition and process noise (12, 12) over dt [s]; `force` is the density of its white
+    part.
+    """
+    F, Q = np.eye(12), np.zeros((12, 12))
+    for i in range(3):
+        F[i, 3 + i], F[i, 6 + i], F[3 + i, 6 + i] = dt, 0.5 * dt * dt, dt
+        Q[i, i], Q[3 + i, 3 + i] = force**2 * dt**3 / 3.0, force**2 * dt
+        Q[i, 3 + i] = Q[3 + i, i] = force**2 * dt**2 / 2.0
+        Q[6 + i, 6 + i] = _WANDER**2 * dt
+    return F, Q
+
+
+@kernel
+def _filtered(dt, path, R_GI, velocity, position, stamp, force):
+    """Kalman filter: negative log-likelihood, and innovations (K, 3) [m].
+
+    Args:
+        dt: (K,) since the sample before [s].
+        path: (K, 3) of the samples relative to the IMU's [m].
+        R_GI: (K, 3, 3).
+        velocity: (K, 3) of the tracked point in G [m/s].
+        position: standard deviation of a sample [m].
+        stamp: standard deviation of its time [s].
+        force: density of other accelerations of the path [m/s^2/sqrt(Hz)].
+    """
+    x, P = np.zeros(12), np.zeros((12, 12))
+    for i in range(3):
+        P[i, i], P[3 + i, 3 + i] = _LEVER**2, 1.0
+        P[6 + i, 6 + i], P[9 + i, 9 + i] = _DRIFT**2, _LEVER**2
+    innovation = np.empty_like(path)
+    H, unlikely = np.zeros((3, 12)), 0.0
+    H[:, :3] = np.eye(3)
+    for k in range(len(dt)):
+        F, Q = _transition(dt[k], force)
+        x = F @ x
+        P = F @ P @ F.T + Q
+        H[:, 9:] = R_GI[k]
+        v = velocity[k]
+        N = position**2 * np.eye(3) + stamp**2 * np.outer(v, v)
+        S = H @ P @ H.T + N
+        e = path[k] - H @ x
+        gain = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
+        x = x + gain @ e
+        # Joseph's form, which stays positive definite under rounding.
+        keep = np.eye(12) - gain @ H
+        P = keep @ P @ keep.T + gain @ N @ gain.T
+        innovation[k] = e
+        unlikely += 0.5 * (np.log(np.linalg.det(S)) + e @ np.linalg.solve(S, e))
+    return unlikely, innovation
+
+
+def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> np.ndarray:
+    """Mask (K,) of the samples around which the reference's velocity changes and the IMU's does
+    not.
+
+    All False where the reference as a whole does not match the IMU, or has too few samples.
+
+    Args:
+        t: (N,) of the IMU's rows [s].
+        gyro: (N, 3) [rad/s], mean over the step before each row.
+        accel: (N, 3) [m/s^2], likewise.
+        poses: K, of the IMU frame.
+    """
+    found = np.zeros(len(poses.t), dtype=bool)
+    known = np.flatnonzero((poses.t > t[1]) & (poses.t < t[-1]))
+    beside = matching_imu(t, gyro, accel, poses.rows(known))
+    if beside is None:
+        return found
+    dt = float(np.median(np.diff(t)))
+    half = max(0.5 * _WINDOW, 2.0 * float(np.median(np.diff(beside.t))))
+    v = derivative(beside.t, beside.path, 0.5 * _WINDOW, causal=False)
+    before = np.searchsorted(beside.t, beside.t - half)
+    after = np.searchsorted(beside.t, beside.t + half, side="right") - 1
+    change = np.linalg.norm(v[after] - v[before], axis=1)
+    # Samples of what shakes a body between the rows, in place of averages, change as much.
+    bend = np.sum((accel[1:-1] - 0.5 * (accel[2:] + accel[:-2])) ** 2, axis=1) / 1.5
+    summed = np.interp(beside.t[:, None] + [-half, half], t[1:-1], np.cumsum(bend * dt**2))
+    sampled = _SURELY * np.sqrt(np.diff(summed, axis=1)[:, 0])
+    bad = change > np.maximum(max(_LEAST_CHANGE, _OUTLYING * float(np.median(change))), sampled)
+    if np.median(change) > _LEAST_CHANGE or not bad.any() or bad.mean() > _MOST_CONTRADICTED:
+        return found
+    out = _closed(beside.t, bad)
+    if (
+        out.mean() > 2.0 * _MOST_CONTRADICTED
+        or missed_rotation(beside, ~out) > _MOST_MISSED_ROTATION
+    ):
+        return found
+    found[known] = out
+    found[: known[0]] = found[known[0]]
+    found[known[-1] + 1 :] = found[known[-1]]
+    return found
+
+
+def _closed(t: np.ndarray, bad: np.ndarray) -> np.ndarray:
+    """The mask (K,), extended by good sections that are too short."""
+    out = bad.copy()
+    edges = np.flatnonzero(np.diff(bad.astype(int), prepend=1, append=1))
+    for first, end in edges.reshape(-1, 2):
+        if t[min(end, len(t) - 1)] - t[max(first - 1, 0)] < _SHORTEST_SECTION:
+            out[first:end] = True
+    return out

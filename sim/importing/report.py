@@ -4,8 +4,13 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.clock import jitter_line
-from surefoot.sim.importing.reference_check import check_reference, without_jumps
-from surefoot.sim.importing.reference_noise import FEWEST_SAMPLES, missed_rotation, reference_noise
+from surefoot.sim.importing.reference_check import (
+    FEWEST_SAMPLES,
+    check_reference,
+    missed_rotation,
+    reference_noise,
+    without_jumps,
+)
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.log.reference_vs_imu import compare_with_imu

@@ -4,6 +4,7 @@ Savitzky-Golay (Anal. Chem. 36, 1964), with the actual time stamps. A symmetric 
 phase; a window of the past has none for motions of constant acceleration.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,7 @@ about 12 Hz pass.
 
 
 def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.ndarray:
-    """Time derivative (N, D) of samples x (N, D), in their unit per second, at t (N,) [s].
+    """Time derivative (N, ...) of samples x (N, ...), in their unit per second, at t (N,) [s].
 
     The slope at t[k] of the least-squares quadratic through the rows within `window` seconds,
     centred on t[k] or, if `causal`, ending there.
@@ -36,8 +37,8 @@ def derivative(t: np.ndarray, x: np.ndarray, window: float, causal: bool) -> np.
 def local_quadratic(
     t: np.ndarray, x: np.ndarray, window: float, causal: bool = False
 ) -> np.ndarray:
-    """Local least-squares quadratic through samples x (N, D): value, slope and second derivative
-    (3, N, D).
+    """Local least-squares quadratic through samples x (N, ...): value, slope and second derivative
+    (3, N, ...).
 
     At each of t (N,) [s], from the rows within `window` seconds, centred on t[k] or, if `causal`,
     ending there. A window has at least three rows if the log has them; with two, the fit is a line.
@@ -56,7 +57,8 @@ def local_quadratic(
         # A one-sided window of two rows at either end is extended to three, to allow a quadratic.
         last = np.minimum(np.maximum(last, first + 2), n - 1)
         first = np.maximum(np.minimum(first, last - 2), 0)
-    return _quadratics(t, np.ascontiguousarray(x, dtype=float), first, last, window)
+    flat = np.ascontiguousarray(x, dtype=float).reshape(n, math.prod(x.shape[1:]))
+    return _quadratics(t, flat, first, last, window).reshape(3, *x.shape)
 
 
 @kernel
@@ -167,13 +169,9 @@ def foot_velocity(log: Log) -> np.ndarray:
     Raises LogError where the log does not give them.
     """
     log.require("foot")
-
-    def made() -> np.ndarray:
-        feet_I = log.foot_I
-        flat = derivative(log.t, feet_I.reshape(len(feet_I), -1), JOINT_WINDOW, causal=False)
-        return flat.reshape(feet_I.shape)
-
-    return log.once("foot velocity", ["foot"], made)
+    return log.once(
+        "foot velocity", ["foot"], lambda: derivative(log.t, log.foot_I, JOINT_WINDOW, False)
+    )
 
 
 def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
@@ -184,11 +182,10 @@ def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
     if log.has("ref_v"):
         return log.ref_v
     log.require("reference")
-
-    def made() -> np.ndarray:
-        return derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal)
-
-    return log.once(f"reference velocity {causal}", ["reference"], made)
+    what = f"reference velocity {causal}"
+    return log.once(
+        what, ["reference"], lambda: derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal)
+    )
 
 
 def with_velocities(log: Log, causal: bool = False) -> Log:

@@ -33,6 +33,17 @@ from surefoot.sim.log.schema import (
 T = TypeVar("T")
 
 
+class _Columns:
+    """A property of a log: its columns (N, C) of a group whose names begin with `prefix`."""
+
+    def __init__(self, group: str, prefix: str = ""):
+        self._group, self._prefix = group, prefix
+
+    def __get__(self, log: Log, _owner: type) -> np.ndarray:
+        names = [name for name in log._names(self._group) if name.startswith(self._prefix)]
+        return log._stacked(self._group, names)
+
+
 @dataclass(frozen=True)
 class Log:
     """One walk: `frame` has float64 columns (`t`, `gyro_x`, `q_FL_hip` ...) and one row per sample.
@@ -125,10 +136,6 @@ class Log:
         """The columns of a group; any other name is a column's own."""
         return group_columns(group, self.joints, self.legs) if group in GROUPS else (group,)
 
-    def _array(self, group: str, prefix: str = "") -> np.ndarray:
-        """The columns (N, C) of a group whose names begin with `prefix`."""
-        return self._stacked(group, [n for n in self._names(group) if n.startswith(prefix)])
-
     def _stacked(self, group: str, names: Sequence[str]) -> np.ndarray:
         def stacked() -> np.ndarray:
             self.require(group)
@@ -169,55 +176,39 @@ class Log:
         """Time (N,), s, strictly increasing."""
         return self.once("t", (), lambda: np.array(self.columns["t"], dtype=float))
 
-    @property
-    def gyro(self) -> np.ndarray:
-        """Angular velocity (N, 3) in I, rad/s, mean over the sample."""
-        return self._array("imu", "gyro_")
+    gyro = _Columns("imu", "gyro_")
+    """Angular velocity (N, 3) in I, rad/s, mean over the sample."""
 
-    @property
-    def accel(self) -> np.ndarray:
-        """Specific force (N, 3) in I, m/s^2, mean over the sample."""
-        return self._array("imu", "accel_")
+    accel = _Columns("imu", "accel_")
+    """Specific force (N, 3) in I, m/s^2, mean over the sample."""
 
-    @property
-    def q(self) -> np.ndarray:
-        """Joint positions (N, J), rad."""
-        return self._array("q")
+    q = _Columns("q")
+    """Joint positions (N, J), rad."""
 
-    @property
-    def dq(self) -> np.ndarray:
-        """Joint velocities (N, J), rad/s, as logged; `joint_velocity` derives missing ones."""
-        return self._array("dq")
+    dq = _Columns("dq")
+    """Joint velocities (N, J), rad/s, as logged; `joint_velocity` derives missing ones."""
 
-    @property
-    def tau(self) -> np.ndarray:
-        """Joint torques (N, J), N m."""
-        return self._array("tau")
+    tau = _Columns("tau")
+    """Joint torques (N, J), N m."""
 
-    @property
-    def q_des(self) -> np.ndarray:
-        """Commanded joint positions (N, J), rad."""
-        return self._array("q_des")
+    q_des = _Columns("q_des")
+    """Commanded joint positions (N, J), rad."""
 
-    @property
-    def dq_des(self) -> np.ndarray:
-        """Commanded joint velocities (N, J), rad/s."""
-        return self._array("dq_des")
+    dq_des = _Columns("dq_des")
+    """Commanded joint velocities (N, J), rad/s."""
 
-    @property
-    def tau_ff(self) -> np.ndarray:
-        """Feed-forward joint torques (N, J), N m."""
-        return self._array("tau_ff")
+    tau_ff = _Columns("tau_ff")
+    """Feed-forward joint torques (N, J), N m."""
+
+    _contact = _Columns("contact")
 
     @property
     def contact(self) -> np.ndarray:
         """Feet in contact (N, L), bool, as the robot senses it."""
-        return self.once("contact", ["contact"], lambda: self._array("contact") > 0.5)
+        return self.once("contact", ["contact"], lambda: self._contact > 0.5)
 
-    @property
-    def force(self) -> np.ndarray:
-        """Foot force (N, L), raw, in the sensor's own unit."""
-        return self._array("force")
+    force = _Columns("force")
+    """Foot force (N, L), raw, in the sensor's own unit."""
 
     @property
     def foot_I(self) -> np.ndarray:
@@ -229,25 +220,19 @@ class Log:
         """Forces (N, L, 3) of the ground on the feet in I, N."""
         return self._leg_vectors("force_xyz", "force")
 
-    @property
-    def ref_p(self) -> np.ndarray:
-        """Reference position p_GI (N, 3), m."""
-        return self._array("reference", "ref_p_")
+    ref_p = _Columns("reference", "ref_p_")
+    """Reference position p_GI (N, 3), m."""
 
-    @property
-    def ref_q(self) -> np.ndarray:
-        """Reference attitude (N, 4) of I in G as w, x, y, z."""
-        return self._array("reference", "ref_q_")
+    ref_q = _Columns("reference", "ref_q_")
+    """Reference attitude (N, 4) of I in G as w, x, y, z."""
 
     @property
     def ref_R_GI(self) -> np.ndarray:
         """Reference attitude (N, 3, 3)."""
         return self.once("ref_R_GI", ["reference"], lambda: matrix_from_quaternion(self.ref_q))
 
-    @property
-    def ref_v(self) -> np.ndarray:
-        """Reference velocity v_GI (N, 3), m/s; `reference_velocity` derives a missing one."""
-        return self._array("ref_v")
+    ref_v = _Columns("ref_v")
+    """Reference velocity v_GI (N, 3), m/s; `reference_velocity` derives a missing one."""
 
     @property
     def ref_ok(self) -> np.ndarray:
@@ -257,15 +242,11 @@ class Log:
             return np.ones(len(self.columns["t"]), dtype=bool)
         return self.columns["ref_ok"] > 0.5
 
-    @property
-    def slip(self) -> np.ndarray:
-        """Truth: speed (N, L) of each loaded foot over the ground, m/s."""
-        return self._array("truth", "slip_")
+    slip = _Columns("truth", "slip_")
+    """Truth: speed (N, L) of each loaded foot over the ground, m/s."""
 
-    @property
-    def mu(self) -> np.ndarray:
-        """Truth: friction coefficient (N, L) under each foot."""
-        return self._array("truth", "mu_")
+    mu = _Columns("truth", "mu_")
+    """Truth: friction coefficient (N, L) under each foot."""
 
 
 class MemoisedLog(Log):

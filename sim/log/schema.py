@@ -200,18 +200,6 @@ class _Model:
             raise SurefootError(f"q_BI is {list(self.q_BI)}, not of unit length")
 
 
-@dataclass(frozen=True)
-class _Parts:
-    """Types of the tables in the metadata; a model may have further entries."""
-
-    effects: tuple[_Effect, ...] = ()
-    model: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self):
-        known = {f.name for f in fields(_Model)}
-        typed({"model": {k: v for k, v in self.model.items() if k in known}}, dict[str, _Model])
-
-
 def check_types(columns: Iterable[tuple[str, object]]) -> None:
     """Raise unless every column is float64 and unique; columns: names, and types as NumPy or Arrow
     has them.
@@ -251,8 +239,12 @@ def read_metadata(metadata: dict[bytes, bytes] | None) -> Meta:
     with errors_in("metadata"):
         if version is None:
             raise SurefootError("schema is missing")
-        typed({key: values[key] for key in ("effects", "model") if key in values}, _Parts)
-        return typed(values, Meta)
+        meta = typed(values, Meta)
+        # A model may have further entries.
+        model = {f.name: meta.model[f.name] for f in fields(_Model) if f.name in meta.model}
+        typed({"effects": list(meta.effects)}, dict[str, tuple[_Effect, ...]])
+        typed({"model": model}, dict[str, _Model])
+        return meta
 
 
 def check_frame(
@@ -314,13 +306,13 @@ def _check_each(
     found = [_pattern(name, patterns) for name in names]
     for pattern in patterns:
         start, end = pattern.split("<")[0], pattern.split(">")[1]
-        own = [one[1] for one in found if one and one[0] == pattern]
-        for part in own:
+        there = [one[1] for one in found if one and one[0] == pattern]
+        for part in there:
             if part not in parts:
                 needed = f"{first.split('<')[0]}{part}{first.split('>')[1]}"
                 raise SurefootError(f"column {needed} is missing beside {start}{part}{end}")
         for part in parts:
-            if own and part not in own:
+            if there and part not in there:
                 raise SurefootError(f"column {start}{part}{end} is missing")
 
 

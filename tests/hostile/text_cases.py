@@ -213,6 +213,8 @@ CSV = [
     ("no rows", "", "wx,wy,wz,ax,ay,az,q,f\n", "rows"),
     ("nothing", "", "", "header"),
     ("a header of commas", "", ",,,,,,,\n1,2,3,4,5,6,7,8\n", "header"),
+    ("a quoted space", "", '" "', "header"),
+    ("a header of two lines", "", '"\n"\r1', "header"),
     ("a doubled column", "wx,wy", "wx,wx", "wx"),
     ("a reading of text", "9.8,0.3,50\n0.01", "g,0.3,50\n0.01", "number"),
     ("a reading of no number", "9.8,0.3,50\n0.01", "nan,0.3,50\n0.01", "NaN"),

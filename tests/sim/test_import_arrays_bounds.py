@@ -53,10 +53,6 @@ def strings_elsewhere(file):
     file.create_dataset("#refs#/a", shape=(8,), dtype="u8", external=where)
 
 
-def huge(file):
-    file.create_dataset("t", shape=(10**12,), dtype="f8", chunks=(1000,))
-
-
 def many_members(path):
     with zipfile.ZipFile(path, "w") as file:
         for k in range(MANY):
@@ -83,7 +79,6 @@ def many_variables(path):
         ("r.mat", hdf5(many_references), read_mat, "columns"),
         ("r.mat", hdf5(huge_strings), read_mat, "memory"),
         ("r.mat", hdf5(strings_elsewhere), read_mat, "another file"),
-        ("r.h5", hdf5(huge), read_hdf5, "memory"),
         ("r.npz", many_members, read_npz, "columns"),
         ("r.npy", nothing_a_billion_times, read_npz, "memory"),
         ("r.mat", many_variables, read_mat, "columns"),

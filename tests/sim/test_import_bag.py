@@ -1,15 +1,11 @@
 """Importing bags: the same readings in ROS 1, ROS 2 and MCAP, by construction; one line a fault."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from bags import EPOCH, IMU, Maker, write_bag
 from refusals import refusal, refused
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
 from written import written
 
 from surefoot.scenarios.cli.main import main
@@ -43,64 +39,34 @@ gyro_x = {{ column = "/imu:angular_velocity.x", unit = "deg/s" }}
 {REFERENCE}[robot]
 name = "hopper"
 """
-EPOCH = 1_700_000_000_123_456_789  # ns
-TYPES = {
-    "/imu": "sensor_msgs/msg/Imu",
-    "/joints": "sensor_msgs/msg/JointState",
-    "/mocap": "geometry_msgs/msg/PoseStamped",
-}
+JOINTS, POSE, FRAMES = (
+    "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+)  # fmt: skip
 
 
-def messages(types: Any, ros1: bool):
-    """(topic, time received [ns], message): the IMU at 200 Hz, joints at 100 Hz 2 ms off, poses."""
-    T = types.types
-    seq = {"seq": 0} if ros1 else {}
-
-    def header(ns: int):
-        stamp = T["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-        return T["std_msgs/msg/Header"](stamp=stamp, frame_id="", **seq)
-
-    def vector(x: float, y: float, z: float):
-        return T["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
-
-    quaternion = T["geometry_msgs/msg/Quaternion"](w=1.0, x=0.0, y=0.0, z=0.0)
+def imu(make: Maker):
+    """At 200 Hz for a second, received 0.7 ms late."""
     for k in range(200):
         ns = EPOCH + 5_000_000 * k
-        imu = T[TYPES["/imu"]](
-            header(ns), quaternion, np.zeros(9), vector(180.0, 0.1, 1e-3 * k), np.zeros(9),
-            vector(0.0, 0.0, 9.81), np.zeros(9),
-        )  # fmt: skip
-        yield "/imu", ns + 700_000, imu
+        yield "/imu", IMU, ns + 700_000, make.imu(ns, (180.0, 0.1, 1e-3 * k), (0.0, 0.0, 9.81))
+
+
+def messages(make: Maker):
+    """The IMU, joints at 100 Hz 2 ms off, poses."""
+    for k, one in enumerate(imu(make)):
+        yield one
+        ns = EPOCH + 5_000_000 * k
+        at = 5e-3 * k + 2e-3
         if k % 2 == 0:
-            ns += 2_000_000
-            at = 1e-9 * (ns - EPOCH)
-            joints = T[TYPES["/joints"]](
-                header(ns), ["hip", "knee"], np.array([9.0, 2.0 * at]), np.array([9.0, 2.0]),
-                np.array([float(at > 0.5), 0.0]),
+            joints = make.types[JOINTS](
+                make.header(ns + 2_000_000), ["hip", "knee"], np.array([9.0, 2.0 * at]),
+                np.array([9.0, 2.0]), np.array([float(at > 0.5), 0.0]),
             )  # fmt: skip
-            yield "/joints", ns + 100_000, joints
+            yield "/joints", JOINTS, ns + 2_100_000, joints
         if k % 4 == 0:
-            ns = EPOCH + 5_000_000 * k
-            point = T["geometry_msgs/msg/Point"](x=3e-9 * (ns - EPOCH), y=0.0, z=0.5)
-            pose = T["geometry_msgs/msg/Pose"](point, quaternion)
-            yield "/mocap", ns + 1_000, T[TYPES["/mocap"]](header(0), pose)
-
-
-def write_bag(path: Path, kind: str) -> Path:
-    ros1 = kind == "ros1"
-    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if ros1:
-        path = path.with_suffix(".bag")
-        writer, encode = Writer1(path), types.serialize_ros1
-    else:
-        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-        writer, encode = Writer2(path, version=9, storage_plugin=plugin), types.serialize_cdr
-    with writer:
-        topics = {topic: writer.add_connection(topic, t, typestore=types)
-                  for topic, t in TYPES.items()}  # fmt: skip
-        for topic, received, message in messages(types, ros1):
-            writer.write(topics[topic], received, encode(message, TYPES[topic]))
-    return path
+            point = make.types["geometry_msgs/msg/Point"](x=3.0 * 5e-3 * k, y=0.0, z=0.5)
+            pose = make.types["geometry_msgs/msg/Pose"](point, make.upright)
+            yield "/mocap", POSE, ns + 1_000, make.types[POSE](make.header(0), pose)
 
 
 @pytest.fixture
@@ -110,7 +76,7 @@ def map_file(tmp_path):
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
 def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, kind):
-    log = import_log(write_bag(tmp_path / "run", kind), map_file)
+    log = import_log(write_bag(tmp_path / "run", kind, messages), map_file)
     log.write(tmp_path / "log.parquet")
     log = Log.read(tmp_path / "log.parquet")
     # From the second IMU sample, the first after a joint reading, to the last pose.
@@ -144,7 +110,7 @@ def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, k
 )
 def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
     map_file = written(tmp_path / "map.toml", MAP.replace(old, new))
-    bag = write_bag(tmp_path / "run", "sqlite3")
+    bag = write_bag(tmp_path / "run", "sqlite3", messages)
     assert said in refusal(import_log, bag, map_file)
 
 
@@ -158,10 +124,14 @@ def test_a_bag_is_read_once_for_names_and_readings(tmp_path, monkeypatch):
         return whole(message, place)
 
     monkeypatch.setattr(bag, "_fields", counted)
-    path = write_bag(tmp_path / "run", "ros2")
+    path = write_bag(tmp_path / "run", "sqlite3", messages)
     found = bag.read_bag(path)
-    assert len(seen) == len(set(seen)) == len(TYPES)
-    assert {found.topic(one) for one in found.cells} == {*found.stamps} == set(TYPES)
+    assert len(seen) == len(set(seen)) == 3
+    assert (
+        {found.topic(one) for one in found.cells}
+        == {*found.stamps}
+        == {"/imu", "/joints", "/mocap"}
+    )
     assert not found.skipped
     again = read_bag(path, [*found.cells])
     for topic, stamps in again.stamps.items():
@@ -170,43 +140,31 @@ def test_a_bag_is_read_once_for_names_and_readings(tmp_path, monkeypatch):
         np.testing.assert_array_equal(values, found.cells[name])
 
 
-def write_frames(path: Path, moving: bool = True) -> Path:
-    """A bag of an IMU at 200 Hz and of frames at 50 Hz: a walking body, a camera and a foot of it,
-    and a slowly corrected map.
+def frames(make: Maker):
+    """The IMU, and frames at 50 Hz: a walking body, a camera and a foot of it, and a slowly
+    corrected map.
     """
-    types = get_typestore(Stores.ROS2_HUMBLE)
-    T = types.types
-    of_frames = "tf2_msgs/msg/TFMessage"
-    with Writer2(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        imu = writer.add_connection("/imu", TYPES["/imu"], typestore=types)
-        tf = writer.add_connection("/tf", of_frames, typestore=types)
-        for topic, received, message in messages(types, False):
-            if topic == "/imu":
-                writer.write(imu, received, types.serialize_cdr(message, TYPES["/imu"]))
-        for k in range(50):
-            ns = EPOCH + 20_000_000 * k
-            stamp = T["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+    yield from imu(make)
+    for k in range(50):
+        ns = EPOCH + 20_000_000 * k
 
-            def transform(parent: str, child: str, x: float, stamp=stamp):
-                vector = T["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=0.0)
-                quaternion = T["geometry_msgs/msg/Quaternion"](w=1.0, x=0.0, y=0.0, z=0.0)
-                header = T["std_msgs/msg/Header"](stamp=stamp, frame_id=parent)
-                pose = T["geometry_msgs/msg/Transform"](vector, quaternion)
-                return T["geometry_msgs/msg/TransformStamped"](header, child, pose)
+        def transform(parent: str, child: str, x: float, ns=ns):
+            turned = make.types["geometry_msgs/msg/Transform"](
+                make.vector(x, 0.0, 0.0), make.upright
+            )
+            stamped = make.types["geometry_msgs/msg/TransformStamped"]
+            return stamped(make.header(ns, parent), child, turned)
 
-            every = [transform("base", "camera", 0.3), transform("base", "FL_foot", -0.2)]
-            every += [transform("odom", "base", 0.02 * k)] if moving else []
-            if k % 5 == 0:
-                every.insert(0, transform("map", "odom", 1e-3 * k))
-            message = T[of_frames](every)  # pyright: ignore[reportArgumentType]
-            writer.write(tf, ns + 300_000, types.serialize_cdr(message, of_frames))
-    return path
+        every = [transform("map", "odom", 1e-3 * k)] if k % 5 == 0 else []
+        every += [transform("base", "camera", 0.3), transform("base", "FL_foot", -0.2)]
+        every += [transform("odom", "base", 0.02 * k)]
+        yield "/tf", FRAMES, ns + 300_000, make.types[FRAMES](every)
 
 
 def test_a_frame_of_tf_has_its_own_messages(tmp_path):
     name = "/tf[odom->base]:transform.translation.x"
     slow = "/tf[map->odom]:transform.translation.x"
-    found = read_bag(write_frames(tmp_path / "run"), [name, slow])
+    found = read_bag(write_bag(tmp_path / "run", "mcap", frames), [name, slow])
     t = found.stamps[found.topic(name)]
     np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)  # those of its own header
     np.testing.assert_allclose(found.cells[name], 0.02 * np.arange(50))
@@ -214,7 +172,7 @@ def test_a_frame_of_tf_has_its_own_messages(tmp_path):
 
 
 def test_the_frame_that_moves_most_is_drafted_as_the_reference(tmp_path, capsys):
-    path = write_frames(tmp_path / "run")
+    path = write_bag(tmp_path / "run", "mcap", frames)
     main(["import", str(path), "--guess"])
     said = capsys.readouterr().out
     assert '\nref_p_x = { column = "/tf[odom->base]:transform.translation.x", unit = "m" }' in said
@@ -226,7 +184,7 @@ def test_the_frame_that_moves_most_is_drafted_as_the_reference(tmp_path, capsys)
 
 @pytest.mark.parametrize("topic", ["/tf[world->base]", "/tf"])
 def test_a_frame_that_is_not_there_is_named_with_those_that_are(tmp_path, topic):
-    path = write_frames(tmp_path / "run")
+    path = write_bag(tmp_path / "run", "mcap", frames)
     caught = refusal(read_bag, path, [f"{topic}:transform.translation.x"])
     assert topic in caught
     assert "/tf[odom->base]" in caught or topic == "/tf"
@@ -243,7 +201,7 @@ def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):
 def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, capsys, name):
     """`import bag --guess` too, where "bag" is no kind of file but its name."""
     monkeypatch.chdir(tmp_path)
-    write_bag(Path(name), "mcap")
+    write_bag(Path(name), "mcap", messages)
     main(["import", name, "--guess"])
     said = capsys.readouterr().out
     for line in (
@@ -257,7 +215,7 @@ def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, c
 
 
 def test_every_number_of_a_bag_has_a_column_and_stamps_of_its_own(tmp_path):
-    path = write_bag(tmp_path / "run", "mcap")
+    path = write_bag(tmp_path / "run", "mcap", messages)
     (found,) = recorded_files(path, None)
     assert (found.path, found.label) == (path, "run")
     rates = read_bag(path, ["/imu:angular_velocity.x"]).cells["/imu:angular_velocity.x"]

@@ -194,20 +194,20 @@ def test_a_reference_and_a_further_file_lose_single_rows_too(tmp_path):
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-@pytest.mark.parametrize("whose", ["both", "the robot's", "the reference's"])
-def test_clocks_that_count_from_an_epoch_are_rebased(tmp_path, unit, whose):
+@pytest.mark.parametrize("clocks", ["both", "the robot's", "the reference's"])
+def test_clocks_that_count_from_an_epoch_are_rebased(tmp_path, unit, clocks):
     """The reference begins half a second after the first row."""
     size = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     steps = np.arange(N) * round(STEP * 1000) * size // 1000 if size > 1 else STEP * np.arange(N)
-    frame = table(UNIX * size + steps if whose != "the reference's" else 37 * size + steps)
+    frame = table(UNIX * size + steps if clocks != "the reference's" else 37 * size + steps)
     seen = STEP * np.arange(50, N - 50)
-    mocap = poses(seen + UNIX if whose != "the robot's" else seen)
-    offset = {"both": 0, "the robot's": UNIX, "the reference's": 37 - UNIX}[whose]
+    mocap = poses(seen + UNIX if clocks != "the robot's" else seen)
+    offset = {"both": 0, "the robot's": UNIX, "the reference's": 37 - UNIX}[clocks]
     log, notes = read(tmp_path, frame, unit, mocap, f"offset = {float(offset):.1f}")
-    begin = 37.0 if whose == "the reference's" else 0.0
+    begin = 37.0 if clocks == "the reference's" else 0.0
     np.testing.assert_allclose(log.t, begin + STEP * np.arange(50, N - 50), atol=1e-6)
     np.testing.assert_allclose(log.ref_p[:, 0], np.arange(N - 100) * 1e-3, atol=1e-6)
-    assert (str(UNIX) in notes) == (whose != "the reference's")
+    assert (str(UNIX) in notes) == (clocks != "the reference's")
     if offset:
         message = refusal(read, tmp_path, frame, unit, mocap)
         assert "surefoot align" in message

@@ -4,10 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from recorded import check_entries, csv, drafted, entries_of, imported, saved
 from written import written
 
 from studies.measured import measured_folder
@@ -19,7 +19,6 @@ from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.guessing.names import by_their_legs, read_name
 from surefoot.sim.importing.guessing.units import stride_in_turns, unit_of_gyro
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import robot_file
@@ -47,12 +46,6 @@ def truth_of(name: str, **more: str) -> Truth:
     return found | {column: (theirs, 1.0, 0.0) for column, theirs in more.items()}
 
 
-def drafted(draft: Draft) -> dict[str, tuple[str, float, float, str]]:
-    main = {e.name: (e.theirs, e.scale, 0.0, e.doubt) for e in draft.main}
-    poses = {f"reference {e.name}": (e.theirs, e.scale, 0.0, e.doubt) for e in draft.reference}
-    return main | poses
-
-
 def same(a: tuple, b: tuple) -> bool:
     """Whether two entries read the same; the place of a single column may be left out."""
     plain = (str(x[0]).removesuffix("[0]") for x in (a, b))
@@ -66,14 +59,10 @@ def xyzw(log: Log) -> np.ndarray:
 
 def judged(draft: Draft, truth: Truth) -> tuple[int, int, list[str]]:
     """Entries that are right, entries of the truth, and wrong ones without a doubt."""
-    found = drafted(draft)
-    right = sum(name in found and same(found[name], one) for name, one in truth.items())
-    silent = [
-        name
-        for name, one in found.items()
-        if not one[3] and not (name in truth and same(one, truth[name]))
-    ]
-    return right, len(truth), silent
+    found = {name: (e.theirs, e.scale, 0.0) for name, e in entries_of(draft).items()}
+    right = {name for name, one in truth.items() if name in found and same(found[name], one)}
+    silent = [name for name, e in entries_of(draft).items() if not e.doubt and name not in right]
+    return len(right), len(truth), silent
 
 
 def theirs_of_so101(column: str) -> str:
@@ -235,7 +224,7 @@ def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, 
     assert not silent
     assert right >= ENOUGH * total, draft.text
     # The draft is a map that works as it is.
-    log = import_log(tmp_path / "run.csv", written(tmp_path / "map.toml", draft.text))
+    log = imported(tmp_path / "run.csv", draft)
     np.testing.assert_allclose(log.q, walked.q[::5], atol=1e-6)
     np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-6)
     np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
@@ -243,15 +232,15 @@ def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, 
 
 def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     model, letters = robot_file("spot_class").read_text(), {"hip": "A", "thigh": "B", "calf": "C"}
-    own = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in walked.joints}
-    for ours, theirs in own.items():
+    renamed = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in walked.joints}
+    for ours, theirs in renamed.items():
         model = model.replace(ours, theirs)
     (tmp_path / "mine.xml").write_text(model)
     rows = walked.frame[::5]
     columns = {"Time (s)": rows["t"], "Battery A": 24.0 - 0.01 * rows["t"]}
     columns |= {f"Acc {a.upper()} [g]": IN_G * rows[f"accel_{a}"] for a in "xyz"}
     columns |= {f"Gyro {a.upper()} [°/s]": DEGREES * rows[f"gyro_{a}"] for a in "xyz"}
-    columns |= {f"{name} angle (°)": DEGREES * rows[f"q_{j}"] for j, name in own.items()}
+    columns |= {f"{name} angle (°)": DEGREES * rows[f"q_{j}"] for j, name in renamed.items()}
     run = tmp_path / "run.csv"
     pd.DataFrame(columns).to_csv(run, index=False, sep=";", decimal=",", encoding="utf-8-sig")
     tracked = {"sec": rows["t"]} | {f"{a.upper()} (mm)": 1e3 * rows[f"ref_p_{a}"] for a in "xyz"}
@@ -259,11 +248,11 @@ def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     pd.DataFrame(tracked).to_csv(tmp_path / "vicon.txt", index=False, sep="\t")
     draft = guess_map([run, tmp_path / "vicon.txt"], str(tmp_path / "mine.xml"))
     assert {e.name: (e.theirs, e.unit) for e in draft.main if e.name.startswith("q_")} == {
-        f"q_{j}": (f"{name} angle (°)", "deg") for j, name in own.items()
+        f"q_{j}": (f"{name} angle (°)", "deg") for j, name in renamed.items()
     }
     assert not [e for e in draft.main if e.doubt]
     assert ["contacts" in note for note in draft.notes] == [True]
-    log = import_log(run, written(tmp_path / "map.toml", draft.text))
+    log = imported(run, draft)
     np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-9)
     np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
 
@@ -286,11 +275,10 @@ def test_the_joints_of_an_arm_are_those_of_its_file(tmp_path):
     files = []
     for kind, wave in (("position", np.sin), ("velocity", np.cos), ("effort", np.cos)):
         columns = {f"- {joint}_{kind}": wave(t + k) for k, joint in enumerate(joints)}
-        files.append(tmp_path / f"{kind}.csv")
-        pd.DataFrame({"t": t} | columns).to_csv(files[-1], index=False)
-    found = drafted(guess_map(files, str(arm)))
+        files.append(csv(tmp_path, {"t": t} | columns, f"{kind}.csv"))
+    found = entries_of(guess_map(files, str(arm)))
     label = {"position": "", "velocity": "velocity:", "effort": "effort:"}
-    assert {name: column for name, (column, *_) in found.items()} == {"t": "t"} | {
+    assert {name: one.theirs for name, one in found.items()} == {"t": "t"} | {
         f"{ours}_{joint}": f"{label[kind]}- {joint}_{kind}"
         for ours, kind in (("q", "position"), ("dq", "velocity"), ("tau", "effort"))
         for joint in joints
@@ -299,10 +287,11 @@ def test_the_joints_of_an_arm_are_those_of_its_file(tmp_path):
 
 def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
     t = 0.01 * np.arange(200)
-    pd.DataFrame({"time": t, "angle_knee": np.sin(t)}).to_csv(tmp_path / "run.csv", index=False)
-    pd.DataFrame({"when": t, "what": np.cos(t)}).to_csv(tmp_path / "more.csv", index=False)
-    notes = guess_map([tmp_path / "run.csv", tmp_path / "more.csv"]).notes
-    assert notes == ("nothing of more.csv is used: what are its columns when, what?",)
+    run = csv(tmp_path, {"time": t, "angle_knee": np.sin(t)})
+    more = csv(tmp_path, {"when": t, "what": np.cos(t)}, "more.csv")
+    assert guess_map([run, more]).notes == (
+        "nothing of more.csv is used: what are its columns when, what?",
+    )
 
 
 def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path, monkeypatch):
@@ -327,16 +316,6 @@ def test_without_an_accelerometer_a_gyro_s_unit_is_told_by_its_size(most, unit):
     assert unit_of_gyro(None, gyro, None, set())[0] == unit
 
 
-def test_counted_feet_are_in_the_order_of_their_numbers(tmp_path):
-    """Whatever the order of their columns."""
-    t = np.arange(400) / 100.0
-    columns = {"t": t} | {f"gyro_{a}": 0.1 * np.sin(t) for a in "xyz"}
-    columns |= {f"contact_{k}": (np.sin(9.0 * t + k) > 0.0).astype(float) for k in (2, 0, 3, 1)}
-    pd.DataFrame(columns).to_csv(tmp_path / "run.csv", index=False)
-    drafted = {e.name: e.theirs for e in guess_map([tmp_path / "run.csv"]).main}
-    assert [drafted[f"contact_{leg}"] for leg in LEGS] == [f"contact_{k}" for k in range(4)]
-
-
 def test_a_gyro_that_reads_twice_as_much_is_still_in_rad():
     """A body that turns once in 2.5 s about x, as its accelerometer says."""
     t = np.arange(2000) / 100.0
@@ -354,7 +333,7 @@ def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
         export(tmp_path / "log.parquet", out)
         draft = guess_map([out])
         assert not [e.name for e in (*draft.main, *draft.reference) if e.doubt]
-        back = import_log(out, written(tmp_path / "map.toml", draft.text))
+        back = imported(out, draft)
         for stream in ("gyro", "accel", "q", "dq", "tau", "contact", "ref_p"):
             np.testing.assert_allclose(getattr(back, stream), getattr(start, stream), atol=1e-6)
 
@@ -381,35 +360,26 @@ def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path,
     other = {"FL": "FR", "FR": "FL", "RL": "RR", "RR": "RL"}
     swap = {c: c.replace(leg, other[leg]) for c in frame for leg in LEGS if f"_{leg}_" in c}
 
-    def doubts(changed: pd.DataFrame) -> dict[str, str]:
-        changed.to_csv(tmp_path / "run.csv", index=False)
-        return {e.name: e.doubt for e in guess_map([tmp_path / "run.csv"]).main}
-
-    assert not any(doubts(frame).values())
-    assert "swapped" in doubts(frame.rename(columns=swap))["q_FL_hip"]
-    upside_down = frame.assign(accel_z=-frame["accel_z"], accel_y=-frame["accel_y"])
-    assert "upside down" in doubts(upside_down)["accel_z"]
-    on_x = frame.rename(columns={"accel_x": "accel_z", "accel_z": "accel_x"})
-    assert "gravity reads + on x" in doubts(on_x)["accel_x"]
-    rates = [c for c in frame if c.startswith("dq_")]
-    assert (
-        "times the change" in doubts(frame.assign(**{c: 7.0 * frame[c] for c in rates}))[rates[0]]
-    )
-    assert "sign = -1" in doubts(frame.assign(**{c: -frame[c] for c in rates}))[rates[0]]
-
-
-def test_a_text_without_a_header_and_without_names_is_asked_about(tmp_path):
-    t = 0.01 * np.arange(200)
-    pd.DataFrame({"a": t, "b": np.sin(t)}).to_csv(tmp_path / "run.csv", index=False, header=False)
-    draft = guess_map([tmp_path / "run.csv"])
-    assert "header = false" in draft.text
-    assert [(e.name, e.theirs, bool(e.doubt)) for e in draft.main] == [("t", "0", True)]
-    assert "not understood): 1" in draft.text
+    assert not any(one.doubt for one in drafted(tmp_path, frame).main)
+    turned = {c: -frame[c] for c in ("accel_y", "accel_z")}
+    rates = {c: frame[c] for c in frame if c.startswith("dq_")}
+    for changed, entry, doubt in (
+        (frame.rename(columns=swap), "q_FL_hip", "swapped"),
+        (frame.assign(**turned), "accel_z", "upside down"),
+        (
+            frame.rename(columns={"accel_x": "accel_z", "accel_z": "accel_x"}),
+            "accel_x",
+            "gravity reads + on x",
+        ),
+        (frame.assign(**{c: 7.0 * x for c, x in rates.items()}), "dq_FL_hip", "times the change"),
+        (frame.assign(**{c: -x for c, x in rates.items()}), "dq_FL_hip", "sign = -1"),
+    ):
+        assert doubt in entries_of(drafted(tmp_path, changed))[entry].doubt
 
 
 def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
     t = 0.01 * np.arange(200)
-    pd.DataFrame({"time": t, "angle_knee": np.sin(t)}).to_csv(tmp_path / "run.csv", index=False)
+    csv(tmp_path, {"time": t, "angle_knee": np.sin(t)})
     main(["import", "--guess", str(tmp_path / "run.csv")])
     assert 'q_knee = { column = "angle_knee", unit = "rad" }' in capsys.readouterr().out
     main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
@@ -417,9 +387,8 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
     out = tmp_path / "log.parquet"
     main(["import", str(tmp_path / "run.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)])
     assert Log.read(out).joints == ("knee",)
-    frame = pd.DataFrame({"time": t, "q_l_hip_pitch": np.sin(t), "q_r_hip_pitch": np.cos(t)})
-    frame.to_csv(tmp_path / "biped.csv", index=False)
-    main(["import", "--guess", str(tmp_path / "biped.csv")])
+    biped = {"time": t, "q_l_hip_pitch": np.sin(t), "q_r_hip_pitch": np.cos(t)}
+    main(["import", "--guess", str(csv(tmp_path, biped, "biped.csv"))])
     assert "q_l_hip_pitch = " in capsys.readouterr().out
     for words in (["import", "run.csv"], ["import", "csv"]):
         with pytest.raises(SystemExit, match="surefoot: "):
@@ -438,16 +407,16 @@ def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):
     read = [
         pd.DataFrame(
             values[::every],
-            index=pd.Index(np.round(1.7e9 + walked.t[::every] + late, 6), name="__time"),
+            index=pd.Index(np.round(1.7e9 + walked.t[::every] + delay, 6), name="__time"),
             columns=[name.format(one) for one in names],
         )
-        for name, (values, names, every, late) in topics.items()
+        for name, (values, names, every, delay) in topics.items()
     ]
     path = tmp_path / "topics.csv"
     pd.concat(read, axis=1).sort_index().to_csv(path)
     draft = guess_map([path])
     assert not [e.name for e in (*draft.main, *draft.reference) if e.doubt]
-    log = import_log(path, written(tmp_path / "map.toml", draft.text))
+    log = imported(path, draft)
     assert log.rate == pytest.approx(walked.rate, rel=1e-3)
     first = round((log.t[0] - walked.t[0]) * walked.rate)
     rows = first + np.arange(len(log.t))
@@ -472,18 +441,17 @@ def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path
         "actuators": (5, {"position": walked.q, "velocity": walked.dq, "torque": walked.tau}),
         "mocap/dog": (4, {"position_mm": 1e3 * walked.ref_p, "quat_xyzw": xyzw(walked)}),
     }
-    with h5py.File(tmp_path / "run.h5", "w") as file:
-        for name, (every, arrays) in groups.items():
-            file[f"{name}/stamp_ns"] = np.round(1e9 * (1.7e9 + walked.t[::every])).astype(np.int64)
-            for array, values in arrays.items():
-                file[f"{name}/{array}"] = values[::every]
-    draft = guess_map([tmp_path / "run.h5"])
+    datasets = {}
+    for name, (every, arrays) in groups.items():
+        arrays["stamp_ns"] = np.round(1e9 * (1.7e9 + walked.t)).astype(np.int64)
+        datasets |= {f"{name}/{array}": values[::every] for array, values in arrays.items()}
+    draft = guess_map([saved(tmp_path / "run.h5", datasets)])
     assert {e.name for e in draft.main if e.doubt} == {
         *(f"gyro_{a}" for a in "xyz"),
         *(f"{kind}_{joint}" for kind in ("q", "dq", "tau") for joint in walked.joints),
     }
     assert not [e.name for e in draft.reference if e.doubt]
-    log = import_log(tmp_path / "run.h5", written(tmp_path / "map.toml", draft.text))
+    log = imported(tmp_path / "run.h5", draft)
     assert log.rate == pytest.approx(250.0, rel=1e-4)
     rows = 2 * np.arange(len(log.t))  # all begin at the same time
     assert len(rows) > 3000
@@ -523,55 +491,7 @@ def test_a_contacts_thresholds_lie_between_no_load_and_all(tmp_path):
     """It is told later than it was lost: at half of the way up, and at two fifths down."""
     t = 0.01 * np.arange(400)
     feet = {f"foot_force_{leg}": np.where(np.sin(9.0 * t) > 0.0, 210.0, 10.0) for leg in LEGS}
-    pd.DataFrame({"t": t} | feet).to_csv(tmp_path / "run.csv", index=False)
-    assert guess_map([tmp_path / "run.csv"]).contact == pytest.approx((110.0, 90.0))
-
-
-def test_angles_without_a_name_are_no_joints_beside_those_that_have_one(tmp_path):
-    t = 0.01 * np.arange(400)
-    named = {f"q_FL_{part}": 0.3 * np.sin(5.0 * t + k) for k, part in enumerate(PARTS)}
-    pd.DataFrame({"t": t} | named | {"angle": 0.2 * np.cos(3.0 * t)}).to_csv(
-        tmp_path / "run.csv", index=False
-    )
-    entries = guess_map([tmp_path / "run.csv"]).main
-    assert [e.theirs for e in entries if e.name.startswith("q_")] == [*named]
-
-
-def test_a_reading_goes_before_its_filtered_copy_and_commands_are_commands(tmp_path):
-    """As drives' software logs them: readings, filtered ones, targets and what it compensates."""
-    t = 0.002 * np.arange(2000)
-    columns = {"time": t}
-    for k in (1, 2):
-        q, dq = np.sin(k * t), k * np.cos(k * t)
-        columns |= {f"pos_meas{k}": q, f"vel_meas{k}": dq, f"pos_filt{k}": q, f"vel_filt{k}": dq}
-        columns |= {f"pos_des{k}": q, f"tau_con{k}": dq, f"tau_fric{k}": 0.1 * dq}
-        columns |= {f"tau_meas{k}": dq, f"tau_des{k}": dq}
-    pd.DataFrame(columns).to_csv(tmp_path / "bench.csv", index=False)
-    main = drafted(guess_map([tmp_path / "bench.csv"]))
-    theirs = {"q": "pos_meas", "dq": "vel_meas", "tau": "tau_meas", "q_des": "pos_des"}
-    expected = {f"{o}_joint{k}": f"{t}{k + 1}" for o, t in theirs.items() for k in (0, 1)}
-    assert {name: column for name, (column, *_) in main.items()} == expected | {
-        "t": "time",
-        "tau_ff_joint0": "tau_con1",
-        "tau_ff_joint1": "tau_con2",
-    }
-    assert main["tau_ff_joint0"][3] == "this, or tau_des1?"
-
-
-@pytest.mark.parametrize("group", ["", "recordings/"])
-def test_counted_contacts_are_drafted_whatever_group_they_are_in(tmp_path, group):
-    """As gym-quadruped writes them, beside forces that are vectors."""
-    t = 0.01 * np.arange(400)
-    with h5py.File(tmp_path / "run.h5", "w") as file:
-        file[f"{group}time"] = t[None, :, None]
-        file[f"{group}imu_gyro"] = np.sin(t[:, None] + np.arange(3))[None]
-        file[f"{group}contact_state"] = (np.sin(9.0 * t[:, None] + np.arange(4)) > 0.0)[None]
-        file[f"{group}contact_forces"] = np.ones((1, 400, 12))
-    entries = [e for e in guess_map([tmp_path / "run.h5"]).main if e.name.startswith("contact_")]
-    assert [(e.name, e.theirs) for e in entries] == [
-        (f"contact_{leg}", f"{group}contact_state[{k}]") for k, leg in enumerate(LEGS)
-    ]
-    assert all(e.doubt for e in entries)
+    assert drafted(tmp_path, {"t": t} | feet).contact == pytest.approx((110.0, 90.0))
 
 
 def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
@@ -595,10 +515,8 @@ def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
     columns = {"time": t} | {f"acc_{a}": np.sin(t) + 9.81 * (a == "z") for a in "xyz"}
     columns |= {f"pos_{part}_{leg}": np.sin(3 * t) for leg in legs for part in ("coxa", "tibia")}
     columns |= {f"contact_{leg}": (np.sin(t) > 0).astype(int) for leg in legs}
-    pd.DataFrame(columns).to_csv(tmp_path / "run.csv", index=False)
-    found = drafted(guess_map([tmp_path / "run.csv"], str(robot)))
-    for leg in legs:
-        assert found[f"contact_coxa_{leg}"][0] == f"contact_{leg}"
+    draft = guess_map([csv(tmp_path, columns)], str(robot))
+    check_entries(draft, {f"contact_coxa_{leg}": (f"contact_{leg}",) for leg in legs})
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ separators, preambles or decimals left."""
 import numpy as np
 import pandas as pd
 import pytest
+from recorded import csv, drafted, imported
+from refusals import refused
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.importing.guessing.guess import guess_map
-from surefoot.sim.importing.readers.layout import encoding_of, layout_of
-from surefoot.sim.importing.recording import import_log
+from surefoot.sim.importing.readers.text import encoding_of, layout_of
 from surefoot.sim.log import JOINTS
 
 N = 400
@@ -30,11 +30,11 @@ EUROC = {"t": "#timestamp [ns]"} | {
 }
 
 
-def imported(folder, *files):
+def read(folder, *files):
     """The log of these files by their draft, and the draft."""
-    draft = guess_map([folder / name for name in files])
-    (folder / "map.toml").write_text(draft.text)
-    return import_log([folder / name for name in files], folder / "map.toml"), draft
+    paths = [folder / name for name in files]
+    draft = guess_map(paths)
+    return imported(paths, draft), draft
 
 
 @pytest.mark.parametrize(
@@ -57,43 +57,40 @@ def test_a_text_is_read_as_it_is_laid_out(tmp_path, before, options, layout):
         stream.write(before)
         BOTH.to_csv(stream, index=False, **options)
     assert layout_of(tmp_path / "run.csv") == layout
-    log, _ = imported(tmp_path, "run.csv")
+    log, _ = read(tmp_path, "run.csv")
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
     np.testing.assert_allclose(log.ref_p[:, 0], 0.1 * T, atol=1e-6)
 
 
 def test_the_tables_of_a_folder_are_drafted_together(tmp_path):
-    IMU.to_csv(tmp_path / "imu.csv", index=False)
-    POSE.add_prefix("vicon_").to_csv(tmp_path / "truth.csv", index=False)
+    csv(tmp_path, IMU, "imu.csv")
+    csv(tmp_path, POSE.add_prefix("vicon_"), "truth.csv")
     (tmp_path / "notes.txt").write_text("a walk in the hall\n")
     draft = guess_map([tmp_path])
     assert (draft.file, draft.reference_file) == (tmp_path / "imu.csv", tmp_path / "truth.csv")
-    assert draft.reference_file == tmp_path / "truth.csv"
 
 
 @pytest.mark.parametrize(("later", "asked"), [(0.0, False), (3.9, False), (4.1, True)])
 def test_a_reference_that_was_never_recorded_at_once_has_another_clock(tmp_path, later, asked):
-    IMU.to_csv(tmp_path / "imu.csv", index=False)
-    POSE.assign(t=T + later).add_prefix("vicon_").to_csv(tmp_path / "truth.csv", index=False)
+    csv(tmp_path, IMU, "imu.csv")
+    csv(tmp_path, POSE.assign(t=T + later).add_prefix("vicon_"), "truth.csv")
     draft = guess_map([tmp_path / "imu.csv", tmp_path / "truth.csv"])
     assert any("the reference's clock is another" in note for note in draft.notes) == asked
 
 
 def test_joints_without_names_are_the_robots_in_its_order_and_asked_about(tmp_path):
     angles = {f"q_{k}": 0.1 * np.sin(T + k) for k in range(12)}
-    pd.DataFrame({"t": T} | angles).to_csv(tmp_path / "run.csv", index=False)
-    draft = guess_map([tmp_path / "run.csv"], "spot_class")
-    found = {e.name: e.theirs for e in draft.main if e.name != "t"}
-    assert found == {f"q_{joint}": name for joint, name in zip(JOINTS, angles, strict=True)}
-    doubts = {e.doubt for e in draft.main if e.name != "t"}
-    assert doubts == {"are its joints in the order of spot_class?"}
+    draft = guess_map([csv(tmp_path, {"t": T} | angles)], "spot_class")
+    found = {(e.name, e.theirs, e.doubt) for e in draft.main if e.name != "t"}
+    asked = "are its joints in the order of spot_class?"
+    assert found == {(f"q_{one}", name, asked) for one, name in zip(JOINTS, angles, strict=True)}
 
 
 def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_say(tmp_path):
     """And the draft says so, or no log could be read by it."""
     angles = {"q_knee": 0.5 * np.sin(3.0 * T), "dq_knee": 1.5 * np.cos(3.0 * T)}
-    pd.DataFrame(angles).to_csv(tmp_path / "run.csv", index=False)
-    log, draft = imported(tmp_path, "run.csv")
+    csv(tmp_path, angles)
+    log, draft = read(tmp_path, "run.csv")
     assert draft.rate is not None
     assert draft.rate[0] == pytest.approx(100.0, rel=0.02)
     np.testing.assert_allclose(log.t, np.arange(N) / draft.rate[0], rtol=1e-4)
@@ -103,7 +100,7 @@ def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_
 def test_blanks_around_a_name_are_no_part_of_it(tmp_path):
     rows = "\n".join(",".join(map(str, row)) for row in IMU.to_numpy())
     (tmp_path / "run.csv").write_text(" ,\t".join(map(str, IMU)) + " \n" + rows + "\n")
-    log, draft = imported(tmp_path, "run.csv")
+    log, draft = read(tmp_path, "run.csv")
     assert [entry.theirs for entry in draft.main] == [entry.name for entry in draft.main]
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
 
@@ -117,9 +114,8 @@ def test_a_text_of_comments_alone_has_no_times(tmp_path):
 @pytest.mark.parametrize("rows", [2, 3, 5, 20, 70])
 def test_a_few_rows_are_drafted(tmp_path, rows):
     """Fewer than the windows in which units are looked for."""
-    IMU[:rows].to_csv(tmp_path / "run.csv", index=False)
-    drafted = {entry.name for entry in guess_map([tmp_path / "run.csv"]).main}
-    assert drafted >= {f"gyro_{axis}" for axis in "xyz"}
+    found = {entry.name for entry in drafted(tmp_path, IMU[:rows]).main}
+    assert found >= {f"gyro_{axis}" for axis in "xyz"}
 
 
 def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
@@ -128,16 +124,16 @@ def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
     euroc = {c: f"{c[0]}_RS_R_{c[-1]} [m]" if c[0] == "p" else f"q_RS_{c[-1]} []" for c in POSE}
     poses = POSE.assign(t=imu.iloc[:, 0]).rename(columns=euroc | {"t": "#timestamp"})
     poses.to_csv(tmp_path / "truth.csv", index=False)
-    log, draft = imported(tmp_path, "truth.csv", "imu0.csv")
+    log, draft = read(tmp_path, "truth.csv", "imu0.csv")
     assert not any(entry.doubt for entry in (*draft.main, *draft.reference))
     np.testing.assert_allclose(log.ref_p[:, 0], 0.1 * T, atol=1e-6)
     # Of TUM: spaces, a sign of a comment before the names, w last.
-    IMU.to_csv(tmp_path / "imu.csv", index=False)
+    csv(tmp_path, IMU, "imu.csv")
     order = ["t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w"]
     with (tmp_path / "run.tum").open("w") as stream:
         stream.write("# timestamp tx ty tz qx qy qz qw\n")
         POSE[order].to_csv(stream, sep=" ", header=False, index=False)
-    log, _ = imported(tmp_path, "imu.csv", "run.tum")
+    log, _ = read(tmp_path, "imu.csv", "run.tum")
     turned = 2.0 * np.arctan2(log.ref_q[:, 3], log.ref_q[:, 0])
     np.testing.assert_allclose(turned, TURN, atol=1e-6)
 
@@ -147,22 +143,21 @@ def test_a_spreadsheet_is_read_in_the_letters_that_it_writes(tmp_path, encoding)
     table = IMU.assign(**{"Temperatur [°C]": 21.5})
     text = "Gerät;Müller\n" + table.to_csv(index=False, sep=";", decimal=",")
     (tmp_path / "run.csv").write_bytes(text.encode(encoding))
-    log, _ = imported(tmp_path, "run.csv")
+    log, _ = read(tmp_path, "run.csv")
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
 
 
 def test_what_is_no_text_is_still_refused(tmp_path):
     (tmp_path / "run.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\xff" * 9)
-    with pytest.raises(SurefootError, match="not a readable table"):
-        guess_map([tmp_path / "run.csv"])
+    refused("not a readable table", guess_map, [tmp_path / "run.csv"])
 
 
 def test_a_gyro_that_turns_slowly_has_the_unit_that_its_name_says(tmp_path):
     """Ten degrees a second about the vertical: neither gravity nor their size tells the unit."""
     slow = {f"gyro_{a}": f"Gyro {a} [°/s]" for a in "xyz"}
     theirs = IMU.assign(**{name: np.degrees(IMU[name]) for name in slow}).rename(columns=slow)
-    theirs.to_csv(tmp_path / "run.csv", index=False)
-    log, draft = imported(tmp_path, "run.csv")
+    csv(tmp_path, theirs)
+    log, draft = read(tmp_path, "run.csv")
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
     assert not [e.name for e in draft.main if e.doubt]
 

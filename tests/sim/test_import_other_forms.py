@@ -8,17 +8,14 @@ import subprocess
 import tomllib
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from recorded import check_entries, csv, entries_of, imported, saved
 from refusals import refusal
-from written import written
 
-from surefoot.sim.importing.guessing.draft import Draft
 from surefoot.sim.importing.guessing.guess import guess_map
-from surefoot.sim.importing.recording import import_log
-from surefoot.sim.log import JOINTS
+from surefoot.sim.log import JOINTS, LEGS
 
 N = 200
 T = 0.01 * np.arange(1, N + 1)
@@ -29,12 +26,8 @@ ANGLES = np.tile([0.0, 0.8, -1.5], 4) + 0.2 * np.sin(6.0 * T[:, None] + np.arang
 RNG = np.random.default_rng(0)
 IMU = {f"gyro_{a}": GYRO[:, k] for k, a in enumerate("xyz")}
 IMU |= {f"acc_{a}": ACCEL[:, k] for k, a in enumerate("xyz")}
+POSE = ["ref_p_x", "ref_p_y", "ref_p_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"]
 NAMES = [f"{joint}_joint" for joint in reversed(JOINTS)]
-
-
-def csv(folder: Path, columns) -> Path:
-    pd.DataFrame(columns).to_csv(folder / "run.csv", index=False)
-    return folder / "run.csv"
 
 
 def text(folder: Path, lines) -> Path:
@@ -43,8 +36,7 @@ def text(folder: Path, lines) -> Path:
 
 
 def npz(folder: Path, **arrays) -> Path:
-    np.savez(folder / "run.npz", **arrays)
-    return folder / "run.npz"
+    return saved(folder / "run.npz", arrays)
 
 
 def pickled(folder: Path, content: object) -> Path:
@@ -65,12 +57,13 @@ def json_lines(folder: Path) -> Path:
     return folder / "run.jsonl"
 
 
-def drafted(path: Path, robot: str | None = None) -> Draft:
-    return guess_map([path], robot)
+def h5(folder: Path, **arrays) -> Path:
+    return saved(folder / "run.h5", arrays)
 
 
-def entry(draft: Draft, name: str):
-    return next(one for one in (*draft.main, *draft.reference) if one.name == name)
+def poses(t) -> pd.DataFrame:
+    frame = pd.DataFrame({"t": t} | dict.fromkeys(POSE, 0.0))
+    return frame.assign(ref_p_x=0.1 * np.arange(len(t)), ref_q_w=1.0)
 
 
 STAMPS = {
@@ -95,30 +88,123 @@ STAMPS = {
 def test_stamps_that_are_split_or_written_are_seconds(tmp_path, case):
     name, columns = STAMPS[case]
     run = csv(tmp_path, columns | IMU)
-    draft = drafted(run)
-    assert entry(draft, "t").theirs == name
-    log = import_log(run, written(tmp_path / "map.toml", draft.text))
+    draft = guess_map([run])
+    check_entries(draft, {"t": (name,)})
+    log = imported(run, draft)
     assert len(log.t) == N
     np.testing.assert_allclose(log.t - log.t[0], T - T[0], atol=2e-6)
 
 
-ARRAYS = {
-    "one robot of a vectorised simulator": {"q": ANGLES[:, None], "gyro": GYRO[:, None], "t": T},
-    "fewer rows than joints": {"q": ANGLES[:9], "gyro": GYRO[:9], "kp": np.ones(12), "t": T[:9]},
-    "times as dates": {
-        "q": ANGLES, "t": (1e9 * T).astype("i8").astype("datetime64[ns]"), "gyro": GYRO,
-    },
-    "names in bytes": {"q": ANGLES[:, ::-1], "dof_names": np.array(NAMES, "S"), "t": T},
+RIGHT_FIRST = ("FR", "FL", "RR", "RL")
+JOINTS_OF_RIGHT_FIRST = {f"q_{leg}_{p}": T for leg in RIGHT_FIRST for p in ("hip", "thigh", "calf")}
+LOST = np.arange(N) + 7 * (np.arange(N) > 100)
+TWENTY = np.column_stack([ANGLES, np.zeros((N, 8))])
+WHEELS = [*NAMES, *(f"{k}_wheel" for k in range(8))]
+FEET = {f"footForce[{k}]": 100.0 + T for k in range(4)}
+COUNTS = {n: 900.0 * x for n, x in IMU.items()}
+COUNTS |= {f"gyro_{a}": RNG.normal(0.0, 200.0, N) for a in "xyz"}
+FRAMES = poses(T).rename(columns={"t": "Frame"}).assign(Frame=np.arange(N))
+UNLISTED = "has {} names, not 12"
+STANDS = (np.sin(9.0 * T[:, None] + np.arange(4)) > 0.0).astype(float)
+GYM = {"time": T[None, :, None], "imu_gyro": GYRO[None], "contact_state": STANDS[None]}
+GYM |= {"contact_forces": np.ones((1, N, 12))}
+BENCH = {"time": T}
+for k in (1, 2):
+    q, dq = np.sin(k * T), k * np.cos(k * T)
+    BENCH |= {f"pos_{of}{k}": q for of in ("meas", "filt", "des")}
+    BENCH |= {f"vel_{of}{k}": dq for of in ("meas", "filt")}
+    BENCH |= {f"tau_{of}{k}": dq for of in ("con", "fric", "meas", "des")}
+DRIVE = {"q": "pos_meas", "dq": "vel_meas", "tau": "tau_meas", "q_des": "pos_des"}
+DRIVE |= {"tau_ff": "tau_con"}
+DRAFTED = {
+    # files, robot, entries by the log's column, words of the notes
+    "one robot of a vectorised simulator": (
+        lambda d: npz(d, q=ANGLES[:, None], gyro=GYRO[:, None], t=T), "spot_class",
+        {"t": ("t", "s"), "q_FL_hip": ("q[0]",)}, ""),
+    "fewer rows than joints": (
+        lambda d: npz(d, q=ANGLES[:9], gyro=GYRO[:9], kp=np.ones(12), t=T[:9]), "spot_class",
+        {"t": ("t", "s"), "q_FL_hip": ("q[0]",)}, ""),
+    "times as dates": (
+        lambda d: npz(d, q=ANGLES, t=(1e9 * T).astype("i8").astype("datetime64[ns]"), gyro=GYRO),
+        "spot_class", {"t": ("t", "s"), "q_FL_hip": ("q[0]",)}, ""),
+    "names in bytes": (
+        lambda d: npz(d, q=ANGLES[:, ::-1], dof_names=np.array(NAMES, "S"), t=T), "spot_class",
+        {"t": ("t", "s"), "q_FL_hip": ("q[11]",)}, ""),
+    "names in HDF5": (
+        lambda d: h5(d, t=T, q=ANGLES[:, ::-1], joint_names=NAMES), "spot_class",
+        {"q_FL_hip": ("q[11]", "rad", "joint_names")}, ""),
+    "more names than joints": (
+        lambda d: npz(d, q=ANGLES, t=T, dof_names=[*NAMES, "arm_joint"]), None,
+        {"q_FL_hip": ("q[0]", "rad", f"dof_names {UNLISTED.format(13)}")}, ""),
+    "more names than joints of a robot": (
+        lambda d: npz(d, q=ANGLES, t=T, dof_names=[*NAMES, "arm_joint"]), "spot_class",
+        {"q_FL_hip": ("q[0]", "rad", f"dof_names {UNLISTED.format(13)}")}, ""),
+    "names from a root": (
+        lambda d: npz(d, q=ANGLES, t=T, body_names=["base", *NAMES]), "spot_class",
+        {"q_FL_hip": ("q[0]", "rad", f"body_names {UNLISTED.format(13)}")}, ""),
+    "places without a motor, as the last eight of a Go2": (
+        lambda d: npz(d, motor_q=TWENTY, motor_dq=0.0 * TWENTY, t=T), "spot_class",
+        {"q_RR_calf": ("motor_q[11]",), "q_joint12": ()}, ""),
+    "twenty joints that are named": (
+        lambda d: npz(d, motor_q=TWENTY, motor_dq=0.0 * TWENTY, t=T, dof_names=WHEELS),
+        "spot_class",
+        {"q_FL_hip": ("motor_q[11]", "rad", "dof_names"), "q_7_wheel": ("motor_q[19]",)}, ""),
+    "ticks": (lambda d: csv(d, {"tick": np.arange(N)} | IMU), None, {"t": ()}, "tick counts rows"),
+    "frames from 1": (
+        lambda d: csv(d, {"Frame": np.arange(1, N + 1)} | IMU), None, {"t": ()},
+        "Frame counts rows: which [source] rate"),
+    "frames of a camera": (
+        lambda d: csv(d, {"frame_number": 15_234 + np.arange(N)} | IMU), None, {"t": ()},
+        "frame_number counts rows: which [source] rate"),
+    "sequence with lost rows": (
+        lambda d: csv(d, {"seq": LOST} | IMU), None, {"t": ()}, "seq counts rows"),
+    "milliseconds by their unit": (
+        lambda d: csv(d, {"time_ms": np.arange(N)} | IMU), None, {"t": ("time_ms", "ms")}, ""),
+    "milliseconds by their epoch": (
+        lambda d: csv(d, {"t": UNIX * 1e3 + np.arange(N)} | IMU), None, {"t": ("t", "ms")}, ""),
+    "frames of a reference": (
+        lambda d: (csv(d, {"t": T} | IMU), csv(d, FRAMES, "mocap.csv")), None,
+        {"reference t": ("Frame", None, "gain = 1 / rate")}, ""),
+    "feet without names, in the order of the joints' legs": (
+        lambda d: csv(d, {"t": T} | JOINTS_OF_RIGHT_FIRST | FEET), None,
+        {f"force_{leg}": (f"footForce[{k}]",) for k, leg in enumerate(RIGHT_FIRST)}, ""),
+    "a gyro in counts": (
+        lambda d: csv(d, {"t": T} | COUNTS), None, {"gyro_x": ("gyro_x", "deg/s", "counts")}, ""),
+    "parameters above a table": (
+        lambda d: text(d, ["name,value", "mass,0", "kp,1", "kd,2", "", *lines_of(t=T, **IMU)]),
+        None, {"accel_z": ("acc_z",)}, ""),
+    "counted feet, in the order of their numbers": (
+        lambda d: csv(d, {"t": T} | {f"contact_{k}": STANDS[:, k] for k in (2, 0, 3, 1)}), None,
+        {f"contact_{leg}": (f"contact_{k}",) for k, leg in enumerate(LEGS)}, ""),
+    "counted contacts beside forces that are vectors": (
+        lambda d: h5(d, **GYM), None,
+        {f"contact_{leg}": (f"contact_state[{k}]", None, "legs") for k, leg in enumerate(LEGS)},
+        ""),
+    "counted contacts of a group, as gym-quadruped writes them": (
+        lambda d: h5(d, **{f"recordings/{name}": x for name, x in GYM.items()}), None,
+        {f"contact_{leg}": (f"recordings/contact_state[{k}]", None, "legs")
+         for k, leg in enumerate(LEGS)}, ""),
+    "angles without a name beside those that have one": (
+        lambda d: csv(d, {"t": T} | HINGES | {"angle": T}), None,
+        {f"q_{joint}": (f"q_{joint}",) for joint in JOINTS}, ""),
+    "a text without a header": (
+        lambda d: csv(d, {"a": T, "b": np.sin(T)}, header=False), None,
+        {"t": ("0", "s", "is this the time"), "x_1": ()}, "no name says what a column is"),
+    "readings, filtered ones, targets and what a drive compensates": (
+        lambda d: csv(d, BENCH), None,
+        {f"{ours}_joint{k}": (f"{of}{k + 1}",) for k in (0, 1) for ours, of in DRIVE.items()}
+        | {"tau_ff_joint0": ("tau_con1", "N m", "this, or tau_des1?")}, ""),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", ARRAYS)
+@pytest.mark.parametrize("case", DRAFTED)
 @pytest.mark.filterwarnings("error")
-def test_arrays_of_a_rollout_are_read_whatever_their_form(tmp_path, case):
-    draft = drafted(npz(tmp_path, **ARRAYS[case]), "spot_class")
-    assert entry(draft, "t").unit == "s"
-    place = 11 if case == "names in bytes" else 0
-    assert entry(draft, "q_FL_hip").theirs == f"q[{place}]"
+def test_a_form_is_drafted_or_asked_about(tmp_path, case):
+    make, robot, entries, noted = DRAFTED[case]
+    files = make(tmp_path)
+    draft = guess_map(files if isinstance(files, tuple) else [files], robot)
+    check_entries(draft, entries)
+    assert noted in " ".join(draft.notes)
     assert not any("what are its columns" in note for note in draft.notes)
 
 
@@ -135,130 +221,39 @@ STATED = {
 @pytest.mark.parametrize("case", STATED)
 def test_a_rate_that_the_file_states_is_drafted_and_asked(tmp_path, case):
     rate, given = STATED[case]
-    draft = drafted(npz(tmp_path, q=ANGLES, gyro=GYRO, **given))
+    draft = guess_map([npz(tmp_path, q=ANGLES, gyro=GYRO, **given)])
     assert draft.rate == (pytest.approx(rate), list(given)[-1])
     (line,) = (line for line in draft.text.splitlines() if line.startswith("rate = "))
     assert list(given)[-1] in line.partition("# ?")[2]
 
 
-def test_numbers_of_a_file_that_are_no_columns_are_listed(tmp_path):
-    draft = drafted(npz(tmp_path, t=T, gyro=GYRO, dt=0.002, decimation=5))
+def test_numbers_and_texts_beside_the_arrays_are_no_columns_and_rename_nothing(tmp_path):
+    """They are listed as parameters; a text without names of joints is not mentioned."""
+    (tmp_path / "notes.txt").write_text("a walk to the left and to the right\n")
+    draft = guess_map([npz(tmp_path, t=T, gyro=GYRO, q=ANGLES, dt=0.002, decimation=5)])
     assert {"dt", "decimation"} == {n for names in draft.unused.values() for n in names}
     assert draft.rate is None
-
-
-LOST = np.arange(N) + 7 * (np.arange(N) > 100)
-COUNTED = {
-    # column that counts rows
-    "ticks": {"tick": np.arange(N)},
-    "frames from 1": {"Frame": np.arange(1, N + 1)},
-    "frames of a camera": {"frame_number": 15_234 + np.arange(N)},
-    "sequence with lost rows": {"seq": LOST},
-}
-
-
-@pytest.mark.parametrize("case", COUNTED)
-def test_a_count_of_rows_is_no_time_but_asks_for_the_rate(tmp_path, case):
-    (name,) = COUNTED[case]
-    draft = drafted(csv(tmp_path, COUNTED[case] | IMU))
-    assert "t" not in {one.name for one in draft.main}
-    assert any(name in note and "rate" in note for note in draft.notes)
-
-
-@pytest.mark.parametrize("stamps", [{"time_ms": np.arange(N)}, {"t": UNIX * 1e3 + np.arange(N)}])
-def test_stamps_of_a_kilohertz_are_times_by_their_unit_or_epoch(tmp_path, stamps):
-    assert entry(drafted(csv(tmp_path, stamps | IMU)), "t").unit == "ms"
-
-
-def test_frames_of_a_reference_are_its_times_after_a_gain_that_is_asked(tmp_path):
-    frame = poses(T).rename(columns={"t": "Frame"})
-    frame.assign(Frame=np.arange(N)).to_csv(tmp_path / "mocap.csv", index=False)
-    draft = guess_map([csv(tmp_path, {"t": T} | IMU), tmp_path / "mocap.csv"])
-    t = next(one for one in draft.reference if one.name == "t")
-    assert (t.theirs, t.unit) == ("Frame", None)
-    assert "gain = 1 / rate" in t.doubt
-
-
-LISTED = {
-    "more names than joints": {"dof_names": [*NAMES, "arm_joint"]},
-    "a root first": {"body_names": ["base", *NAMES]},
-}
-
-
-@pytest.mark.parametrize("case", LISTED)
-@pytest.mark.parametrize("robot", [None, "spot_class"])
-def test_names_of_another_number_than_the_joints_are_mentioned(tmp_path, case, robot):
-    ((name, names),) = LISTED[case].items()
-    draft = drafted(npz(tmp_path, q=ANGLES, t=T, **LISTED[case]), robot)
-    assert f"{name} has {len(names)} names, not 12" in entry(draft, "q_FL_hip").doubt
-
-
-@pytest.mark.parametrize("names", [None, [*NAMES, *(f"{k}_wheel" for k in range(8))]])
-def test_places_of_a_list_without_a_motor_are_no_joints(tmp_path, names):
-    """As the last eight of a Go2's twenty; but if the file names them, they are its joints."""
-    q = np.column_stack([ANGLES, np.zeros((N, 8))])
-    arrays = {"motor_q": q, "motor_dq": 0.0 * q, "t": T} | ({"dof_names": names} if names else {})
-    draft = drafted(npz(tmp_path, **arrays), "spot_class")
-    found = [one for one in draft.main if one.name.startswith("q_")]
-    assert len(found) == (20 if names else 12)
-    assert all(("dof_names" in one.doubt) == bool(names) for one in found)
-
-
-def test_names_in_a_file_of_hdf5_are_the_order_of_its_joints(tmp_path):
-    with h5py.File(tmp_path / "run.h5", "w") as file:
-        file["t"], file["q"] = T, ANGLES[:, ::-1]
-        file["joint_names"] = NAMES
-    found = entry(drafted(tmp_path / "run.h5", "spot_class"), "q_FL_hip")
-    assert (found.theirs, "joint_names" in found.doubt) == ("q[11]", True)
-
-
-def test_numbers_beside_the_arrays_of_a_further_file_do_not_rename_it(tmp_path):
+    assert "notes" not in entries_of(draft)["q_FL_hip"].doubt
     np.savez(tmp_path / "legs.npz", t=T, q=ANGLES, dt=0.01)
     draft = guess_map([csv(tmp_path, {"t": T} | IMU), tmp_path / "legs.npz"])
     assert list(draft.sources) == ["legs"]
 
 
-def test_text_beside_a_file_that_names_no_joints_is_not_mentioned(tmp_path):
-    (tmp_path / "notes.txt").write_text("a walk to the left and to the right\n")
-    assert "notes" not in entry(drafted(npz(tmp_path, q=ANGLES, t=T)), "q_FL_hip").doubt
-
-
-def test_feet_without_names_are_in_the_order_of_the_legs_of_the_joints(tmp_path):
-    legs = ("FR", "FL", "RR", "RL")
-    joints = {f"q_{leg}_{part}": T for leg in legs for part in ("hip", "thigh", "calf")}
-    forces = {f"footForce[{k}]": 100.0 + T for k in range(4)}
-    draft = drafted(csv(tmp_path, {"t": T} | joints | forces))
-    assert [entry(draft, f"force_{leg}").theirs for leg in legs] == [*forces]
-
-
-def test_a_gyro_in_counts_is_asked_about(tmp_path):
-    columns = {n: 900.0 * x for n, x in IMU.items()}
-    columns |= {f"gyro_{a}": RNG.normal(0.0, 200.0, N) for a in "xyz"}
-    assert "counts" in entry(drafted(csv(tmp_path, {"t": T} | columns)), "gyro_x").doubt
-
-
-def test_a_dash_is_an_empty_cell_of_its_column(tmp_path):
+def test_a_dash_is_an_empty_cell_and_a_row_of_units_no_row(tmp_path):
     forces = {f"force_{leg}": 100.0 + 0.0 * T for leg in ("FL", "FR", "RL", "RR")}
-    frame = pd.DataFrame({"t": T} | IMU | forces).astype({"force_RL": object})
+    frame = pd.DataFrame({"t": 1e3 * T} | IMU | forces).astype({"force_RL": object})
     frame.loc[5:8, "force_RL"] = "-"
-    draft = drafted(csv(tmp_path, frame))
-    assert entry(draft, "force_RL").theirs == "force_RL"
-    assert len(import_log(tmp_path / "run.csv", written(tmp_path / "map.toml", draft.text)).t) == N
-
-
-def test_a_row_of_units_is_no_row(tmp_path):
-    lines = csv(tmp_path, {"t": 1e3 * T} | IMU).read_text().splitlines()
-    run = text(tmp_path, [lines[0], "ms" + ",SI" * 6, *lines[1:]])
-    draft = drafted(run)
-    (tmp_path / "map.toml").write_text(draft.text)
-    np.testing.assert_allclose(import_log(run, tmp_path / "map.toml").gyro, GYRO, atol=1e-9)
+    lines = csv(tmp_path, frame).read_text().splitlines()
+    run = text(tmp_path, [lines[0], "ms" + ",SI" * 6 + ",N" * 4, *lines[1:]])
+    draft = guess_map([run])
+    check_entries(draft, {"force_RL": ("force_RL",), "t": ("t", "ms")})
+    np.testing.assert_allclose(imported(run, draft).gyro, GYRO, atol=1e-9)
 
 
 def test_records_of_two_kinds_with_one_clock_are_drafted(tmp_path):
-    draft = drafted(json_lines(tmp_path), "spot_class")
+    draft = guess_map([json_lines(tmp_path)], "spot_class")
     assert {"t", "gyro_x", "accel_z", "q_FL_hip"} <= {one.name for one in draft.main}
-    log = import_log(tmp_path / "run.jsonl", written(tmp_path / "map.toml", draft.text))
-    np.testing.assert_allclose(log.q, ANGLES, atol=1e-9)
+    np.testing.assert_allclose(imported(tmp_path / "run.jsonl", draft).q, ANGLES, atol=1e-9)
 
 
 def two_kinds() -> list[str]:
@@ -288,20 +283,14 @@ CUT = {
 
 @pytest.mark.parametrize("case", CUT)
 def test_the_command_that_a_refusal_advises_makes_tables_that_are_drafted(tmp_path, case):
-    message = refusal(drafted, text(tmp_path, CUT[case]).rename(tmp_path / "a run.txt"))
+    message = refusal(guess_map, [text(tmp_path, CUT[case]).rename(tmp_path / "a run.txt")])
     command = re.split("make a (?:table|file of each): ", message)[1]
     subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
     made = sorted(tmp_path.glob("*.csv"))
     assert len(made) == (1 if "names" in case else 2)
-    drafts = [drafted(one) for one in made]
-    assert entry(drafts[0], "gyro_x").theirs == "gyro_x"
-    assert all(entry(one, "t").unit == "s" for one in drafts)
-
-
-def test_parameters_above_a_table_are_no_table(tmp_path):
-    above = ["name,value", *(f"{n},{k}" for k, n in enumerate(("mass", "kp", "kd"))), ""]
-    draft = drafted(text(tmp_path, [*above, *lines_of(t=T, **IMU)]))
-    assert entry(draft, "accel_z").theirs == "acc_z"
+    for one in made:
+        check_entries(guess_map([one]), {"t": ("t", "s")})
+    check_entries(guess_map([made[0]]), {"gyro_x": ("gyro_x",)})
 
 
 REFUSED = {
@@ -323,26 +312,19 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_refusal_names_cause_and_next_step(tmp_path, case):
     make, words = REFUSED[case]
-    message = refusal(drafted, make(tmp_path))
+    message = refusal(guess_map, [make(tmp_path)])
     assert all(word in message for word in words), message
 
 
 MAP = (
     "[columns]\nt = 't'\nx_speed = 'speed'\n[reference]\nfile = 'mocap.csv'\n[reference.columns]\n"
 )
-POSE = ["ref_p_x", "ref_p_y", "ref_p_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"]
 
 
 def with_mocap(folder: Path, robot: np.ndarray, mocap: pd.DataFrame):
-    csv(folder, {"t": robot, "speed": np.sin(robot)})
-    mocap.to_csv(folder / "mocap.csv", index=False)
-    (folder / "map.toml").write_text(MAP + "".join(f"{n} = '{n}'\n" for n in ("t", *POSE)))
-    return import_log(folder / "run.csv", folder / "map.toml")
-
-
-def poses(t) -> pd.DataFrame:
-    frame = pd.DataFrame({"t": t} | dict.fromkeys(POSE, 0.0))
-    return frame.assign(ref_p_x=0.1 * np.arange(len(t)), ref_q_w=1.0)
+    csv(folder, mocap, "mocap.csv")
+    run = csv(folder, {"t": robot, "speed": np.sin(robot)})
+    return imported(run, MAP + "".join(f"{n} = '{n}'\n" for n in ("t", *POSE)))
 
 
 MISSED = {
@@ -371,7 +353,7 @@ def test_a_tracker_that_lost_the_body_leaves_a_gap(tmp_path):
 def test_control_characters_of_names_do_not_reach_a_draft(tmp_path, mark):
     """They would reach a terminal, and TOML allows none of them; the file's columns are found."""
     columns = {f"gyro_{axis}{mark}": np.sin(k * T) for k, axis in enumerate("xyz", 1)}
-    draft = drafted(csv(tmp_path, {"t": T, **columns, f"odd{mark}": np.cos(9.0 * T)}))
+    draft = guess_map([csv(tmp_path, {"t": T, **columns, f"odd{mark}": np.cos(9.0 * T)})])
     assert mark not in draft.text
     said = tomllib.loads(draft.text)
     assert said["columns"]["gyro_x"]["column"] == f"gyro_x{mark}"

@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from backports import zstd
+from bags import EPOCH, IMU, write_bag
 from refusals import refusal
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 from written import written
 
 from surefoot.models.observer.observer import Observer
@@ -183,28 +181,12 @@ def test_a_table_with_words_is_a_table(tmp_path, text):
 def bags(tmp_path_factory):
     """An IMU for a second, as each kind of bag."""
     folder = tmp_path_factory.mktemp("bags")
+    stamps = [EPOCH + 5_000_000 * k for k in range(200)]
     for kind in ("sqlite3", "mcap", "ros1"):
-        types = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
-        T = types.types
-        if kind == "ros1":
-            writer, encode = Writer1(folder / "ros1.bag"), types.serialize_ros1
-        else:
-            plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-            writer = Writer(folder / kind, version=9, storage_plugin=plugin)
-            encode = types.serialize_cdr
-        with writer:
-            topic = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=types)
-            for k in range(200):
-                ns = 1_700_000_000_000_000_000 + 5_000_000 * k
-                stamp = T["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
-                seq = {"seq": k} if kind == "ros1" else {}
-                header = T["std_msgs/msg/Header"](stamp=stamp, frame_id="imu", **seq)
-                rate, force = (
-                    T["geometry_msgs/msg/Vector3"](*x) for x in ((0.1, 0, k), (0, 0, 9.8))
-                )
-                none, turn = np.zeros(9), T["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-                message = T["sensor_msgs/msg/Imu"](header, turn, none, rate, none, force, none)
-                writer.write(topic, ns, encode(message, "sensor_msgs/msg/Imu"))
+        write_bag(
+            folder / kind, kind,
+            lambda m: (("/imu", IMU, ns, m.imu(ns, (0.1, 0, 0), (0, 0, 9.8))) for ns in stamps),
+        )  # fmt: skip
     return folder
 
 

@@ -19,7 +19,7 @@ from surefoot.sim.common.series import low_pass
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.advice import Changes
-from surefoot.sim.importing.reference_contradictions import contradicted
+from surefoot.sim.importing.reference_check import contradicted
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS

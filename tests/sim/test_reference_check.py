@@ -8,18 +8,19 @@ import pytest
 from motions import attitude, motion, position
 from scipy.spatial.transform import Rotation
 
-import surefoot.sim.importing.reference_noise as reference_noise_module
+import surefoot.sim.importing.reference_check as reference_check_module
 from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.reference_check import (
     ReferenceCheck,
+    _transition,
     check_reference,
     jumps,
+    reference_noise,
     without_jumps,
 )
-from surefoot.sim.importing.reference_noise import _transition, reference_noise
 from surefoot.sim.importing.report import reference_lines
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses, reference_poses
@@ -61,16 +62,16 @@ def test_frames_that_were_miscounted_are_found():
     assert found.others == ()
 
 
-def test_corrections_of_stamps_are_as_large_as_their_errors():
+def test_errors_of_stamps_are_told_from_those_of_positions():
     """Positions are good to 0.2 mm, and 3 ms at 0.5 m/s are 1.5 mm."""
     rng = np.random.default_rng(6)
     walk = motion(1.5, 400.0)
     t = np.arange(0.01, 1.45, 1 / 90)
-    late = rng.normal(0.0, 3e-3, len(t))
-    seen = poses(t + late, t, 2e-4, rng)
+    delay = rng.normal(0.0, 3e-3, len(t))
+    seen = poses(t + delay, t, 2e-4, rng)
     found = reference_noise(walk.t, walk.gyro, walk.accel, seen)
     assert found is not None
-    assert found.correction == pytest.approx(np.std(late), rel=0.2)
+    assert found.stamp == pytest.approx(np.std(delay), rel=0.2)
 
 
 def test_the_force_drifts_in_a_second_as_by_a_tilt_of_some_tenths_of_a_degree():
@@ -82,13 +83,13 @@ def test_the_force_drifts_in_a_second_as_by_a_tilt_of_some_tenths_of_a_degree():
 
 def test_the_search_for_the_noise_of_a_reference_without_any_ends(monkeypatch):
     """Its likelihood has no maximum: it grows as the sizes tend to zero."""
-    calls, filtered = [], reference_noise_module._filtered
+    calls, filtered = [], reference_check_module._filtered
 
     def counted(*arguments):
         calls.append(arguments)
         return filtered(*arguments)
 
-    monkeypatch.setattr(reference_noise_module, "_filtered", counted)
+    monkeypatch.setattr(reference_check_module, "_filtered", counted)
     walk = motion(8.0, 400.0)
     found = reference_noise(walk.t, walk.gyro, walk.accel, poses(walk.t[5:-5:5]))
     assert found is not None
@@ -163,7 +164,7 @@ def test_a_body_that_was_lost_for_a_while_is_no_clock():
 def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_removed():
     t = 0.01 * np.arange(1000)
     true = poses(t)
-    p, gone = true.p.copy(), np.r_[300:304, 310:315, 600:603, 603:607]
+    p, aside_rows = true.p.copy(), np.r_[300:304, 310:315, 600:603, 603:607]
     for rows, aside in (
         (slice(300, 304), 0.1),
         (slice(310, 315), 0.1),
@@ -172,7 +173,7 @@ def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_remo
     ):
         p[rows] += [aside, 0.0, 0.0]
     left = without_jumps(Poses(t, p, true.q))
-    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[gone])
+    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[aside_rows])
 
 
 def test_the_largest_jump_is_told_by_its_size_and_time():
@@ -238,12 +239,10 @@ def test_the_noise_of_samples_is_found_by_imu_and_poses():
     assert found.position == pytest.approx(0.4e-3, rel=0.3)
     assert found.stamp == pytest.approx(1.5e-3, rel=0.2)
     assert found.angle == pytest.approx(2e-3, rel=0.2)
-    # Most of what is wrong with the stamps is corrected.
-    assert found.correction == pytest.approx(1.5e-3, rel=0.3)
     assert reference_noise(walk.t, gyro, accel, seen.rows(slice(50))) is None
 
 
-def test_the_smoothers_noise_adds_up_over_steps():
+def test_the_filters_noise_adds_up_over_steps():
     """White force over two steps is that of the first, carried on, and of the second."""
     once, twice = (_transition(dt, 3.0)[1] - _transition(dt, 0.0)[1] for dt in (0.02, 0.04))
     F, _ = _transition(0.02, 3.0)

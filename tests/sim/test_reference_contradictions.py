@@ -7,7 +7,7 @@ from motions import attitude, motion, position
 from studies.measured import measured_folder
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.recording import read_recording
-from surefoot.sim.importing.reference_contradictions import _closed, contradicted
+from surefoot.sim.importing.reference_check import _closed, contradicted
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.log.reference import Poses
 
@@ -40,18 +40,18 @@ def test_stamps_that_are_far_off_at_an_end_are_left_out_with_what_comes_before()
     stamps = np.where(t < 0.5, t + 0.3, t)
     keep = np.r_[True, np.diff(np.maximum.accumulate(stamps)) > 0]
     out = found(poses(t[keep], stamps[keep]))
-    gone = stamps[keep][out]
+    dropped = stamps[keep][out]
     assert out[0]
     assert np.all(np.diff(np.flatnonzero(out)) == 1)
-    assert 0.75 < gone[-1] < 0.95
+    assert 0.75 < dropped[-1] < 0.95
 
 
 def test_a_jump_between_is_left_out_with_its_surroundings():
     t = np.arange(0.0, 12.0, 1 / 90)
     these = poses(t)
     moved = these.p + np.where(t[:, None] > 6.0, [0.1, 0.0, 0.0], 0.0)
-    gone = t[found(Poses(t, moved, these.q))]
-    assert 5.85 < gone[0] < 6.0 < gone[-1] < 6.15
+    dropped = t[found(Poses(t, moved, these.q))]
+    assert 5.85 < dropped[0] < 6.0 < dropped[-1] < 6.15
 
 
 def test_a_last_sample_between_the_last_two_rows_of_the_imu_counts_too():
@@ -59,9 +59,9 @@ def test_a_last_sample_between_the_last_two_rows_of_the_imu_counts_too():
     t = np.append(np.arange(0.0, 11.985, 1 / 90), 11.999)
     these = poses(t)
     these.p[-1] += [0.1, 0.0, 0.0]
-    gone = t[found(these)]
-    assert gone[-1] == 11.999
-    assert gone[0] > 11.85
+    dropped = t[found(these)]
+    assert dropped[-1] == 11.999
+    assert dropped[0] > 11.85
 
 
 @pytest.mark.skipif(not RECORDING.is_dir(), reason=f"no measured logs at {RECORDING}")

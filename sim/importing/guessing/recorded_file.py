@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,13 +22,8 @@ from surefoot.sim.importing.guessing.names import (
 from surefoot.sim.importing.readers.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.readers.bag import RECEIVED, UNREADABLE
 from surefoot.sim.importing.readers.file import detected_layout, read_file
-from surefoot.sim.importing.readers.layout import is_number
-from surefoot.sim.importing.readers.table import (
-    RecordedTable,
-    column_readings,
-    columns_of,
-    elements,
-)
+from surefoot.sim.importing.readers.table import RecordedTable, columns_of
+from surefoot.sim.importing.readers.text import is_number
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.robot.machine import Machine
 
@@ -49,10 +43,6 @@ _FEW = 10
 """Readings up to which a mostly empty column is ignored."""
 
 
-_Readings = tuple[np.ndarray, np.ndarray]
-"""Rows or times of readings, and their values, both (M,)."""
-
-
 @dataclass(frozen=True)
 class RecordedFile:
     """A file of a recording, or the part of one with its own clock, before a map.
@@ -63,10 +53,10 @@ class RecordedFile:
         columns: by name, each (N,) on one clock, those of a bag interpolated to it.
         recorded: the same as in the file.
         names: interpretation of each column's name.
-        lists: words in order, as of its joints, of each list in the file or text beside it.
-        layout: keys of [source] for a text.
         t: the column of times, or None.
         seconds: its times (N,) [s].
+        lists: words in order, as of its joints, of each list in the file or text beside it.
+        layout: keys of [source] for a text.
         machine: robot for which a map is drafted, or None.
         stated: rate of the rows [Hz] that the file states, and its name there, or None.
         skipped: what else the file contains, and why it is no column.
@@ -77,11 +67,11 @@ class RecordedFile:
     columns: dict[str, np.ndarray]
     recorded: dict[str, np.ndarray]
     names: dict[str, Named]
-    lists: dict[str, tuple[str, ...]]
-    layout: dict[str, Any]
     t: Entry | None
     seconds: np.ndarray | None
-    machine: Machine | None
+    lists: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    layout: Mapping[str, Any] = field(default_factory=dict)
+    machine: Machine | None = None
     stated: tuple[float, str] | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)
 
@@ -100,28 +90,18 @@ def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:
     """
     layout = detected_layout(path)
     table = read_file(path, Source(**layout))
-    if table.stamps:
-        return _of_bag(table, machine)
-    columns = columns_of(table)
-    if between := _with_empty_cells(table, columns, machine):
-        columns, layout = between, {**layout, "sparse": True}
+    every = columns_of(table)
+    columns = every if table.stamps else _between_readings(every, machine)
+    if any(np.isnan(every[name]).any() for name in columns):
+        layout["sparse"] = True
     lists, stated = _lists(path, table.cells), _stated_rate(columns)
-    found = []
-    long = {n: v for n, v in columns.items() if len(v) > 1}
-    for part in _by_clock(long):
-        names = _names(part, machine)
-        part, t = _at_rising_times(part, column_of_times(part, names))
-        seconds = t.scale * part[t.theirs] if t else None
-        label = _label(path, part, long)
-        found.append(
-            RecordedFile(path, label, part, part, names, lists, layout, t, seconds, machine, stated)
-        )
-    if found:
-        there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
-        unread = {name: UNREADABLE for name in table.cells if name not in there}
-        single = {name: PARAMETERS for name, cells in table.cells.items() if len(cells) == 1}
-        found[0] = replace(found[0], skipped=unread | single | dict(table.skipped))
-    return found
+    found = _of_bag(table, every, machine) if table.stamps else _by_clock(path, columns, machine)
+    there = {re.sub(r"(\[[0-9]+\])*$", "", name) for name in columns} | {*columns, *lists}
+    skipped = {name: UNREADABLE for name in table.cells if name not in there}
+    skipped |= {name: PARAMETERS for name, cells in table.cells.items() if len(cells) == 1}
+    skipped |= table.skipped
+    found = [replace(x, lists=lists, layout=layout, machine=machine, stated=stated) for x in found]
+    return [replace(x, skipped=skipped) for x in found[:1]] + found[1:]
 
 
 def _stated_rate(columns: Columns) -> tuple[float, str] | None:
@@ -136,71 +116,62 @@ def _stated_rate(columns: Columns) -> tuple[float, str] | None:
     return min((one for one in found if _USUAL_RATES[0] < one[0] < _USUAL_RATES[1]), default=None)
 
 
-def _with_empty_cells(table: RecordedTable, full: Columns, machine: Machine | None) -> Columns:
-    """Read a table in which cells are empty between readings.
-
-    Returns its columns, interpolated to the rows of the gyro, or else of the most frequent column;
-    nothing if no column has empty cells, or if there are no times.
+def _between_readings(every: Columns, machine: Machine | None) -> Columns:
+    """The columns without an empty cell. If others have empty cells between readings, also these,
+    and all are at the readings of the gyro, or else of the most frequent of them.
 
     Args:
-        table: of the file.
-        full: the columns of numbers without an empty cell.
+        every: columns of a file, NaN in empty cells.
         machine: whose joint names columns may use, or None.
     """
-    readings: dict[str, _Readings] = {}
-    for name in (name for name in elements(table) if name not in full):
-        with suppress(SurefootError):
-            rows, values = column_readings(table, name, Source(sparse=True))
-            if _FEW < len(rows) < max(map(len, table.cells.values())):
-                readings[name] = rows, values
-    if not readings or len({*map(len, table.cells.values())}) > 1:
-        return {}
-    names = _names([*readings, *full], machine)
-    at, _ = readings[_leading(readings, names)]
+    readings = {name: np.isfinite(x) for name, x in every.items()}
+    full = {name: every[name] for name, filled in readings.items() if filled.all()}
+    sparse = {n: k for n, k in readings.items() if n not in full and np.count_nonzero(k) > _FEW}
+    if not sparse or len({*map(len, every.values())}) > 1:
+        return full
+    names = _names([*sparse, *full], machine)
+    at = sparse[_leading(sparse, names)]
     t = column_of_times({name: values[at] for name, values in full.items()}, names)
     if t is None:
-        return {}
+        return full
     stamps = full[t.theirs]
-    between = {n: np.interp(stamps[at], stamps[rows], x) for n, (rows, x) in readings.items()}
+    between = {n: np.interp(stamps[at], stamps[k], every[n][k]) for n, k in sparse.items()}
     between |= {name: values[at] for name, values in full.items()}
-    return {n: between[n] for n in dict.fromkeys((*elements(table), *full)) if n in between}
+    return {name: between[name] for name in every if name in between}
 
 
-def _leading(readings: Mapping[str, _Readings], names: Mapping[str, Named]) -> str:
-    """The column whose readings are the rows: one of the IMU, or else the most frequent."""
+def _leading(readings: Mapping[str, np.ndarray], names: Mapping[str, Named]) -> str:
+    """The column whose readings, of masks (N,), are the rows: one of the IMU, or else the most
+    frequent.
+    """
     gyro = (n for n in readings if names[n].kind == "gyro" and not names[n].source)
-    return next(gyro, None) or max(readings, key=lambda name: len(readings[name][0]))
+    return next(gyro, None) or max(readings, key=lambda name: np.count_nonzero(readings[name]))
 
 
-def _of_bag(table: RecordedTable, machine: Machine | None) -> list[RecordedFile]:
-    readings: dict[str, _Readings] = {}
-    for name, values in table.cells.items():
-        finite = np.isfinite(values)
-        if finite.any():
-            readings[name] = table.stamps[table.topic(name)][finite], values[finite]
-    if not readings:
+def _of_bag(table: RecordedTable, every: Columns, machine: Machine | None) -> list[RecordedFile]:
+    """The columns of a bag, at the readings of the leading one; none if there are none."""
+    if not every:
         return []
-    unread = {name: UNREADABLE for name in table.cells if name not in readings}
-    gaps = any(len(x) < len(table.cells[name]) for name, (_, x) in readings.items())
-    recorded = {name: values for name, (_, values) in readings.items()}
-    names = _names(recorded, machine)
+    readings = {name: np.isfinite(x) for name, x in every.items()}
+    stamps = {name: table.stamps[table.topic(name)][k] for name, k in readings.items()}
+    recorded = {name: every[name][k] for name, k in readings.items()}
+    names = _names(every, machine)
     first = _leading(readings, names)
-    seconds, _ = readings[first]
-    return [
-        RecordedFile(
-            path=table.path,
-            label=_plain(table.path.stem),
-            columns={n: np.interp(seconds, *one) for n, one in readings.items()},
-            recorded=recorded,
-            names=names,
-            lists=_lists(table.path, {}),
-            layout={"sparse": True} if gaps else {},
-            t=times_of_topic(table.topic(first), recorded, names),
-            seconds=seconds,
-            machine=machine,
-            skipped=dict(table.skipped) | unread,
-        )
-    ]
+    at = stamps[first]
+    columns = {name: np.interp(at, stamps[name], x) for name, x in recorded.items()}
+    t = times_of_topic(table.topic(first), recorded, names)
+    return [RecordedFile(table.path, _plain(table.path.stem), columns, recorded, names, t, at)]
+
+
+def _by_clock(path: Path, columns: Columns, machine: Machine | None) -> list[RecordedFile]:
+    """The columns of a file, those of each clock by themselves."""
+    found, long = [], {n: v for n, v in columns.items() if len(v) > 1}
+    for part in _with_equal_times(long):
+        names = _names(part, machine)
+        part, t = _at_rising_times(part, column_of_times(part, names))
+        seconds = t.scale * part[t.theirs] if t else None
+        found.append(RecordedFile(path, _label(path, part, long), part, part, names, t, seconds))
+    return found
 
 
 def _lists(path: Path, cells: Mapping[str, np.ndarray]) -> dict[str, tuple[str, ...]]:
@@ -272,7 +243,7 @@ def _names(columns: Iterable[str], machine: Machine | None) -> dict[str, Named]:
     return by_their_lists(by_their_legs({name: name_in_file(name, machine) for name in columns}))
 
 
-def _by_clock(columns: Columns) -> list[Columns]:
+def _with_equal_times(columns: Columns) -> list[Columns]:
     """Group the columns by number of rows and, within these, by equal times."""
     parts: dict[tuple[int, str], dict[str, np.ndarray]] = {}
     for rows in dict.fromkeys(map(len, columns.values())):

@@ -7,6 +7,7 @@ angles, the gyro and the rotation of gravity. Left and right follow from the str
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
@@ -97,10 +98,10 @@ def unit_of_gyro(
     dt = 1.0 if t is None else max(float(np.median(np.diff(t))), 1e-6)
     width = max(int(0.5 / dt), 1)
     if t is not None and accel is not None and len(t) > 2 * width:
-        smooth = _smoothed(accel, width)
+        smooth, mean_gyro = (uniform_filter1d(x, width, axis=0) for x in (accel, gyro))
         up = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
         turned = np.gradient(up, t, axis=0)[width:-width]
-        by_gyro = -np.cross(_smoothed(gyro, width), up)[width:-width]
+        by_gyro = -np.cross(mean_gyro, up)[width:-width]
         both = float(np.linalg.norm(turned) * np.linalg.norm(by_gyro))
         alike = float(np.sum(turned * by_gyro)) / max(both, 1e-12)
         ratio = float(np.sum(turned * by_gyro)) / max(float(np.sum(by_gyro**2)), 1e-12)
@@ -171,8 +172,3 @@ def stride_in_turns(
     if abs(np.corrcoef(turning, more)[0, 1]) < _AGREE:
         return None
     return float(np.polyfit(turning, more, 1)[0])
-
-
-def _smoothed(values: np.ndarray, width: int) -> np.ndarray:
-    window = np.ones(width) / width
-    return np.column_stack([np.convolve(x, window, mode="same") for x in values.T])

@@ -14,9 +14,8 @@ from surefoot.sim.importing.readers.array_file import (
 )
 from surefoot.sim.importing.readers.bag import is_bag, read_bag
 from surefoot.sim.importing.readers.json_file import read_json
-from surefoot.sim.importing.readers.layout import layout_of
 from surefoot.sim.importing.readers.table import RecordedTable, with_stamps
-from surefoot.sim.importing.readers.text_file import read_text
+from surefoot.sim.importing.readers.text import layout_of, read_text
 from surefoot.sim.importing.sections import Source
 
 _READERS = {

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
@@ -101,8 +101,8 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
             there = ", ".join(sorted({str(one) for one in what})[:_SHOWN])
             raise SurefootError(f"{table.path}: no readings of {column!r} (there are {there})")
         cells = _cells(table, source.long.value, source)[rows]
-    if source.sparse or (len(cells) and _empty(cells[0])):
-        kept = ~_empties(cells)
+    if source.sparse or _empty(cells[:1]).any():
+        kept = ~_empty(cells)
         if not kept.any():
             raise NoReadings(f"{table.path}: column {column!r} is NaN or empty throughout")
         if source.sparse:
@@ -111,19 +111,18 @@ def column_readings(table: RecordedTable, column: str, source: Source, word: str
 
 
 def columns_of(table: RecordedTable) -> dict[str, np.ndarray]:
-    """All numeric columns by their names in a map, with elements of lists as separate columns."""
+    """All columns of numbers (N,) by their names in a map, of lists each element; NaN in empty
+    cells.
+    """
     found: dict[str, np.ndarray] = {}
-    for name in elements(table):
-        with suppress(SurefootError):
-            found[name] = column_readings(table, name, Source())[1]
-    return found
-
-
-def elements(table: RecordedTable) -> Iterator[str]:
-    """Names in a map of the columns and, of lists, of their elements."""
     for name, cells in table.cells.items():
-        first = next((one for one in cells if not _empty(one)), None) if len(cells) else None
-        yield from (f"{name}{place}" for place in _places(first))
+        filled = cells if cells.ndim > 1 else cells[~_empty(cells)]
+        for place in _places(filled[0] if len(filled) else None):
+            with suppress(SurefootError):
+                rows, values = column_readings(table, f"{name}{place}", Source(sparse=True))
+                found[f"{name}{place}"] = np.full(len(cells), np.nan)
+                found[f"{name}{place}"][rows] = values
+    return found
 
 
 def _places(cell: object, deeper: int = 2) -> list[str]:
@@ -172,14 +171,14 @@ def _at(table: RecordedTable, where: str, cells: np.ndarray, place: int) -> np.n
             raise SurefootError(f"{where}: there are {cells.shape[1]} places, from 0")
         return cells[:, place]
     found = np.empty(len(cells), dtype=object)
-    for row, cell in enumerate(cells):
-        values = _list(cell)
-        if values is not None and place < len(values):
-            found[row] = values[place]
-        elif not _empty(cell):
+    for row in np.flatnonzero(~_empty(cells)):
+        values = _list(cells[row])
+        if values is None or place >= len(values):
             raise SurefootError(
-                f"{where}, {table.row} {row + table.first}: {str(cell)[:40]!r} has no place {place}"
+                f"{where}, {table.row} {row + table.first}: {str(cells[row])[:40]!r} has no place"
+                f" {place}"
             )
+        found[row] = values[place]
     return found
 
 
@@ -190,17 +189,12 @@ def _list(cell: object) -> Sequence | np.ndarray | None:
     return cell if isinstance(cell, list | tuple | np.ndarray) else None
 
 
-def _empties(cells: np.ndarray) -> np.ndarray:
+def _empty(cells: np.ndarray) -> np.ndarray:
     """Mask (N,) of the cells without a reading."""
     if cells.dtype.kind in "fiub":
         return np.isnan(cells)
-    return np.array([_empty(one) for one in cells], dtype=bool)
-
-
-def _empty(cell: object) -> bool:
-    if cell is None or (isinstance(cell, str) and not cell.strip()):
-        return True
-    return isinstance(cell, float | np.floating) and bool(np.isnan(cell))
+    blank = [isinstance(one, str) and not one.strip() for one in cells]
+    return pd.isna(cells) | np.array(blank, dtype=bool)
 
 
 def _numbers(
@@ -219,18 +213,18 @@ def _numbers(
         return np.array([str(cell).strip() == word for cell in cells], dtype=float)
     if cells.dtype.kind == "c" or any(isinstance(one, complex) for one in cells[:1]):
         raise SurefootError(f"{table.path}: column {column!r} has complex numbers, not real ones")
-    plain = cells.dtype.kind in "fiub"
-    finite = takewhile(math.isfinite, map(_number, cells))
-    values = cells.astype(float) if plain else np.fromiter(finite, float)
-    bad = [*np.flatnonzero(~np.isfinite(values))[:1], *range(len(values), len(cells))[:1]]
-    if bad:
-        cell = cells[bad[0]]
-        empty = "NaN or empty; sparse = true in the map leaves such cells out"
-        other = empty if _empty(cell) else f"{str(cell)[:40]!r} is not a number"
-        what = "infinite" if math.isinf(_number(cell)) else other
-        row = table.first + int(rows[bad[0]])
-        raise SurefootError(f"{table.path}: column {column!r}, {table.row} {row}: {what}")
-    return values
+    if cells.dtype.kind in "fiub":
+        values = cells.astype(float)
+    else:
+        values = np.fromiter(takewhile(math.isfinite, map(_number, cells)), float)
+    k = int(np.append(np.flatnonzero(~np.isfinite(values)), len(values))[0])
+    if k == len(cells):
+        return values
+    empty = "NaN or empty; sparse = true in the map leaves such cells out"
+    other = empty if _empty(cells[[k]])[0] else f"{str(cells[k])[:40]!r} is not a number"
+    what = "infinite" if math.isinf(_number(cells[k])) else other
+    row = table.first + int(rows[k])
+    raise SurefootError(f"{table.path}: column {column!r}, {table.row} {row}: {what}")
 
 
 def _number(cell: object) -> float:

@@ -1,15 +1,23 @@
-"""Layout of a text table: encoding, lines before the table, header, separator, decimal commas."""
+"""Tables as text, CSV and similar formats: their layout (encoding, lines before the table, header,
+separator, decimal commas) and their cells.
+"""
 
 import codecs
 import csv
 import re
+import warnings
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import check_limit
+from surefoot.sim.common.limits import check_limit, check_unpacked
+from surefoot.sim.importing.readers.table import RecordedTable
 from surefoot.sim.importing.sections import Source
 
 _LOOKED_AT = 65536
@@ -42,6 +50,51 @@ _YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
+def read_text(path: Path, source: Source) -> RecordedTable:
+    """Read the table of a text file. Raises SurefootError in one line with file and line."""
+    encoding = encoding_of(path)
+    if source.long is None and (why := _no_table(path, source.skip)):
+        raise SurefootError(f"{path}: {why}")
+    header, separator, units = _first_lines(path, source, encoding)
+    with path.open("rb") as stream:
+        pieces = iter(lambda: stream.read(1 << 20), b"")
+        lines = sum(max(one.count(b"\n"), one.count(b"\r")) for one in pieces)
+    # A cell, empty where a line is short, takes as long as 80 bytes that are unpacked.
+    cost = 80.0 * lines * len(header)
+    check_unpacked(path.stat().st_size, cost, f"{path}: cells of its lines", at_once=False)
+    frame = pd.DataFrame()
+    with warnings.catch_warnings(), suppress(pd.errors.EmptyDataError):
+        # pandas only warns of a first line that is too long, and shifts the columns.
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        frame = pd.read_csv(
+            path,
+            sep=separator,
+            header=None,
+            skiprows=source.skip + source.header + units,
+            comment=source.comment,
+            na_values=["-", "--"],
+            decimal=source.decimal,
+            index_col=False,
+            encoding=encoding,
+            skipinitialspace=True,
+            skip_blank_lines=False,
+            low_memory=False,
+        )
+    filled = np.flatnonzero(frame.notna().any(axis=1))
+    if not len(filled):
+        raise SurefootError(f"{path}: no rows under the header")
+    if len(frame.columns) != len(header):
+        # Quotation marks keep spaces together in one of the two readings, but not in the other.
+        raise SurefootError(
+            f"{path}: line {source.skip + 1}: {len(header)} names, {len(frame.columns)} cells: "
+            "rows of another length, or quotation marks in the header"
+        )
+    frame.columns = header
+    twice = dict.fromkeys(frame.columns[frame.columns.duplicated()], "is there more than once")
+    cells = {name: frame[name].to_numpy()[: filled[-1] + 1] for name in header if name not in twice}
+    return RecordedTable(path, cells, "line", source.skip + 1 + source.header + units, twice)
+
+
 def encoding_of(path: Path) -> str:
     """Encoding of a text: UTF-8, UTF-16 or, without zero bytes and not valid UTF-8, Windows-1252
     (the latter two are written by spreadsheets).
@@ -68,14 +121,19 @@ def encoding_of(path: Path) -> str:
     return "utf-8-sig"
 
 
+def _beginning(path: Path) -> list[str]:
+    """Whole lines at the beginning of a text."""
+    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
+        return stream.read(_LOOKED_AT).splitlines()[:-1]
+
+
 def layout_of(path: Path) -> dict[str, Any]:
     """Keys of a map's [source] for this text where the defaults do not fit.
 
     Raises SurefootError, with the next step, for two tables in one text.
     """
     _check_alone(path)
-    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
-        lines = stream.read(_LOOKED_AT).splitlines()[:-1]
+    lines = _beginning(path)
     if len(lines) < 2:
         return {}
     separator = _separator(lines[-1])
@@ -100,7 +158,7 @@ def layout_of(path: Path) -> dict[str, Any]:
     return found
 
 
-def first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
+def _first_lines(path: Path, source: Source, encoding: str) -> tuple[list[str], str, bool]:
     """Column names, separator, and whether the line after the names is words alone, such as units,
     and numbers follow.
     """
@@ -128,13 +186,12 @@ def _separator_of_header(line: str) -> str:
     return SPACES if " " in line.strip() else ","
 
 
-def no_table(path: Path, skip: int) -> str:
+def _no_table(path: Path, skip: int) -> str:
     """Why a text has lines but no table, and what helps; "" where it may have one.
 
     Lines of several kinds begin with a word for theirs, or have it after their time.
     """
-    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
-        lines = stream.read(_LOOKED_AT).splitlines()[skip:-1]
+    lines = _beginning(path)[skip:]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
     if lines and all(map(_JSON.fullmatch, lines)):
         return "has JSON on each line: name it .jsonl"
