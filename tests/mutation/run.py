@@ -222,7 +222,7 @@ def write_mutants_page(
     table.loc[table["key"].isin(list(reasons)) & (table["fate"] != "killed"), "fate"] = KINDS[-1]
     table["line"] = table["file"] + ":" + table["line"].astype(str)
     table["why"] = [reasons[key].reason if key in reasons else "" for key in table["key"]]
-    of = {kind: table[table["fate"] == kind] for kind in KINDS}
+    of = {kind: table.loc[table["fate"] == kind] for kind in KINDS}
     killed, survived, uncovered, equivalent = (len(one) for one in of.values())
     seconds = table["seconds"].sum()
     words = (
@@ -252,7 +252,7 @@ def write_mutants_page(
         ("Without a test", "Changes that no quick test is near.", "uncovered", change),
         ("Equivalent", "Changes that no test can notice, and why.", "equivalent", [*change, "why"]),
     ):
-        found = of[kind].reindex(columns=shown_columns).to_dict(orient="records")
+        found = of[kind].loc[:, shown_columns].to_dict(orient="records")
         sections.append(Section(title, text, found or None, file=title.lower().replace(" ", "_")))
     write_page(page, "Mutants", sections, origin_of("surefoot.scenarios.cli.main", "make mutants"))
     return words

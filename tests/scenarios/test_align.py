@@ -11,11 +11,9 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 from written import written
 
-from studies.measured import measured_folder
 from surefoot.scenarios.align import align_file
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.settings import AlignSettings
-from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
@@ -86,18 +84,6 @@ def test_the_aligned_log_is_the_one_imported_with_the_lines(recording, tmp_path)
     assert_frame_equal(aligned.frame, pasted.frame, check_exact=True)
     assert aligned.meta.model["reference_offset"] == pasted.meta.model["reference_offset"]
     assert pd.Series(pasted.ref_ok).sum() < len(pasted.t)  # what leaps is in neither
-
-
-@pytest.mark.parametrize(
-    ("map", "file"),
-    [("go1_square", "go1_square"), ("scaler_trot", "scaler_trot/logs/scaler_10.csv")],
-)
-def test_so_is_a_measured_one(map, file, tmp_path):
-    if not (path := measured_folder() / file).exists():
-        pytest.skip(f"no {path}")
-    assert ImportMap.read(map).sections.reference is not None
-    aligned, pasted = by_both_ways(path, map, tmp_path)
-    assert_frame_equal(aligned.frame, pasted.frame, check_exact=True)
 
 
 def test_an_aligned_log_keeps_its_name(recording, log, tmp_path):

@@ -187,14 +187,6 @@ def test_a_pipe_is_told_of_progress_once_a_minute(monkeypatch):
     assert all("walking" in line and "\r" not in line for line in lines)
 
 
-def test_a_quick_work_says_nothing_to_a_pipe(monkeypatch):
-    pipe = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", pipe)
-    for _ in progress.bar(range(10), desc="quick"):
-        pass
-    assert pipe.getvalue() == ""
-
-
 def test_a_file_of_one_s_own_is_a_plugin_for_one_run(tmp_path, capsys):
     (tmp_path / "mine.py").write_text(PLUGIN)
     with_it = command(tmp_path, "estimate", "--help", "--plugin", "mine.py")
@@ -215,19 +207,6 @@ def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
     assert len(run.stderr.splitlines()) == 1
 
 
-def test_a_plugin_of_the_environment_that_is_none_is_one_line(tmp_path):
-    run = command(tmp_path, "robots", SUREFOOT_PLUGINS="gone.py")
-    assert (run.returncode, run.stderr.count("\n")) == (1, 1), run.stderr
-    assert "gone.py: no such Python file" in run.stderr
-
-
-def test_help_names_what_it_takes(capsys):
-    usages = {"plan": "EFFECT...", "simulate": "SCENARIO...", "trace": "LOG..."}
-    for command, usage in usages.items():
-        assert not ended(f"{command} --help")
-        assert usage in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_a_sentence_for_each_option_in_words_and_not_in_pythons(command, capsys):
     """What tyro adds in brackets follows a full stop, and each flag has a text. Left to itself,
@@ -238,13 +217,6 @@ def test_help_has_a_sentence_for_each_option_in_words_and_not_in_pythons(command
     text = " ".join(re.sub("[─│╭╮╰╯]", " ", help_.partition("╭")[2]).split())
     bare = r"\S*[^.\s] \((?:required|optional|repeatable|default: [^)]*)\)"
     assert re.findall(rf"{bare}|--[\w-]+(?= -|$)", text) == []
-
-
-def test_help_of_train_lists_the_inputs_apart(capsys):
-    """tyro joins choices by commas, which these contain, and wraps lines at them."""
-    assert not ended("train --help")
-    text = "".join(capsys.readouterr().out.replace("│", "").split())
-    assert ":q|q,dq|q,dq,tau|gyro,feet|gyro,contact,feet." in text
 
 
 @pytest.mark.parametrize(("options", "seen"), [((), False), (("-W", "default"), True)])

@@ -20,8 +20,6 @@ from surefoot.scenarios.experiments.tables import (
     averages,
     published,
     shown_first,
-    sweep,
-    with_spread,
 )
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
@@ -219,17 +217,11 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("gammas = [0.8]", "gammas = []", "gammas must be a list"),
-        ("try.toml", "trial.toml", "trial.toml: No such file"),
         ('name = "as built"', 'name = "as drawn"', "names of conditions must be"),
-        ('name = "as built"', "", "[[condition]] 2 name is missing"),
         ("contact_delay", "smell", "[[condition]] 2 sensors: unknown key 'smell'"),
         ("contact_delay = 0.004", "contact_delay = -1.0", "must lie between"),
-        ("built.toml", "rebuilt.toml", "rebuilt.toml: No such file"),
         ("[observer]", "[further]\nmethods = ['none']\n[observer]", "unknown method 'none'"),
-        ("steps = 4", "stairs = 5", "[observer] unknown key 'stairs'"),
         ('losses = ["mse"]', 'losses = ["l1"]', "unknown loss 'l1'"),
-        ('title = "A small grid"', "title = 5", "title must be a string, is 5"),
     ],
 )
 def test_bad_files_are_one_clear_line(grid, tmp_path, old, new, said):
@@ -273,18 +265,6 @@ def test_averages_are_over_test_sequences_and_spread_is_over_seeds(rows):
     for condition, value in test["APE_trans [m]"].items():
         text = leg.loc[condition, "APE_trans [m]"]
         assert text == f"{value + 0.5:.3f} ± {np.sqrt(0.5):.3f}"
-
-
-def test_the_sweep_has_a_row_a_gamma(grid, rows):
-    table = sweep(rows, Experiment.load(grid / "grid.toml"))
-    assert list(table["gamma"]) == [0.6, 0.8, 0.6, 0.8]
-    assert set(table["filter"]) == {"coverage"}
-
-
-def test_a_mean_of_one_has_no_spread():
-    assert with_spread(pd.Series([1.0])) == "1.000"
-    assert with_spread(pd.Series([np.nan])) is None
-    assert with_spread(pd.Series([10.0, 12.0])) == "11.00 ± 1.41"
 
 
 def test_what_a_fall_leaves_out_is_said():
