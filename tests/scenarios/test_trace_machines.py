@@ -132,7 +132,8 @@ def test_slides_are_imported_in_units_of_distance_and_force():
     }
 
 
-PLANAR_ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1">
+PLANAR_ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
+<body name="upper" pos="0 0 1">
 <joint name="shoulder" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03" mass="1.5"/>
 <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/>
