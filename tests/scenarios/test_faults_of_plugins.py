@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from own_package import forget_plugins
 from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import log_under_model
@@ -10,12 +11,12 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.regions import calibrator
 from surefoot.models.calibration.walk_length import errors_needed
 from surefoot.models.observer.network import Network
-from surefoot.models.residuals.channels import CHANNELS, channels
-from surefoot.models.residuals.layout import layout_for, residual
+from surefoot.models.residuals.channels import CHANNELS
+from surefoot.models.residuals.layout import residual
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.sim.common import plugins as plugins_module
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import exits_raised, load_plugin, naming_plugins, plugins
+from surefoot.sim.common.plugins import exits_raised, load_plugin, naming_plugins
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.robot import Robot
@@ -108,16 +109,10 @@ def offer(tmp_path, monkeypatch):
         offered = f"PLUGINS = {{'surefoot.{kind}': {{'mine': Mine}}}}"
         path.write_text(f"import os\nimport numpy as np\n{SOURCES[kind]}\n{more}\n{offered}\n")
         load_plugin(path)
-        forget_channels()
+        forget_plugins()
 
     yield make
-    plugins.cache_clear()
-    forget_channels()
-
-
-def forget_channels():
-    channels.cache_clear()
-    layout_for.cache_clear()
+    forget_plugins()
 
 
 def estimators(log):

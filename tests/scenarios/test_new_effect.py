@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from own_package import run_with
+from own_package import found
 from processes import printed, python
 from refusals import refused
 from synthetic import without
@@ -16,6 +16,10 @@ from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Estimator
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.sim.effects import CATALOGUE, add
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.effects.targets import AXES
@@ -123,22 +127,6 @@ def test_an_effect_that_a_script_adds_is_known_to_processes_that_it_spawns(tmp_p
     assert printed(script).strip() == "{1: 'own'}"
 
 
-LISTS = """
-from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.tuned import tuned
-from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
-from surefoot.sim.robot import Robot
-
-assert list(ESTIMATORS)[-1] == "standing_feet"
-assert "standing_feet" in Experiment("one", ()).filters
-mine = ESTIMATORS["standing_feet"]()
-assert tuned(Robot.load("v60_class")).of(mine) == {"accel": 0.02, "spread": 0.1}
-assert estimator_color("standing_feet").startswith("#")
-assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
-"""
-
-
 @pytest.fixture(scope="module")
 def file(log, tmp_path_factory):
     path = tmp_path_factory.mktemp("walk") / "walk.parquet"
@@ -146,22 +134,25 @@ def file(log, tmp_path_factory):
     return path
 
 
-def test_it_is_in_every_list():
-    done = run_with("own_estimator", "-c", LISTS)
-    assert done.returncode == 0, done.stderr
+def test_an_own_estimator_is_in_every_list():
+    with found("own_estimator"):
+        assert list(ESTIMATORS)[-1] == "standing_feet"
+        assert "standing_feet" in Experiment("one", ()).filters
+        mine = ESTIMATORS["standing_feet"]()
+        assert tuned(Robot.load("v60_class")).of(mine) == {"accel": 0.02, "spread": 0.1}
+        assert estimator_color("standing_feet").startswith("#")
+        assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
 
 
-def test_it_is_tabled_and_drawn(file, tmp_path):
-    done = run_with(
-        "own_estimator", "-m", "surefoot", "compare", str(file), "-o", "out", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    table = pd.read_csv(tmp_path / "out" / "table.csv")
+def test_an_own_estimator_is_tabled_and_drawn(file, tmp_path):
+    out = tmp_path / "out"
+    with found("own_estimator"):
+        main(f"compare {file} -o {out}".split())
+    table = pd.read_csv(out / "table.csv")
     assert list(table["filter"]) == ["leg", "leg_slip", "imu", "standing_feet"]
     errors = dict(zip(table["filter"], table["APE_trans [m]"], strict=True))
     assert errors["standing_feet"] < errors["imu"]
-    report = (tmp_path / "out" / "report.html").read_text()
-    assert "Mean velocity of the standing feet" in report
+    assert "Mean velocity of the standing feet" in (out / "report.html").read_text()
 
 
 @pytest.fixture
