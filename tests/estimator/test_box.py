@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from surefoot.estimator.box import box_moments
 from surefoot.estimator.moments.faces import nearest_in_box
-from surefoot.estimator.moments.grid import grid_moments
+from surefoot.estimator.moments.grid import _windows, grid_moments
 from surefoot.estimator.moments.prior import below_prior, clip_to_prior
 
 # name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
@@ -345,3 +345,24 @@ def test_a_gaussian_about_a_plane(thickness, panels):
         low, high = on_plane - half, on_plane + half
         found = box_moments(np.zeros(3), C, low, high)
         assert worst_error(found, line_reference(C, low, high, panels), C) < 1e-8
+
+
+def test_the_windows_of_a_mirrored_box_are_mirrored():
+    rng = np.random.default_rng(8)
+    for _ in range(40):
+        A = rng.normal(size=(3, 3))
+        cov = A @ A.T + 0.05 * np.eye(3)
+        C = cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
+        low = 4.0 * rng.normal(size=3)
+        high, mode = low + rng.uniform(0.5, 20.0, size=3), np.empty(3)
+        found = []
+        for lower, upper in ((low, high), (-high, -low)):
+            distance = nearest_in_box(C, lower, upper, mode)
+            centre, half, steep, free = np.empty(3), np.empty(3), np.empty(3), np.empty(3, bool)
+            information = np.linalg.inv(C)
+            _windows(C, information, lower, upper, mode, distance, centre, half, steep, free)
+            found.append((centre, half, steep, free))
+        one, other = found
+        assert_allclose(other[0], -one[0], atol=1e-9)
+        for a, b in zip(one[1:], other[1:], strict=True):
+            assert_allclose(a, b, atol=1e-9)
