@@ -1,4 +1,4 @@
-"""Traces of walks: friction, pushes, and what the filters' drift comes of."""
+"""Traces of walks: friction, pushes, several walks, and what the filters' drift comes of."""
 
 from dataclasses import replace
 
@@ -309,3 +309,40 @@ def test_where_the_leg_filter_does_not_run_no_cause_is_named(log, robot):
     cases = logs_under_model([bare], robot, ())
     assert causes_of_drift(cases, [effect("gyro_scale", "z", 0.02)]) is None
     assert causes_of_drift(cases, []) is None
+
+
+"""rad of FL's thigh, and s of the reference's clock, of each walk."""
+
+
+"""s of the second walk."""
+
+
+def of_run(run, name):
+    return {z.effect.target: z.effect.value for z in run.zeros if z.effect.name == name}
+
+
+@pytest.mark.slow
+def test_the_size_that_both_walks_share_is_found(found):
+    assert [(e.name, e.target) for e in found.effects] == [("link_length", "FR_calf")]
+    assert found.effects[0].value == pytest.approx(0.006, abs=0.0015)
+    (size,) = found.found
+    assert size.interval[0] - 5e-4 < 0.006 < size.interval[1] + 5e-4
+
+
+@pytest.mark.slow
+def test_each_walk_has_a_zero_and_a_clock_of_its_own(found):
+    for run, zero, late in zip(found.runs, ZEROS, LATE, strict=False):
+        assert of_run(run, "encoder_offset")["FL_thigh"] == pytest.approx(zero, abs=0.004)
+        assert of_run(run, "reference_delay").get("all", 0.0) == pytest.approx(late, abs=0.002)
+
+
+@pytest.mark.slow
+def test_the_push_is_told_from_what_the_robot_lacks(found):
+    (told,) = [one for one in (*found.reasons, *found.notes) if "outside forces" in one]
+    assert "of run 2" in told
+
+
+@pytest.mark.slow
+def test_the_walk_that_no_fit_has_seen_agrees(found):
+    feet = found.held_out.channels["foot_height"]
+    assert feet.after < 0.7 * feet.before
