@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from scipy.stats import binomtest
+from scipy.stats import binom, binomtest
 from synthetic import Body, synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
@@ -66,6 +66,20 @@ def test_the_counts_of_the_paper():
 @given(n=st.integers(1, 500), tenths=st.integers(1, 9))
 def test_rank_is_exact_where_the_product_is_whole(n, tenths):
     assert rank(n, tenths / 10) == -(-(n + 1) * tenths // 10)
+
+
+def test_exchangeable_errors_are_covered_as_promised():
+    """Each axis at its level, and independent axes jointly at gamma, over many calibrations."""
+    rng = np.random.default_rng(0)
+    gamma, n, trials = 0.8, 120, 3000
+    level = level_per_axis(gamma)
+    scores = np.abs(rng.standard_cauchy((trials, n + 1, 3)))
+    inside = np.array([s[n] <= conformal_quantile(s[:n], level) for s in scores])
+    expected = rank(n, level) / (n + 1)
+    low, high = binom.interval(0.999, trials, expected)
+    assert np.all((inside.sum(axis=0) >= low) & (inside.sum(axis=0) <= high))
+    low, high = binom.interval(0.999, trials, expected**3)
+    assert low <= inside.all(axis=1).sum() <= high
 
 
 def test_calibration_covers_a_walk_not_seen(mse_observer, walks):
