@@ -52,13 +52,13 @@ def without_reference(log, *groups):
 
 
 @pytest.fixture(scope="module")
-def log():
+def short():
     return walk(SHORT, SPOT, 7)
 
 
 @pytest.fixture(scope="module")
-def case(log):
-    return log_under_model(without_reference(log), SPOT)
+def case(short):
+    return log_under_model(without_reference(short), SPOT)
 
 
 def test_feet_against_each_other_know_nothing_of_the_body_and_count_once():
@@ -77,14 +77,14 @@ def test_feet_against_each_other_know_nothing_of_the_body_and_count_once():
     np.testing.assert_allclose(white, np.eye(2), atol=0.03)
 
 
-def test_legs_and_imu_reckon_the_course_of_a_walk(log):
+def test_legs_and_imu_reckon_the_course_of_a_walk(short):
     # Feet creep and roll: a floor's course needs no more.
-    reckoned = with_dead_reckoning(without_reference(log), SPOT.feet)
+    reckoned = with_dead_reckoning(without_reference(short), SPOT.feet)
     assert reckoned is not None
-    np.testing.assert_allclose(body_twists(reckoned), body_twists(log), atol=0.05)
+    np.testing.assert_allclose(body_twists(reckoned), body_twists(short), atol=0.05)
 
 
-def test_channels_that_need_a_reference_are_left_out(case, log):
+def test_channels_that_need_a_reference_are_left_out(case, short):
     there = {"leg_velocity", "stance_velocity", "joint_torque", "joint_rate"}
     assert not case.fixed
     assert set(channels_of(case)) - {"command"} == there
@@ -95,7 +95,7 @@ def test_channels_that_need_a_reference_are_left_out(case, log):
     assert {"encoder_offset", "link_length", "gyro_bias", "backlash"} & names
     assert not names & {"imu_position", "accel_bias", "payload", "reference_delay", "contact_delay"}
     # Without an IMU legs say nothing of each other either.
-    bare = log_under_model(without_reference(log, "gyro_", "accel_"), SPOT)
+    bare = log_under_model(without_reference(short, "gyro_", "accel_"), SPOT)
     assert set(channels_of(bare)) - {"command"} == {"joint_rate"}
     columns = layout.of("joint_torque", "leg_velocity")
     assert not np.isfinite(table_of(bare, ())[:, columns]).any()

@@ -60,22 +60,22 @@ def settled(t):
 
 
 @pytest.fixture(scope="module")
-def log():
+def warmed():
     course = (Segment(10.0, 0.6, turn=0.3), Segment(10.0, 0.5, turn=-0.4), Segment(10.0, 0.6))
     warm = [ThermalGyroDrift("y", SIZE)]
     walked = walk(Scenario("warm", course, Ground(0.8)), ROBOT, 5, warm, declared=False)
     return without(walked, "q_", "dq_", "tau_", "contact_", "slip_", "mu_")
 
 
-def test_the_form_that_is_left_becomes_an_effect(log, catalogue):
-    before = diagnose([log], ROBOT)
+def test_the_form_that_is_left_becomes_an_effect(warmed, catalogue):
+    before = diagnose([warmed], ROBOT)
     assert before.verdict == "none_of_these"
     form = before.unexplained[0]
     assert (form.channel, form.column) == ("imu_gyro", "gyro_y")
     assert form.regressors[0] in {"settling_8_s", "settling_16_s", "settling_32_s"}
 
     add(GyroWarming)
-    after = diagnose([log], ROBOT)
+    after = diagnose([warmed], ROBOT)
     assert after.verdict == "attributed"
     assert [(e.name, e.target) for e in after.effects] == [("gyro_warming", "y")]
     assert after.effects[0].value == pytest.approx(SIZE, rel=0.1)

@@ -48,7 +48,7 @@ ZIGZAG = (Segment(1.5, 0.4, lateral=0.15), Segment(1.5, 0.4, lateral=-0.15)) * 4
 
 
 @pytest.fixture(scope="module")
-def log():
+def zigzag():
     return walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0)
 
 
@@ -72,8 +72,8 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
     assert one.interval[0] - 0.01 < 0.85 < one.interval[1] + 0.01
 
 
-def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(log):
-    found = friction(log)
+def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(zigzag):
+    found = friction(zigzag)
     assert found is not None
     assert (found.limit, slip_effect(found)) == (None, ())
     assert 0.05 < found.held < 0.8
@@ -119,8 +119,8 @@ def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, 
 @pytest.mark.parametrize(
     "one", [("joint_delay", "all", -0.015), ("foot_rolling", "all", 0.05)], ids=["late", "rolls"]
 )
-def test_another_effect_is_not_taken_for_lost_friction(log, one):
-    altered, known = effect(*one).compensate(log, ROBOT)
+def test_another_effect_is_not_taken_for_lost_friction(zigzag, one):
+    altered, known = effect(*one).compensate(zigzag, ROBOT)
     found = estimate_friction([log_under_model(altered, known)], np.random.default_rng(0))
     assert slip_effect(found) == ()
 
@@ -154,16 +154,16 @@ def test_friction_is_that_with_the_effects_found_compensated():
     assert found.friction.slides == 0
 
 
-def test_without_torques_friction_is_not_identifiable(log):
-    bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_")])
-    assert friction(replace(log, frame=bare)) is None
+def test_without_torques_friction_is_not_identifiable(zigzag):
+    bare = zigzag.frame.drop(columns=[c for c in zigzag.frame if str(c).startswith("tau_")])
+    assert friction(replace(zigzag, frame=bare)) is None
     assert "without torques" in slip_notes(None, True)[0]
 
 
-def test_outside_forces_are_found_where_they_act(log):
+def test_outside_forces_are_found_where_they_act(zigzag):
     for spans, there in (((), 0), (((4.0, 5.0), (10.0, 11.0)), 2)):
         case = log_under_model(
-            pushed(log, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else log, ROBOT
+            pushed(zigzag, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else zigzag, ROBOT
         )
         known = linearise([case], (), ())
         found = outside_forces([case], known.table, known, BIN)
@@ -178,19 +178,19 @@ def test_outside_forces_are_found_where_they_act(log):
         assert near == pytest.approx(there * 1.9, abs=0.3)
 
 
-def test_what_comes_with_every_stride_is_no_outside_force(log):
-    strong = effect("torque_scale", "thigh", -0.3).compensate(log, ROBOT)[0]
+def test_what_comes_with_every_stride_is_no_outside_force(zigzag):
+    strong = effect("torque_scale", "thigh", -0.3).compensate(zigzag, ROBOT)[0]
     case = log_under_model(strong, ROBOT)
     known = linearise([case], (), ())
     assert np.nanstd(known.table[:, known.layout.of("base_wrench")[:3]]) > 5.0
     assert outside_forces([case], known.table, known, BIN) == ()
 
 
-def test_dead_reckoning_by_the_legs_is_among_the_filters(log):
-    truth = reference(log)
-    right = drift(truth, dead_reckoned(log, ROBOT.feet))
-    long_ago = effect("link_length", "thigh", 0.02).compensate(log, ROBOT)[1]
-    assert right < 0.02 < drift(truth, dead_reckoned(log, long_ago.feet))
+def test_dead_reckoning_by_the_legs_is_among_the_filters(zigzag):
+    truth = reference(zigzag)
+    right = drift(truth, dead_reckoned(zigzag, ROBOT.feet))
+    long_ago = effect("link_length", "thigh", 0.02).compensate(zigzag, ROBOT)[1]
+    assert right < 0.02 < drift(truth, dead_reckoned(zigzag, long_ago.feet))
 
 
 LONGER = effect("link_length", "FR_calf", 0.006)
