@@ -1,22 +1,13 @@
-"""Pages that list filters, effects and keys: each is there, with its unit or meaning."""
+"""Pages that list the filters and the effects: each is there, with its unit."""
 
 import sys
-from dataclasses import fields
 from pathlib import Path
 
-import pytest
-from catalogues import effects_page, filters_page
-from keys import keys, keys_page
-
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.sim import scenario
 from surefoot.sim.effects import CATALOGUE
-from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.ground.ground_from_file import GroundFile
-from surefoot.sim.importing import columns, map, sections
-from surefoot.sim.sensors.streams import Sensors
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
+from catalogues import effects_page, filters_page
 
 
 def rows(page: str) -> list[list[str]]:
@@ -40,39 +31,3 @@ def test_each_effect_has_its_unit_bounds_and_target():
     assert found["`payload`"] == ["kg", "0", "30", "all"]
     assert found["`backlash`"][3] == "a joint (`FL_calf`) or a group"
     assert found["`encoder_offset`"][3] == "a joint (`FL_calf`)"
-
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
-
-
-KINDS = [
-    map.MapFile,
-    columns.ColumnEntry,
-    sections.Source,
-    sections.Long,
-    sections.ReferenceTable,
-    sections.RobotTable,
-    sections.ContactTable,
-    sections.GroundTable,
-    sections.MotorLaw,
-    sections.EvenTable,
-    scenario._File,
-    scenario._SegmentEntry,
-    scenario._GroundTable,
-    scenario._PatchEntry,
-    scenario._StripEntry,
-    GroundFile,
-    scenario.Ranges,
-    GaitOptions,
-    Sensors,
-]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_key_is_listed_with_its_meaning(kind):
-    found = keys(kind)
-    assert {key for key, *_ in found} == {one.name for one in fields(kind)} - {"bumps"}
-    assert all(len(meaning) >= 1 for *_, meaning in found), found
-    page = keys_page("Title", "Words.", [("[table]", kind)])
-    assert page.count("\n| `") == len(found)
-    assert not any("[" in value for _, value, *_ in found)

@@ -91,11 +91,12 @@ def test_an_aligned_log_keeps_its_name(recording, log, tmp_path):
     aligned, pasted = by_both_ways(file, rules, tmp_path)
     assert aligned.name == pasted.name == "run"
     # So does a log, whose poses are recovered from its rows.
-    log.write(tmp_path / "seen.parquet")
+    some = log.rows(slice(0, 4000))
+    some.write(tmp_path / "seen.parquet")
     align_file(AlignSettings(file=tmp_path / "seen.parquet", out=tmp_path / "again"))
     again = Log.read(tmp_path / "again/aligned.parquet")
     assert again.name == "seen"
-    np.testing.assert_allclose(again.ref_p, log.ref_p[-len(again.t) :], atol=0.02)
+    np.testing.assert_allclose(again.ref_p, some.ref_p[-len(again.t) :], atol=0.02)
     again.write(tmp_path / "renamed.parquet")
     assert Log.read(tmp_path / "renamed.parquet").name == "renamed"
 
