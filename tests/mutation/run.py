@@ -216,7 +216,7 @@ def write_mutants_page(
     reasons = read_typed(EQUIVALENT, dict[str, Reason], "equivalent mutants")
     columns = ["key", "file", "line", "kind", "before", "after", "outcome", "tests", "seconds"]
     table = pd.DataFrame(rows, columns=columns).sort_values(["file", "line"])
-    late = (table["outcome"] == "timeout").sum()
+    timeouts = (table["outcome"] == "timeout").sum()
     table["folder"] = [str(Path(file).parent) for file in table["file"]]
     table["fate"] = table["outcome"].replace("timeout", "killed")
     table.loc[table["key"].isin(list(reasons)) & (table["fate"] != "killed"), "fate"] = KINDS[-1]
@@ -229,7 +229,7 @@ def write_mutants_page(
         f"{killed} of the {killed + survived + uncovered} mutants that are not equivalent to the "
         f"code are killed ({_share(killed, survived + uncovered)} %).\n\n"
         f"{len(rows)} of the {drawn_in_all} mutants that were drawn are finished; "
-        f"{late} are killed by the time they took, {survived} survived, of {uncovered} no test "
+        f"{timeouts} are killed by the time they took, {survived} survived, of {uncovered} no test "
         f"that imports the module is quick enough, and {equivalent} are equivalent. "
         f"{_first_words(first)} A mutant takes {seconds / max(len(rows), 1):.1f} s of the "
         f"processor, all take {seconds / 60:.0f} min."

@@ -141,11 +141,11 @@ class Workplace:
                 code, seconds, rows = self._run_tests([*chosen, "-x"], interpreted, limit)
             tests, used = tests + len(chosen), used + seconds
             if code:
-                late = code in (-signal.SIGXCPU, -signal.SIGKILL)
+                timed_out = code in (-signal.SIGXCPU, -signal.SIGKILL)
                 failed = [row["id"] for row in rows if not row["passed"]]
                 # Without a failed test it fell at the import, or took the process with it.
-                by = failed[0] if failed and not late else files[-1]
-                outcome = "timeout" if late else "killed"
+                by = failed[0] if failed and not timed_out else files[-1]
+                outcome = "timeout" if timed_out else "killed"
                 return Outcome(outcome, by, tests, (files[-1],), round(used, 2))
         outcome = "survived" if files else "uncovered"
         return Outcome(outcome, "", tests, tuple(files), round(used, 2))
