@@ -215,6 +215,19 @@ def test_courses_that_each_have_a_mean_of_their_own():
     assert of_course[2] < 0.015
 
 
+def test_one_course_alone_grants_others_a_mean_as_large_as_its_own_wandering():
+    rng = np.random.default_rng(9)
+    found = estimate_bias_model(errors(rng, 300.0, 4.0), DT, 0.8)
+    ratio = np.sqrt(np.diag(found.course) / found.variance)
+    assert np.all((ratio > 0.8) & (ratio < 1.5))
+
+
+def test_a_constant_part_leaves_nothing_to_the_courses():
+    rng = np.random.default_rng(10)
+    found = estimate_bias_model([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
+    assert np.all(np.diag(found.course) < 0.5 * np.diag(found.covariance))
+
+
 def test_axes_that_move_apart_are_correlated_below_zero():
     """Pairs of block means: two axes opposed, a third on its own."""
     rng = np.random.default_rng(0)

@@ -187,6 +187,14 @@ def test_a_pipe_is_told_of_progress_once_a_minute(monkeypatch):
     assert all("walking" in line and "\r" not in line for line in lines)
 
 
+def test_a_quick_work_says_nothing_to_a_pipe(monkeypatch):
+    pipe = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", pipe)
+    for _ in progress.bar(range(10), desc="quick"):
+        pass
+    assert pipe.getvalue() == ""
+
+
 def test_a_file_of_one_s_own_is_a_plugin_for_one_run(tmp_path, capsys):
     (tmp_path / "mine.py").write_text(PLUGIN)
     with_it = command(tmp_path, "estimate", "--help", "--plugin", "mine.py")

@@ -20,6 +20,8 @@ from surefoot.scenarios.experiments.tables import (
     averages,
     published,
     shown_first,
+    sweep,
+    with_spread,
 )
 from surefoot.scenarios.settings import GridSettings
 from surefoot.sim.common.errors import SurefootError
@@ -265,6 +267,18 @@ def test_averages_are_over_test_sequences_and_spread_is_over_seeds(rows):
     for condition, value in test["APE_trans [m]"].items():
         text = leg.loc[condition, "APE_trans [m]"]
         assert text == f"{value + 0.5:.3f} ± {np.sqrt(0.5):.3f}"
+
+
+def test_the_sweep_has_a_row_a_gamma(grid, rows):
+    table = sweep(rows, Experiment.load(grid / "grid.toml"))
+    assert list(table["gamma"]) == [0.6, 0.8, 0.6, 0.8]
+    assert set(table["filter"]) == {"coverage"}
+
+
+def test_a_mean_of_one_has_no_spread():
+    assert with_spread(pd.Series([1.0])) == "1.000"
+    assert with_spread(pd.Series([np.nan])) is None
+    assert with_spread(pd.Series([10.0, 12.0])) == "11.00 ± 1.41"
 
 
 def test_what_a_fall_leaves_out_is_said():

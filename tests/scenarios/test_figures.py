@@ -19,6 +19,7 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.experiments.figures import by_sequence, errors_figure, paths
 from surefoot.scenarios.reporting import figures, observer_errors
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.scenarios.reporting.plotting import png, save_figure
 from surefoot.scenarios.trace.report import over_floor
 from surefoot.sim.common.errors import SurefootError
@@ -48,6 +49,15 @@ def drawn(walk, errors) -> dict[str, Figure]:
         "error": figures.position_error(errors),
         "axes": figures.errors_by_axis(errors),
     }
+
+
+@pytest.mark.parametrize("name", ["trajectories", "height", "error"])
+def test_every_estimator_keeps_its_colour(drawn, name):
+    (ax,) = drawn[name].axes
+    for line in ax.get_lines():
+        estimator = str(line.get_label()).split(" (")[0]
+        if estimator in ESTIMATORS:
+            assert to_hex(line.get_color()).upper() == estimator_color(estimator)
 
 
 def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
@@ -120,6 +130,13 @@ def test_the_height_panel_fits_the_estimates_but_those_that_are_lost():
     assert 0.3 < high < 0.35
 
 
+def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):
+    lines = {str(line.get_label()).split(" (")[0]: line for line in drawn["height"].axes[0].lines}
+    np.testing.assert_allclose(lines["Truth"].get_ydata(), walk.log.ref_p[:, 2])
+    np.testing.assert_allclose(lines["leg"].get_ydata(), errors["leg"].p_GI[:, 2])
+    assert "leg (+0.080 m at the end)" in words(drawn["height"])
+
+
 def test_errors_by_axis_are_those_of_the_series(drawn, errors):
     panels = np.array(drawn["axes"].axes).reshape(3, 3)
     for column, (field, factor) in enumerate(
@@ -165,6 +182,14 @@ def test_a_channel_without_a_floor_and_a_walk_without_estimates_still_draw(walk)
     assert png(over_floor({}))
     assert png(figures.trajectories(walk.log, {}))
     assert png(figures.position_error({}))
+
+
+def test_two_worlds_of_one_estimator_share_its_colour_and_differ_in_line():
+    shown = [f"{name} {side}" for name in ("leg", "coverage") for side in ("before", "after")]
+    assert [estimator_color(name) for name in shown[::2]] == [
+        estimator_color(name) for name in ("leg", "coverage")
+    ]
+    assert len({(estimator_color(name), estimator_line(name)) for name in shown}) == 4
 
 
 def test_the_mixing_figure_shows_the_curve_and_where_k_was_read_from_it():
@@ -214,3 +239,12 @@ def test_numbers_of_a_logarithmic_axis_have_room(most):
         assert len(boxes) >= 2
         assert all(left[1] < right[0] for left, right in pairwise(boxes))
     assert [x.get_text() for x in drawn.axes[0].get_yticklabels()] == ["there", "back (train)"]
+
+
+def test_a_filter_that_a_condition_lacks_leaves_its_panel_without_its_dots():
+    row = {"sequence": "loop", "role": "test", "condition": "as drawn", "filter": "leg", "APE": 0.1}
+    rows = [row, row | {"filter": "coverage"}, row | {"condition": "as walked"}]
+    drawn, walked = by_sequence(pd.DataFrame(rows), "APE", "errors").axes
+    dots = [[len(np.asarray(line.get_xdata())) for line in ax.lines] for ax in (drawn, walked)]
+    assert dots[0] == [1, 1, 1, 1]  # each filter's seeds, and their mean
+    assert sorted(dots[1]) == [0, 0, 1, 1]

@@ -11,6 +11,8 @@ from arc_walk import DRIFT, RATE, Walk
 from rerun.chunk import RrdReader
 
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, shown_at_first, traits
+from surefoot.scenarios.reporting.palette import estimator_color, friction_color
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.scenarios.viewer.scene import write_estimates
 from surefoot.scenarios.viewer.shapes import geom_shapes
@@ -142,6 +144,20 @@ def test_contact_lanes_hold_every_change_and_slipping(contents, walk):
 def test_slip_keeps_the_peak_of_every_ten_milliseconds(contents, walk):
     slip = contents.values("/feet/slip/FL")[:, 0]
     np.testing.assert_allclose(slip, walk.log.slip[:, 0].reshape(-1, 5).max(axis=1))
+
+
+def test_colours_are_those_of_the_palette(contents):
+    color = contents.static["/position_error/x/error/leg"]["SeriesLines:colors"][0][0]
+    assert f"#{color >> 8:06X}" == estimator_color("leg")
+    patch = contents.static["/world/ground/friction_0.20/box"]["Boxes3D:colors"][0][0]
+    assert f"#{patch >> 8:06X}" == friction_color(0.2)
+
+
+def test_four_are_shown_at_first_those_that_are_proposed_before_variants():
+    all_of_them = [name for name in ESTIMATORS if traits(name).drawn]
+    first = ("coverage", "coverage_persistent", "velocity", "leg")
+    assert shown_at_first(all_of_them) == first
+    assert shown_at_first(["imu", "leg"]) == ("imu", "leg")
 
 
 def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):

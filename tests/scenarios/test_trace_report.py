@@ -4,6 +4,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -13,11 +14,11 @@ from surefoot.models.attribution.levels import ChannelLevel
 from surefoot.scenarios.cli.main import _parsed
 from surefoot.scenarios.reporting.tables import as_frame
 from surefoot.scenarios.settings import TraceSettings
-from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED
+from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED, DriftCauses
 from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import _sizes, sections
 from surefoot.scenarios.trace.result import Trace
-from surefoot.scenarios.trace.words import VERDICTS, ranked_notes, summary
+from surefoot.scenarios.trace.words import VERDICTS, ranked_notes, state_of, summary
 from surefoot.sim.effects import effect
 
 LONG = effect("link_length", "FR_calf", 0.006)
@@ -109,6 +110,18 @@ def test_a_trace_without_held_out_logs_asks_for_one_first(robot):
     assert all("--holdout" not in step.command for step in later)
 
 
+def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():
+    states = {name: state_of(level) for name, level in CHANNELS.items()}
+    assert states["leg_velocity"] == "above its floor"
+    assert states["imu_gyro"] == "at its floor"
+    assert states["stance_displacement"] not in (states["imu_gyro"], states["leg_velocity"])
+    shown = table_of(result("none_of_these"), "Residual of each channel")
+    assert dict(zip(shown["channel"], shown[""], strict=True)) == states
+    said = next(x for x in summary(result("none_of_these")).splitlines() if "displacement" in x)
+    assert states["stance_displacement"] in said
+    assert states["imu_gyro"] not in said
+
+
 def test_notes_on_faults_come_first_and_the_others_are_folded():
     notes = (
         "accel_x: clipped",
@@ -128,6 +141,22 @@ def test_notes_on_faults_come_first_and_the_others_are_folded():
     assert not folded["Notes"]
     assert folded["What is assumed"]
     assert folded["What these logs cannot show"]
+
+
+def test_the_page_and_the_screen_say_the_same_in_the_same_order(robot):
+    causes = DriftCauses(np.full(4, 0.02), ((LONG, np.full(4, 0.015)),), np.full(4, 0.005))
+    found = result("attributed", causes=causes)
+    found = result("attributed", causes=causes, steps=next_steps(found, FILES, robot))
+    headings = [one.heading for one in sections(found) if not one.folded]
+    assert headings[1:4] == ["What to do next", "Filters before and after", "Causes of the drift"]
+    said = summary(found)
+    order = ("leg_velocity ", "next:", "leg: drift", "most drift", "found link_length")
+    places = [said.index(words) for words in order]
+    assert places == sorted(places)
+    rows = table_of(found, "Causes of the drift")
+    assert list(rows["height [mm/m]"].astype(float)) == [20.0, 15.0, 5.0]
+    assert list(rows["yaw [deg/m]"].astype(float)) == pytest.approx([1.15, 0.86, 0.29])
+    assert list(rows["distance [%]"].astype(float)) == [2.0, 1.5, 0.5]
 
 
 def test_a_filter_that_errs_more_with_the_effects_is_marked():
