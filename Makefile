@@ -58,8 +58,8 @@ yardstick: START = 27e71444
 yardstick: setup
 	$(BIN)/python tests/yardstick.py --start $(START)
 
-# Five hundred small changes of the code that results hang on, each tried against the tests that cover
-# it; killed, it goes on where it was.
+# Five hundred small changes of the code that results hang on, each tried against the tests nearest
+# to it; killed, it goes on where it was.
 mutants: setup
 	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 

@@ -12,7 +12,6 @@ new start.
 """
 
 import argparse
-import csv
 import hashlib
 import json
 import os
@@ -28,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as parquet
 from platformdirs import user_cache_path
 
@@ -99,25 +99,20 @@ walked = "as_walked.toml"
 
 @dataclass(frozen=True)
 class Side:
-    """A commit that results are made of: its checkout, what it imports libraries from (None for
-    this Python's own), and the folder of its results.
-    """
+    """A commit that results are made of: its checkout, and the folder of its results."""
 
     checkout: Path
-    libraries: Path | None
     results: Path
 
     def python(self, *arguments: str | Path, cwd: Path) -> None:
         """Run Python with this commit's surefoot and studies; raises SystemExit if it fails."""
-        folders = [self.checkout, *([self.libraries] if self.libraries else [])]
+        # Before the packages that are installed here as editable.
         environment = os.environ | {
-            "PYTHONPATH": os.pathsep.join(map(str, folders)),
+            "PYTHONPATH": str(self.checkout),
             "OPENBLAS_NUM_THREADS": "1",
         }
-        # Without `site`, the packages that are installed here as editable are not found.
-        flags = ["-S"] if self.libraries else []
         run = subprocess.run(
-            [sys.executable, *flags, *map(str, arguments)],
+            [sys.executable, *map(str, arguments)],
             cwd=cwd,
             env=environment,
             text=True,
@@ -196,15 +191,7 @@ def blind(part: int, side: Side, work: Path) -> list[tuple[str, Path]]:
 
 def run_cases(numbers: Iterable[int]) -> None:
     """Trace blind cases of the surefoot that is imported; writes a file for each."""
-    for package in ("studies.blind", "surefoot.scenarios.studies.blind"):
-        try:
-            plan, trial = (import_module(f"{package}.{name}") for name in ("plan", "trial"))
-            break
-        except ModuleNotFoundError as error:
-            if not package.startswith(str(error.name)):
-                raise
-    else:
-        raise SystemExit("the blind study is nowhere")
+    plan, trial = (import_module(f"studies.blind.{name}") for name in ("plan", "trial"))
     read = import_module("surefoot.sim.common.toml").read_toml
     cases = {case.number: case for case in plan.draw_cases(read(plan.PLAN, "study"))}
     for number in numbers:
@@ -256,36 +243,17 @@ def results_of(commit: str | None, names: Iterable[str], workers: int) -> Path:
     if not missing:
         return results
     if commit is None:
-        run_probes(Side(CHECKOUT, None, results), missing, workers)
+        run_probes(Side(CHECKOUT, results), missing, workers)
         return results
     # One checkout for all commits: kernels of files that two commits share are compiled once.
-    checkout, libraries = folder / "checkout", folder / "site-packages"
+    checkout = folder / "checkout"
     if checkout.exists():
         _git("checkout", "--detach", "--force", commit, cwd=checkout)
     else:
         _git("worktree", "prune")
         _git("worktree", "add", "--detach", str(checkout), commit)
-    link_libraries(libraries)
-    run_probes(Side(checkout, libraries, results), missing, workers)
+    run_probes(Side(checkout, results), missing, workers)
     return results
-
-
-def link_libraries(folder: Path) -> None:
-    """Links to all installed libraries but editable ones, whose entry points name this checkout.
-
-    The folder must be named as one of installed packages, whose code is in no digest.
-    """
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    for packages in (Path(path) for path in sys.path if path.endswith("-packages")):
-        for path in packages.iterdir():
-            origin = path / "direct_url.json"
-            editable = origin.is_file() and '"editable": true' in origin.read_text()
-            # The version of surefoot is asked for, and it has no plug-ins.
-            if not editable or path.name.startswith("surefoot-"):
-                link = folder / path.name
-                if not link.exists():
-                    link.symlink_to(path)
 
 
 def _key(commit: str | None) -> str:
@@ -306,45 +274,44 @@ def _git(*arguments: str, cwd: Path = CHECKOUT) -> str:
 
 
 def differences(before: Path, after: Path, tolerance: float) -> list[tuple[float, str]]:
-    """(relative difference, words) of what differs between two folders of results; infinite for
-    all but numbers.
+    """(relative difference, words) of what differs between two folders of results, largest first;
+    infinite for all but numbers.
     """
     old, new = (
-        {
-            f"{path.name}: {key}": value
-            for path in sorted(folder.iterdir())
-            for key, value in _values(path)
-        }
+        pd.concat({path.name: _values(path) for path in sorted(folder.iterdir())})
         for folder in (before, after)
     )
-    found: list[tuple[float, str]] = [(np.inf, f"{key} is missing") for key in old.keys() - new]
-    found += [(np.inf, f"{key} is new") for key in new.keys() - old]
-    for key in (key for key in old if key in new):
+    found = []
+    for key in old.index.union(new.index, sort=False):
+        if key not in old or key not in new:
+            found.append((np.inf, f"{': '.join(key)} is {'new' if key in new else 'missing'}"))
+            continue
         difference, words = _difference(old[key], new[key])
         if difference > tolerance:
-            found.append((difference, f"{key} {words}"))
+            found.append((difference, f"{': '.join(key)} {words}"))
     return sorted(found, key=lambda one: -one[0])
 
 
-def _values(path: Path) -> Iterator[tuple[str, Any]]:
-    """Name and value of all that a result contains: columns, cells or entries."""
+def _values(path: Path) -> pd.Series:
+    """All that a result contains by its name: columns, cells or entries."""
+    columns = {}
     if path.suffix == ".parquet":
         table = parquet.read_table(path)
-        for name in table.column_names:
-            yield name, table[name].to_numpy()
-        yield from _entries(json.loads((table.schema.metadata or {})[b"surefoot"]), "meta")
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        entries = json.loads((table.schema.metadata or {})[b"surefoot"])
     elif path.suffix == ".csv":
-        with path.open(newline="", encoding="utf-8") as stream:
-            yield from _entries(dict(enumerate(csv.DictReader(stream))), "row")
+        entries = pd.read_csv(path, float_precision="round_trip").to_dict("records")
     else:
-        yield from _entries(json.loads(path.read_text(encoding="utf-8")))
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    return pd.Series(columns | dict(_entries(entries)), dtype=object)
 
 
 def _entries(value: Any, at: str = "") -> Iterator[tuple[str, Any]]:
+    """The single values of a nest of tables and lists, by their paths in it."""
     if isinstance(value, list):
         value = dict(enumerate(value))
     if not isinstance(value, Mapping):
-        yield at, _as_number(value)
+        yield at, value
         return
     yield f"{at} keys", sorted(str(key) for key in value if key not in IGNORED)
     for key, one in value.items():
@@ -352,37 +319,20 @@ def _entries(value: Any, at: str = "") -> Iterator[tuple[str, Any]]:
             yield from _entries(one, f"{at}/{key}")
 
 
-def _as_number(value: Any) -> Any:
-    try:
-        return value if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        return value
-
-
 def _difference(old: Any, new: Any) -> tuple[float, str]:
     """Largest relative difference of two values and its words; 0 if they are equal to the bit."""
-    a, b = np.asarray(old), np.asarray(new)
-    if a.dtype != b.dtype or a.shape != b.shape:
-        return np.inf, f"{_short(old)} -> {_short(new)}"
-    if a.dtype.kind != "f":
-        unequal = a != b
-        words = f"{_short(old)} -> {_short(new)}" if a.ndim == 0 else f"{unequal.sum()} values"
-        return (np.inf, words) if unequal.any() else (0.0, "")
-    unequal = np.atleast_1d((a != b) & ~(np.isnan(a) & np.isnan(b)))
-    a, b = np.atleast_1d(a)[unequal], np.atleast_1d(b)[unequal]
-    if not a.size:
+    a, b = np.atleast_1d(old), np.atleast_1d(new)
+    if a.dtype.kind + b.dtype.kind not in ("ff", "fi", "if", "ii") or a.shape != b.shape:
+        same = a.shape == b.shape and a.dtype == b.dtype and (a == b).all()
+        return (0.0, "") if same else (np.inf, f"{str(old)[:97]} -> {str(new)[:97]}")
+    unequal = (a != b) & ~(np.isnan(a) & np.isnan(b))
+    if not unequal.any():
         return 0.0, ""
-    relative = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))
-    relative[~np.isfinite(relative)] = np.inf
+    a, b = a[unequal].astype(float), b[unequal].astype(float)
+    relative = np.nan_to_num(np.abs(a - b) / np.maximum(np.abs(a), np.abs(b)), nan=np.inf)
     most = int(np.argmax(relative))
     count = f", {a.size} of {unequal.size} values" if unequal.size > 1 else ""
     return float(relative[most]), f"{a[most]:.17g} -> {b[most]:.17g} ({relative[most]:.1e}{count})"
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, np.ndarray) and value.ndim:
-        return f"{value.dtype}{list(value.shape)}"
-    return str(value) if len(str(value)) < 100 else f"{str(value)[:97]}..."
 
 
 def report(before: Path, after: Path, names: Iterable[str], args: argparse.Namespace) -> bool:

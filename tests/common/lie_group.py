@@ -48,3 +48,16 @@ def so3_exp(phi: np.ndarray) -> np.ndarray:
 def so3_log(R: np.ndarray) -> np.ndarray:
     """Rotation vector (3,) [rad] of R (3, 3)."""
     return Rotation.from_matrix(R).as_rotvec()
+
+
+def group(mean: np.ndarray) -> np.ndarray:
+    """The element of SE_{2+K}(3) in a packed mean (7 + K, 3)."""
+    X = np.eye(len(mean) - 2)
+    X[:3, :3], X[:3, 3:] = mean[:3], mean[[3, 4, *range(7, len(mean))]].T
+    return X
+
+
+def error(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """The paper's error state of packed means: eta = X_bar X^-1 = exp(xi^), delta b = b_bar - b."""
+    xi = se_log(group(estimate) @ se_inverse(group(truth)))
+    return np.concatenate([xi[:9], (estimate[5:7] - truth[5:7]).ravel(), xi[9:]])

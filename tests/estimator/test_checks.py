@@ -1,4 +1,4 @@
-"""What a filter refuses, and the limits beyond which it has diverged."""
+"""What a filter takes, refuses and stores, and the limits beyond which it has diverged."""
 
 from typing import Any
 
@@ -8,7 +8,10 @@ from refusals import refusal, refused
 
 from surefoot.estimator.core.checks import DivergedError, SampleError, check_sound, spd
 from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.leg import LegFilter
+from surefoot.estimator.run import bounded_velocities, every_row, output_stride
+from surefoot.sim.common.errors import SurefootError
 
 
 @pytest.mark.parametrize("given", [np.asarray, np.ndarray.tolist, np.asfortranarray])
@@ -71,3 +74,52 @@ def test_a_filter_has_diverged_with_any_one_deviation_out_of_range(name):
         check_sound(NavState().pack(), np.diag(variances))
         variances[i] = (1.01 * LARGEST[name]) ** 2
         refusal(check_sound, NavState().pack(), np.diag(variances), error=DivergedError)
+
+
+GYRO, ACCEL, V_I = np.array([0.1, -0.2, 0.3]), np.array([0.2, 0.1, 9.7]), np.array([0.5, 0.1, 0.0])
+
+
+COV = np.diag([0.01, 0.02, 0.03])
+
+
+def made(gyro, accel, v_I, cov) -> np.ndarray:
+    f = InvariantFilter(NavState(v_GI=np.array([0.4, 0.0, 0.0])), 0.01 * np.eye(15))
+    for _ in range(3):
+        f.predict(gyro, accel, 0.002)
+        f.update_velocity(v_I, cov)
+    return f.covariance
+
+
+def test_lists_and_strided_arrays_give_the_numbers_of_plain_arrays():
+    plain = made(GYRO, ACCEL, V_I, COV)
+    strided = np.stack([GYRO, GYRO], axis=1)[:, 0]
+    readonly = ACCEL.copy()
+    readonly.flags.writeable = False
+    assert np.array_equal(made(list(GYRO), list(ACCEL), list(V_I), COV.tolist()), plain)
+    assert np.array_equal(made(strided, readonly, V_I, np.asfortranarray(COV)), plain)
+
+
+def test_a_covariance_stays_symmetric_to_the_last_bit():
+    f = InvariantFilter(NavState(), 0.01 * np.eye(15))
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        f.predict(GYRO + 0.1 * rng.standard_normal(3), ACCEL, 0.002)
+        f.update_velocity(V_I + 0.1 * rng.standard_normal(3), COV)
+    assert np.array_equal(f.covariance, f.covariance.T)
+
+
+@pytest.mark.parametrize(("rate", "stride"), [(100, 1), (400, 4), (500, 5), (50, 1)])
+def test_estimates_are_stored_at_100_hz_or_the_rate_of_the_log(rate, stride):
+    t = np.arange(50) / rate
+    assert output_stride(t) == stride
+    np.testing.assert_array_equal(every_row(t), np.arange(0, 50, stride))
+
+
+def test_a_piece_of_one_row_is_stored():
+    np.testing.assert_array_equal(every_row(np.array([0.5])), [0])
+
+
+@pytest.mark.parametrize("bounds", [np.array([0.1, 0.0, 0.1]), np.array([[0.1, 0.1, -0.1]])])
+def test_bounds_of_velocities_are_above_zero(bounds):
+    with pytest.raises(SurefootError, match="epsilon: every bound must be > 0"):
+        bounded_velocities([1], np.zeros((1, 3)), bounds, 2)

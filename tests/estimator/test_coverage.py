@@ -1,113 +1,28 @@
-"""Theorem 1 and its moments against direct integration, and the update's limits."""
+"""The update's moments against the paper's own formulas in sixty digits, its limits and outliers.
 
+The paper forms the complement's moments by subtraction (eq. complement_moments); in doubles that
+loses every digit as pi -> 1 and divides nothing by nothing as pi -> 0. With mpmath it is exact.
+"""
+
+import mpmath as mp
 import numpy as np
 import pytest
 from lie_group import so3_exp
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.integrate import quad
 
 from surefoot.estimator.core.state import NavState, retract
-from surefoot.estimator.filter import InvariantFilter
-from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
+from surefoot.estimator.updates.coverage import FLOOR, posterior_moments, update_coverage
 from surefoot.estimator.updates.velocity import (
     SIGMAS,
     UNLIMITED,
     fresh_counts,
+    inverse_3,
     is_outlier,
     note_velocity,
     update_velocity,
     update_velocity_checked,
     velocity_output,
 )
-
-WIDE = 60.0
-
-
-def posterior(mean, cov, lower, upper, gamma):
-    out_mean, out_cov = np.empty(3), np.empty((3, 3))
-    mean, cov, lower, upper = (np.array(x, dtype=float) for x in (mean, cov, lower, upper))
-    pi = posterior_moments(mean, cov, lower, upper, gamma, out_mean, out_cov)
-    return pi, out_mean, out_cov
-
-
-@pytest.mark.parametrize(
-    ("centre", "half", "gamma"),
-    [(0.0, 0.3, 0.8), (1.5, 0.5, 0.8), (4.0, 0.5, 0.9), (0.2, 1.2, 0.999), (8.0, 1.0, 0.7)],
-)
-def test_one_dimension_is_theorem_1_integrated(centre, half, gamma):
-    """eq. posterior_piecewise, its density integrated as it is written, on one axis."""
-    variance = 1.7
-    lower, upper = centre - half, centre + half
-
-    def prior(z):
-        return np.exp(-0.5 * z * z / variance) / np.sqrt(2 * np.pi * variance)
-
-    def integral(f, pieces):
-        return sum(quad(f, a, b, epsabs=1e-13, epsrel=1e-11, limit=400)[0] for a, b in pieces)
-
-    outside = [(-30.0, min(lower, 0.0)), (min(lower, 0.0), lower), (upper, upper + 5.0),
-               (upper + 5.0, 40.0)]  # fmt: skip
-    outside = [(a, b) for a, b in outside if b > a]
-    pi = integral(prior, [(lower, upper)])
-
-    def moment(n):
-        inside = integral(lambda z: z**n * prior(z), [(lower, upper)])
-        beyond = integral(lambda z: z**n * prior(z), outside)
-        return gamma / pi * inside + (1 - gamma) / (1 - pi) * beyond
-
-    found, mean, cov = posterior(
-        np.zeros(3),
-        np.diag([variance, 1.0, 1.0]),
-        [lower, -WIDE, -WIDE],
-        [upper, WIDE, WIDE],
-        gamma,
-    )
-    assert_allclose(found, pi, rtol=1e-10)
-    assert_allclose(moment(0), 1.0, rtol=1e-9)
-    assert_allclose(mean, [moment(1), 0, 0], atol=1e-8)
-    assert_allclose(cov, np.diag([moment(2) - moment(1) ** 2, 1, 1]), atol=1e-8)
-
-
-def test_three_dimensions_are_the_papers_complement_moments():
-    """eqs. complement_moments and moment_matching as printed, from sampled truncation moments."""
-    rng = np.random.default_rng(1)
-    A = rng.normal(size=(3, 3))
-    cov = A @ A.T + 0.2 * np.eye(3)
-    mean = np.array([0.1, -0.2, 0.3])
-    lower, upper, gamma = mean + np.array([-0.5, 0.1, -1.0]), mean + np.array([0.9, 2.0, 0.4]), 0.8
-    z = rng.multivariate_normal(mean, cov, size=4_000_000)
-    inside = np.all((z >= lower) & (z <= upper), axis=1)
-    pi = inside.mean()
-    m_c, M_c = z[inside].mean(axis=0), z[inside].T @ z[inside] / inside.sum()
-    m_o = (mean - pi * m_c) / (1 - pi)
-    M_o = (cov + np.outer(mean, mean) - pi * M_c) / (1 - pi)
-    m = gamma * m_c + (1 - gamma) * m_o
-    S = gamma * M_c + (1 - gamma) * M_o - np.outer(m, m)
-    found, mean_plus, cov_plus = posterior(mean, cov, lower, upper, gamma)
-    assert_allclose(found, pi, atol=1e-3)
-    assert_allclose(mean_plus, m, atol=5e-3)
-    assert_allclose(cov_plus, S, atol=2e-2)
-
-
-def test_mass_of_gamma_or_more_changes_nothing():
-    cov = np.eye(3)
-    pi, mean, out = posterior(np.zeros(3), cov, [-5, -5, -5], [5, 5, 5], 0.8)
-    assert pi > 0.99
-    assert_allclose(mean, 0, atol=0)
-    assert_allclose(out, cov, atol=0)
-
-
-def test_limits_of_pi():
-    """pi -> 0: all of gamma moves to the box. pi -> gamma -> 1: the posterior meets the prior."""
-    cov = np.diag([1.0, 0.5, 2.0])
-    pi, mean, out = posterior(np.zeros(3), cov, [40, -1, -1], [41, 1, 1], 0.8)
-    assert pi < 1e-300
-    assert 0.8 * 40 < mean[0] < 0.8 * 41
-    assert np.linalg.eigvalsh(out).min() > 0
-    box = np.full(3, 9.0)
-    pi, mean, out = posterior(np.zeros(3), np.eye(3), -box, box, 1 - 1e-16)
-    assert_allclose(out, np.eye(3), atol=1e-12)
-    assert_allclose(mean, 0, atol=1e-12)
 
 
 def test_outliers_are_rejected_so_often_in_a_row_and_no_more():
@@ -145,32 +60,6 @@ def test_output_jacobian_by_differences():
     assert_allclose(PHt, P @ H.T, atol=1e-7)
     assert_allclose(S, H @ P @ H.T, atol=1e-7)
     assert_allclose(residual, [0.1, 0.2, 0.3], atol=1e-14)
-
-
-def test_lift_keeps_the_conditional_and_replaces_the_marginal():
-    """eqs. lift_mean and lift_cov with a dense H, K and S, as the paper prints them."""
-    rng = np.random.default_rng(3)
-    state = NavState(so3_exp(rng.normal(size=3)), rng.normal(size=3))
-    A = 0.3 * rng.normal(size=(15, 15))
-    P = A @ A.T + 1e-3 * np.eye(15)
-    one = InvariantFilter(state, P)
-    v_I = state.v_I + np.array([0.3, -0.2, 0.5])
-    epsilon, gamma = np.array([0.1, 0.2, 0.3]), 0.8
-    pi = one.update_coverage(v_I, epsilon, gamma)
-    H = np.zeros((3, 15))
-    H[:, 3:6] = -state.R_GI.T
-    S = H @ P @ H.T
-    K = P @ H.T @ np.linalg.inv(S)
-    r = v_I - state.v_I
-    wanted_pi, z_mean, z_cov = posterior(np.zeros(3), S, r - epsilon, r + epsilon, gamma)
-    assert_allclose(pi, wanted_pi, rtol=1e-7)
-    assert_allclose(one.covariance, P + K @ (z_cov - S) @ K.T, atol=1e-8)
-    mean = state.pack()
-    retract(mean, K @ z_mean, 0)
-    assert_allclose(one.state.v_GI, mean[3], atol=1e-7)
-    assert_allclose(one.state.b_a, mean[5], atol=1e-7)
-    moved = np.abs(one.state.v_I - v_I)
-    assert np.all(moved < np.abs(r)), "the estimate moves towards the statement"
 
 
 def test_covariance_survives_a_hundred_thousand_updates():
@@ -241,3 +130,188 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
         assert update_velocity_checked(found, spread, v_I, noise, *free) == -1.0
         assert_array_equal(found, state)
         assert_array_equal(spread, P)
+
+
+INF = np.inf
+
+
+def posterior(mean, cov, lower, upper, gamma):
+    out_mean, out_cov = np.empty(3), np.empty((3, 3))
+    mean, cov, lower, upper = (np.array(x, dtype=float) for x in (mean, cov, lower, upper))
+    pi = posterior_moments(mean, cov, lower, upper, gamma, out_mean, out_cov)
+    return pi, out_mean, out_cov
+
+
+def axis_moments(mean, deviation, lower, upper):
+    """Mass, mean and second moment of one Gaussian axis between the bounds, in mpmath."""
+    mean, deviation = mp.mpf(float(mean)), mp.mpf(float(deviation))
+    ends = [(mp.mpf(float(b)) - mean) / deviation for b in (lower, upper)]
+    if ends[0] > 0:  # tails by erfc of positive numbers, so that no digit is lost
+        mass = (mp.erfc(ends[0] / mp.sqrt(2)) - mp.erfc(ends[1] / mp.sqrt(2))) / 2
+    else:
+        mass = (mp.erfc(-ends[1] / mp.sqrt(2)) - mp.erfc(-ends[0] / mp.sqrt(2))) / 2
+    low, high = (mp.npdf(e) if mp.isfinite(e) else mp.mpf(0) for e in ends)
+    edge = sum(
+        sign * e * d
+        for sign, e, d in ((1, ends[0], low), (-1, ends[1], high))
+        if mp.isfinite(e)
+    )  # fmt: skip
+    first = (low - high) / mass
+    second = 1 + edge / mass
+    return (
+        mass,
+        mean + deviation * first,
+        (mean**2 + 2 * mean * deviation * first + deviation**2 * second),
+    )
+
+
+def as_printed(mean, deviations, lower, upper, gamma):
+    """Eqs. complement_moments and moment_matching for independent axes, in mpmath."""
+    axes = [axis_moments(*a) for a in zip(mean, deviations, lower, upper, strict=True)]
+    pi = axes[0][0] * axes[1][0] * axes[2][0]
+    m = [mp.mpf(float(x)) for x in mean]
+    prior = mp.matrix(3, 3)
+    inside = mp.matrix(3, 3)
+    for i in range(3):
+        for j in range(3):
+            prior[i, j] = m[i] * m[j] + (mp.mpf(float(deviations[i])) ** 2 if i == j else 0)
+            inside[i, j] = axes[i][2] if i == j else axes[i][1] * axes[j][1]
+    gamma = mp.mpf(float(gamma))
+    if pi >= gamma:
+        return pi, m, prior - mp.matrix(m) * mp.matrix(m).T
+    outside_mean = [(m[i] - pi * axes[i][1]) / (1 - pi) for i in range(3)]
+    outside = (prior - pi * inside) / (1 - pi)
+    plus = mp.matrix([gamma * axes[i][1] + (1 - gamma) * outside_mean[i] for i in range(3)])
+    return pi, list(plus), gamma * inside + (1 - gamma) * outside - plus * plus.T
+
+
+def numbers(matrix):
+    return np.array(matrix.tolist(), dtype=float)
+
+
+SPREAD = np.array([0.3, 0.05, 1.7])
+
+
+FAR = {
+    "one axis 40 sigma away": ([40, -1, -1], [41, 1, 1]),
+    "three axes 40 sigma away": ([40, -42, 40], [41, -40, 44]),
+    "one axis 300 sigma away": ([-0.5, 300, -2], [0.5, 300.5, 3]),
+    "three axes 300 sigma away": ([300, 300, -310], [301, 310, -300]),
+    "a sliver 40 sigma away": ([40, -1, -1], [40 + 1e-9, 1, 1]),
+    "half a space": ([7, -INF, -INF], [INF, INF, INF]),
+    "nothing cut off but 1e-12": ([-7.1, -7.3, -INF], [7.2, INF, 7.1]),
+    "nothing cut off but 1e-15": ([-8.0, -9.0, -INF], [8.1, INF, 8.5]),
+}
+
+
+@pytest.mark.parametrize("gamma", [0.5, 0.8, 1 - 1e-9, 1 - 1e-13, 1 - 2e-16])
+@pytest.mark.parametrize("name", FAR)
+def test_far_boxes_and_boxes_that_hold_all(name, gamma):
+    """pi from exp(-135 000) to 1 - 1e-15, and gamma up to the last double below one."""
+    mean = np.array([0.02, -0.01, 0.5])
+    lower, upper = (mean + SPREAD * np.array(b, dtype=float) for b in FAR[name])
+    with mp.workdps(60):
+        pi, wanted_mean, wanted_cov = as_printed(mean, SPREAD, lower, upper, gamma)
+        found, found_mean, found_cov = posterior(mean, np.diag(SPREAD**2), lower, upper, gamma)
+        assert_allclose(found, float(pi), rtol=1e-9, atol=0)
+        wanted_mean = np.array([float(x) for x in wanted_mean])
+        wanted_cov = numbers(wanted_cov)
+    scale = np.maximum(np.abs(wanted_mean - mean), SPREAD)
+    # Where 1 - pi is 1e-12, pi itself has four digits of it left: what is lost moves nothing.
+    assert_allclose((found_mean - wanted_mean) / scale, 0, atol=1e-10)
+    deviations = np.sqrt(np.diag(wanted_cov))
+    assert_allclose((found_cov - wanted_cov) / np.outer(deviations, deviations), 0, atol=1e-9)
+    assert np.linalg.eigvalsh(found_cov).min() > 0
+
+
+@pytest.mark.parametrize("box", [([-1, -1, -1], [1, 1, 1]), ([0.5, -2, -3], [2, 2, 3]),
+                                 ([-6, -6, -6], [6, 6, 6.5])])  # fmt: skip
+@pytest.mark.parametrize("step", [-1e-12, -1e-15, 0.0, 1e-15, 1e-12])
+def test_pi_next_to_gamma(box, step):
+    """Just above gamma nothing moves at all; just below, by no more than the step allows."""
+    mean = np.zeros(3)
+    lower, upper = (SPREAD * np.array(b, dtype=float) for b in box)
+    pi = posterior(mean, np.diag(SPREAD**2), lower, upper, 0.5)[0]
+    gamma = pi - step
+    if not 0 < gamma < 1:
+        pytest.skip("gamma is one in doubles")
+    found, found_mean, found_cov = posterior(mean, np.diag(SPREAD**2), lower, upper, gamma)
+    assert found == pi
+    if step >= 0:
+        assert_array_equal(found_mean, mean)
+        assert_array_equal(found_cov, np.diag(SPREAD**2))
+        return
+    alpha = (gamma - pi) / (1 - pi)
+    assert np.abs(found_mean / SPREAD).max() <= 3.0 * alpha
+    assert np.abs(np.diag(found_cov) / SPREAD**2 - 1).max() <= 3.0 * alpha + 1e-15
+
+
+@pytest.mark.parametrize("correlation", [0.999, 1 - 1e-6, 1 - 1e-10])
+@pytest.mark.parametrize(("lower", "upper"), [(0.5, 1.5), (40.0, 41.0), (-7.0, 7.0)])
+def test_nearly_singular_covariances(correlation, lower, upper):
+    """One axis is bounded, the others follow by regression: exact in sixty digits."""
+    cov = np.array([[1.0, correlation, 0.3], [correlation, 1.0, 0.3], [0.3, 0.3, 2.0]])
+    gamma = 0.8 if upper != 7.0 else 1 - 1e-13
+    free = np.full(2, INF)
+    found, found_mean, found_cov = posterior(
+        np.zeros(3), cov, np.r_[lower, -free], np.r_[upper, free], gamma
+    )
+    with mp.workdps(60):
+        pi, mean, one = as_printed(
+            np.zeros(3), np.ones(3), np.r_[lower, -free], np.r_[upper, free], gamma
+        )
+        C = mp.matrix(cov.tolist())
+        follow = C[:, 0]
+        wanted_mean = np.array([float(mean[0] * follow[i]) for i in range(3)])
+        wanted_cov = numbers(C + follow * follow.T * (one[0, 0] - 1))
+        assert_allclose(found, float(pi), rtol=1e-9)
+    assert_allclose(found_mean, wanted_mean, atol=1e-8 * max(1.0, abs(wanted_mean[0])))
+    assert_allclose(found_cov, wanted_cov, atol=1e-8 * max(1.0, wanted_cov[0, 0]))
+    assert np.linalg.eigvalsh(found_cov).min() > -1e-15 * wanted_cov[0, 0]
+
+
+@pytest.mark.parametrize("spread", [1e-3, 1.0, 1e3])
+def test_the_floor_keeps_a_flat_velocity_covariance_usable(spread):
+    """S of rank one, of rank none, and far statements on it: finite, positive semidefinite."""
+    rng = np.random.default_rng(4)
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    epsilon, counts = np.array([0.05, 0.2, 0.05]), fresh_counts()
+    for flat in (spread**2 * np.outer(direction, direction), np.zeros((3, 3))):
+        mean, P = NavState().pack(), 1e-6 * np.eye(15)
+        P[3:6, 3:6] = flat
+        for v_I in (np.zeros(3), 0.1 * spread * direction, 40.0 * spread * rng.normal(size=3)):
+            for _ in range(20):
+                pi = update_coverage(mean, P, v_I, epsilon, 0.8, 1, UNLIMITED, 1, counts)
+                assert 0.0 <= pi <= 1.0
+                assert np.isfinite(mean).all()
+                least = np.linalg.eigvalsh(P).min()
+                assert least > -1e-9 * spread**2 - FLOOR**2
+
+
+@pytest.mark.parametrize("thin", [1.0, 1e-3, 1e-6, 1e-9])
+def test_the_inverse_of_s_keeps_its_digits(thin):
+    """d d^T + e I with e down to the floor: its inverse (Sherman and Morrison) in any units."""
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        d = rng.uniform(0.5, 2.0, 3) * rng.choice([-1.0, 1.0], 3)
+        e = thin * (d @ d)
+        wanted = (np.eye(3) - np.outer(d, d) / (e + d @ d)) / e
+        units = 10.0 ** rng.integers(-4, 5, 3)
+        found = np.empty((3, 3))
+        inverse_3((np.outer(d, d) + e * np.eye(3)) * np.outer(units, units), found)
+        error = found * np.outer(units, units) - wanted
+        assert np.abs(error).max() < 1e-14 / thin * np.abs(wanted).max()
+
+
+def test_the_floor_is_below_what_matters():
+    """A micrometre a second and 1e-10 of S: moments move by less than a hundred millionth."""
+    P = np.diag(np.r_[np.full(3, 1e-4), 0.02, 0.03, 0.01, np.full(9, 1e-3)])
+    S, PHt, residual = np.empty((3, 3)), np.empty((15, 3)), np.empty(3)
+    velocity_output(NavState().pack(), P, 0, np.zeros(3), PHt, S, residual)
+    box = np.array([-0.05, 0.02, -0.1]), np.array([0.1, 0.3, 0.2])
+    plain = posterior(np.zeros(3), S, *box, 0.8)
+    floor = (FLOOR**2 + 1e-10 * np.trace(S)) * np.eye(3)
+    lifted = posterior(np.zeros(3), S + floor, *box, 0.8)
+    for a, b in zip(plain, lifted, strict=True):
+        assert_allclose(a, b, atol=1e-8)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from motions import motion
 from numpy.testing import assert_array_equal
 from refusals import refused
-from whole_runs import filter_of, run_coverage, run_imu, run_velocity
+from whole_runs import run_coverage, run_imu, run_velocity
 
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.filter import InvariantFilter, PersistentFilter
@@ -130,49 +130,6 @@ def moving(n, rng):
     t = np.cumsum(rng.uniform(0.002, 0.02, n))
     accel = np.array([0.0, 0.0, GRAVITY]) + rng.normal(size=(n, 3))
     return t, 0.3 * rng.normal(size=(n, 3)), accel
-
-
-@pytest.mark.parametrize("stride", [1, 3])
-@pytest.mark.parametrize("kind", ["imu", "velocity", "coverage"])
-@pytest.mark.parametrize(
-    "persistent", [None, PersistentError(np.eye(3) * 1e-3, window=2)], ids=["plain", "persistent"]
-)
-def test_a_few_samples_in_a_run_are_the_same_one_by_one(kind, persistent, stride):
-    rng = np.random.default_rng(11)
-    (t, gyro, accel), v_I, cov = moving(8, rng), rng.normal(size=(2, 3)), 0.1 * np.eye(3)
-    start, rows = (NavState(), 0.01 * np.eye(15)), np.array([2, 5])
-    one, pi = filter_of(*start, persistent=persistent), []
-    given = {"stride": stride, "persistent": persistent}
-    if kind == "imu":
-        if persistent is not None:
-            pytest.skip("there is no observer whose error could persist")
-        whole = run_imu(t, gyro, accel, *start, stride=stride)
-    elif kind == "velocity":
-        whole = run_velocity(t, gyro, accel, rows, v_I, cov, *start, **given)
-    else:
-        whole = run_coverage(t, gyro, accel, rows, v_I, EPSILON, 0.8, *start, **given)
-    states = []
-    for k in range(len(t)):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
-        for m in np.flatnonzero(rows == k):
-            if kind == "velocity":
-                one.update_velocity(v_I[m], cov)
-            elif kind == "coverage":
-                pi.append(one.update_coverage(v_I[m], EPSILON, 0.8))
-        states.append(one.state)
-    assert_array_equal(whole.t, t[::stride])
-    assert_array_equal(whole.p_GI, [state.p_GI for state in states[::stride]])
-    assert_array_equal(whole.v_GI, [state.v_GI for state in states[::stride]])
-    assert whole.covariance is not None
-    if (len(t) - 1) % stride == 0:
-        assert_array_equal(whole.covariance[-1], one.covariance)
-    if kind == "coverage":
-        assert whole.updates is not None
-        done = np.array([x for x in pi if np.isfinite(x)])
-        assert len(done) == (2 if persistent is None else 1)
-        assert_array_equal(whole.updates.pi, done)
-        assert_array_equal(whole.updates.active, done < 0.8)
 
 
 def test_a_run_goes_on_from_the_last_row_of_the_one_before():

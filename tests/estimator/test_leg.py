@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lie_group import se_inverse, se_log, so3_exp
+from lie_group import error, so3_exp
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
@@ -59,17 +59,6 @@ def test_ignoring_that_feet_roll_costs_a_scale_error(walk, rolling):
     right = evaluate(walk.reference(), run(walk, rolling, RADIUS))
     wrong = evaluate(walk.reference(), run(walk, rolling, 0.0))
     assert wrong.ape_trans > 100 * right.ape_trans
-
-
-def group(mean):
-    X = np.eye(3 + len(mean) - 5)
-    X[:3, :3], X[:3, 3:] = mean[:3], mean[[3, 4, *range(7, len(mean))]].T
-    return X
-
-
-def error(estimate, truth):
-    xi = se_log(group(estimate) @ se_inverse(group(truth)))
-    return np.concatenate([xi[:9], (estimate[5:7] - truth[5:7]).ravel(), xi[9:]])
 
 
 @pytest.fixture

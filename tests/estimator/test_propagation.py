@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lie_group import se_inverse, se_log, so3_exp
+from lie_group import error, so3_exp
 from numpy.testing import assert_allclose
 
 from surefoot.estimator.core import lie
@@ -29,18 +29,6 @@ def case():
 def step(mean, covariance, gyro, accel, dt, noise=SILENT):
     n = len(covariance)
     propagate(mean, covariance, gyro, accel, dt, noise, np.zeros((n, 6)), np.zeros((n - 15, 3)))
-
-
-def group(mean):
-    X = np.eye(5)
-    X[:3, :3], X[:3, 3], X[:3, 4] = mean[:3], mean[3], mean[4]
-    return X
-
-
-def error(estimate, truth):
-    """The error state of the paper: eta = X_bar X^-1 = exp(xi^), delta b = b_bar - b."""
-    xi = se_log(group(estimate) @ se_inverse(group(truth)))
-    return np.concatenate([xi, (estimate[5:] - truth[5:]).ravel()])
 
 
 @pytest.mark.parametrize("dt", [1e-3, 0.05])

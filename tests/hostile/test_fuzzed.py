@@ -82,30 +82,6 @@ def edited(good: bytes, changes: list[tuple]) -> bytes:
     return good
 
 
-def _fuzz(name: str, good: Path, folder: Path, count: int) -> None:
-    content = _whole(name, good, folder).read_bytes()
-    for other in ("scenario.toml", "effects.toml"):
-        (folder / other).write_bytes((good / other).read_bytes())
-    if not (folder / "good").exists():
-        (folder / "good").symlink_to(good)
-    path = folder / name
-
-    @settings(
-        max_examples=count,
-        deadline=10_000,
-        derandomize=True,
-        database=None,
-        suppress_health_check=[HealthCheck.too_slow],
-    )
-    @given(edits())
-    def run(changes: list[tuple]) -> None:
-        path.write_bytes(edited(content, changes))
-        with suppress(SurefootError):
-            READERS[name](path)
-
-    run()
-
-
 def _whole(name: str, good: Path, folder: Path) -> Path:
     """The file that is edited."""
     if name == "trajectory.parquet":
@@ -124,15 +100,30 @@ def _whole(name: str, good: Path, folder: Path) -> Path:
     return good / name
 
 
+@pytest.mark.parametrize("count", [4, pytest.param(400, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", READERS)
-def test_a_reader_takes_any_bytes(name, good, tmp_path):
-    _fuzz(name, good, tmp_path, 4)
+def test_a_reader_takes_any_bytes(name, count, good, tmp_path):
+    content = _whole(name, good, tmp_path).read_bytes()
+    for other in ("scenario.toml", "effects.toml"):
+        (tmp_path / other).write_bytes((good / other).read_bytes())
+    if not (tmp_path / "good").exists():
+        (tmp_path / "good").symlink_to(good)
+    path = tmp_path / name
 
+    @settings(
+        max_examples=count,
+        deadline=10_000,
+        derandomize=True,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    @given(edits())
+    def run(changes: list[tuple]) -> None:
+        path.write_bytes(edited(content, changes))
+        with suppress(SurefootError):
+            READERS[name](path)
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", READERS)
-def test_a_reader_takes_any_bytes_hundreds_of_times(name, good, tmp_path):
-    _fuzz(name, good, tmp_path, 400)
+    run()
 
 
 JSON = st.recursive(

@@ -3,7 +3,6 @@ on ends with the same bytes, nothing runs on, and one line says how to go on."""
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from shutil import rmtree
 
 import numpy as np
 import pytest
-from forked import contents, copied
+from forked import copied
 from good_files import FILES
 from PIL import Image
 from pyarrow import parquet
@@ -24,7 +23,6 @@ from synthetic import synthetic_walk
 from surefoot.models.observer.observer import Observer, observer_of_torch
 from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.settings import SimulateSettings
-from surefoot.sim.common.files import MANIFEST
 from surefoot.sim.log import Log
 
 WALK = """
@@ -243,69 +241,3 @@ def test_a_long_job_ended_at_random_moments(name, inputs, tmp_path):
     folder = copied(inputs, tmp_path / "ended")
     for number in SIGNALS * 2:
         assert interrupted_once(BEGUN[name], folder, number, rng.uniform(0.1, BEGUN_FOR))
-
-
-@pytest.mark.slow
-def test_a_resumed_observer_is_the_same_file(inputs, tmp_path):
-    """Twelve kills, evenly over the training: the file is that of one that was not killed."""
-    command, _ = COMMANDS["train"]
-    whole = copied(inputs, tmp_path / "whole")
-    seconds, _ = finished(command, whole)
-    folder = copied(inputs, tmp_path / "killed")
-    for _ in range(12):
-        if not interrupted_once(command, folder, signal.SIGKILL, 0.6 * seconds):
-            break
-        if (folder / "out" / "o.safetensors").exists():
-            break
-    if not (folder / "out" / "o.safetensors").exists():
-        finished(command, folder)
-    same_bytes(whole / "out", folder / "out", "o.safetensors")
-    assert Observer.load(folder / "out" / "o.safetensors").hash
-    assert {p.name for p in (folder / "out").iterdir()} == {"o.safetensors", MANIFEST}
-
-
-@pytest.mark.slow
-def test_two_runs_into_one_folder(inputs, tmp_path):
-    """The second is refused, and the first goes on."""
-    folder = copied(inputs, tmp_path / "two")
-    command = "train walk.parquet --inputs q,dq --model mlp -o out/o.safetensors"
-    first = started(command, folder)
-    lock = folder / "out" / ".o.safetensors.lock"
-    until = time.monotonic() + 60.0
-    while not lock.exists() and time.monotonic() < until:
-        time.sleep(0.02)
-    second = started(command, folder)
-    _, err = second.communicate(timeout=60)
-    assert second.returncode == 1
-    assert "another run is writing there" in err
-    first.terminate()
-    _, err = first.communicate(timeout=60)
-    assert first.returncode == 128 + signal.SIGTERM, err[-2000:]
-    assert "run the same command to continue" in err
-    assert "Traceback" not in err
-    assert not lock.exists()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS | BEGUN)
-@pytest.mark.parametrize("most", [0, 1_000, 20_000, 200_000])
-def test_a_full_disk(name, most, inputs, tmp_path):
-    """No file may be longer than `most` bytes: one line, and nothing that looks whole."""
-    folder = copied(inputs, tmp_path / "full")
-    before = contents(folder)
-    command = BEGUN.get(name) or COMMANDS[name][0]
-
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-
-    process = started(command, folder, preexec_fn=limit)
-    _, err = process.communicate(timeout=300)
-    if process.returncode == 0:
-        return  # all of its files are shorter
-    assert "Traceback" not in err, err[-3000:]
-    last = [line for line in err.splitlines() if line.strip()][-1]
-    assert last.startswith("surefoot: "), err[-2000:]
-    left = {n for n, what in contents(folder).items() if what != "folder" and n not in before}
-    # What goes on later is kept; a result is not.
-    results = (".html", ".safetensors", ".rrd", "leg.parquet", ".tmp")
-    assert not [n for n in left if n.endswith(results)], left

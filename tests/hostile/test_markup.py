@@ -14,7 +14,7 @@ from forked import copied
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.reporting.html import Section, html_report, markdown_report
-from surefoot.scenarios.reporting.tables import to_csv, to_html, to_markdown
+from surefoot.scenarios.reporting.tables import to_csv, to_markdown
 
 EVIL = (
     *("<script>alert(1)</script>", "<img src=x onerror=alert(1)>", '"><svg onload=alert(1)>'),
@@ -48,21 +48,6 @@ class Seen(HTMLParser):
     def handle_starttag(self, tag, attrs):
         self.tags.add(tag)
         self.attributes |= {name for name, _ in attrs}
-
-
-def test_no_word_is_code():
-    plain = Seen()
-    rows = [{"log": "a", "filter": "b"}]
-    sections = [Section("a", "b\n\nc", rows)] * 3
-    plain.feed(html_report("t", sections))
-    hostile = Seen()
-    rows = [{evil: evil, "filter": evil} for evil in EVIL]
-    page = html_report(EVIL[4], [Section(evil, f"{evil}\n\n{evil}", rows) for evil in EVIL])
-    hostile.feed(page)
-    assert hostile.tags == plain.tags
-    assert hostile.attributes == plain.attributes
-    assert "<script" not in page.lower()
-    assert "<script" not in to_html(rows).lower()
 
 
 MARKUP = (

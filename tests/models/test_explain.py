@@ -1,13 +1,25 @@
-"""The search on walks with a known effect: the right one of two that look alike, and no other."""
+"""Searches that explain a residual: what is found, what harms nothing, and what bends."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.models.attribution.data import split_of
+from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.explain import explain, problem_of, zeros_beside
-from surefoot.models.attribution.metric import interpolation_weights
+from surefoot.models.attribution.judgement import (
+    Unseen,
+    channel_levels,
+    find_harmful_effect,
+    residuals_with,
+)
+from surefoot.models.attribution.metric import interpolation_weights, metric_of
 from surefoot.models.attribution.noise_floor import left_deviations, noise_floor, noise_floor_with
+from surefoot.models.attribution.unexplained import angle_curves, curved_angles
+from surefoot.models.attribution.weights import robust_weights
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -15,6 +27,8 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 SPOT = Robot.load("spot_class")
+
+
 SCENARIO = Scenario("short", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
 
 
@@ -55,17 +69,17 @@ def names(found):
 
 
 # Half a step between two rows: there most is lost by moving a stream.
-@pytest.mark.parametrize("late", ["imu_delay", "reference_delay"])
-@pytest.mark.parametrize("delay", [0.001, 0.01])
-def test_of_two_streams_the_late_one_is_named(floor, late, delay):
-    found = explained(case_with(effect(late, "all", delay)), floor)
-    assert names(found) == [(late, "all")]
+@pytest.mark.parametrize("name", ["imu_delay", "reference_delay"])
+@pytest.mark.parametrize("delay", [0.001, pytest.param(0.01, marks=pytest.mark.long)])
+def test_of_two_streams_the_lagging_one_is_named(floor, name, delay):
+    found = explained(case_with(effect(name, "all", delay)), floor)
+    assert names(found) == [(name, "all")]
     # Interpolation draws a delay towards the middle between rows: here by a tenth of one at most.
     assert found.found[0].effect.value == pytest.approx(delay, abs=2e-4)
     assert not found.rivals
 
 
-@pytest.mark.parametrize("time", [0.0016, 0.004])
+@pytest.mark.parametrize("time", [pytest.param(0.0016, marks=pytest.mark.long), 0.004])
 def test_a_filtered_imu_is_no_late_one(floor, time):
     """Filtered rates are late in the legs' velocities too, which know of the filter."""
     found = explained(case_with(effect("imu_lowpass", "all", time)), floor)
@@ -144,3 +158,117 @@ def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floo
     bins = np.add.reduceat(quiet, case.motion.first) == case.motion.count
     assert np.median(weight[bins, :6]) > 0.4
     assert weight[:, 3:6].min() < 0.02
+
+
+ROBOT = Robot.load("spot_class")
+
+
+COURSE = Scenario("there", (Segment(10.0, 0.5, turn=0.3), Segment(10.0, 0.6)), Ground(0.8))
+
+
+def found(one):
+    case = log_under_model(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
+    floor = noise_floor([case])
+    problem = problem_of([case], split_of([case]).fit, several=False)
+    result = explain(
+        problem,
+        floor.error,
+        lambda e, keys: left_deviations(floor, noise_floor_with(floor, e), keys),
+    )
+    return result, curved_angles(result, [case])
+
+
+@pytest.mark.long
+@pytest.mark.xfail(
+    strict=True,
+    reason="the search explains so large a curve by other joints and links, so that it is told by "
+    "the residual that is left",
+)
+def test_a_curve_is_told_from_the_line_that_comes_nearest():
+    result, bent = found(OUTSIDE_EFFECTS["encoder_eccentricity"]("FL_thigh", 0.03))
+    assert result.found, "something of the catalogue comes near"
+    assert [(one.column, one.channel) for one in bent[:1]] == [("FL_thigh", "leg_velocity")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "size"), [("encoder_scale", 0.03), ("leg_compliance", 1e-3)])
+def test_what_the_catalogue_has_is_no_curve(name, size):
+    result, bent = found(effect(name, "FL_thigh", size))
+    assert [f.effect.name for f in result.found] == [name]
+    assert bent == ()
+
+
+def test_bends_leave_out_what_an_offset_and_a_scale_can_do():
+    log = walk(replace(COURSE, segments=(Segment(1.0, 0.5),)), ROBOT, 3)
+    q = log.frame["q_FL_thigh"].to_numpy()
+    even = np.linspace(q.min(), q.max(), 2001)
+    for change in [*angle_curves(log, "FL_thigh").values()][:5]:
+        curve = np.interp(even, np.sort(q), change["q_FL_thigh"][np.argsort(q)])
+        line = np.polynomial.Legendre.fit(even, curve, 1)
+        assert np.abs(line.coef).max() < 0.05
+
+
+TRUTH = effect("imu_position", "x", 0.04)
+
+
+@pytest.fixture(scope="module")
+def case():
+    course = Scenario("harm", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
+    return log_under_model(walk(course, ROBOT, 3, (TRUTH,), declared=False), ROBOT)
+
+
+@pytest.fixture(scope="module")
+def floor_harm(case):
+    return noise_floor([case])
+
+
+def sides(case, floor_harm, *effects):
+    known, split = linearise([case], effects, all_keys(case)), split_of([case])
+    metric = metric_of([case], known, floor_harm.error, split.fit)
+    problem = problem_of([case], split.fit, False)
+    return residuals_with(problem, effects, metric, floor_harm, split.fit), split.report
+
+
+def found_harm(case, floor_harm, *effects):
+    residuals, report = sides(case, floor_harm, *effects)
+    return find_harmful_effect([Unseen(residuals, report, {"unseen bins": report})])
+
+
+def test_what_is_there_harms_nothing(case, floor_harm):
+    assert found_harm(case, floor_harm, TRUTH) is None
+
+
+def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case, floor_harm):
+    wrong = effect("encoder_offset", "FL_thigh", 0.02)
+    harm = found_harm(case, floor_harm, TRUTH, wrong)
+    assert harm is not None
+    one, why = harm
+    assert one == wrong
+    assert "worse" in why
+
+
+def test_a_channel_is_worse_without_what_is_there_and_not_without_what_is_not(case, floor_harm):
+    def worse(effects, instead):
+        residuals, report = sides(case, floor_harm, *effects)
+        return replace(residuals, before=residuals.left_by(instead)).worse(report)
+
+    wrong = effect("encoder_offset", "FL_thigh", 0.02)
+    assert worse((), (TRUTH,))
+    assert not worse((TRUTH,), (TRUTH, wrong))
+
+
+def test_bins_that_were_not_there_before_do_no_harm(case, floor_harm):
+    """Undone late touch-downs leave whole stances, which the log as it is has not."""
+    known = linearise([case], (), ())
+    weights = robust_weights(known, floor_harm.sigma)
+    everywhere = np.ones(len(known.t), dtype=bool)
+    before = without_nuisance(known, weights.sigma, weights.weight, everywhere)
+    first = slice(None, len(before) // 2), known.layout.of("leg_velocity")
+    after = before.copy()
+    after[first] *= 20.0
+    levels = channel_levels(before, after, known, floor_harm)
+    assert levels["leg_velocity"].worse
+    before[first] = np.nan
+    levels = channel_levels(before, after, known, floor_harm)
+    assert levels["leg_velocity"].after > 1.1 * levels["leg_velocity"].before
+    assert not levels["leg_velocity"].worse

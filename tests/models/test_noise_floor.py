@@ -1,10 +1,15 @@
-"""The noise floor of robots that match their model."""
+"""Noise floors of channels, and the forms of what is left above them."""
 
+from functools import lru_cache
+
+import numpy as np
 import pytest
 
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor
+from surefoot.models.attribution.unexplained import regressor_library, sparse_regression
+from surefoot.models.attribution.weights import RobustWeights
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -31,3 +36,44 @@ def test_what_bumps_seem_to_be_is_known_from_the_walks_though_some_count_as_leve
     assert not case.motion.level
     assert not any(one.case.motion.level for one in floor.walks)
     assert "armature" in {name for name, _ in floor.error.keys}
+
+
+ROBOT = Robot.load("spot_class")
+
+
+@lru_cache
+def case():
+    segments = (Segment(6.0, 0.6, turn=0.3), Segment(6.0, 0.5, turn=-0.3))
+    log = walk(Scenario("turns", segments, Ground(0.8)), ROBOT, 2)
+    return log_under_model(log, ROBOT)
+
+
+def formed(signal=None, column=1):
+    """The form of white noise, with `signal` (a regressor's name) on one column of the gyro."""
+    bins = len(case().motion.t)
+    left = 1e-3 * np.random.default_rng(0).normal(size=(bins, 52))
+    if signal:
+        names, values = regressor_library([case()])
+        left[:, column] += 2e-3 * values[:, names.index(signal)]
+    trusted = RobustWeights(
+        np.ones(52), np.ones((bins, 52)), np.zeros((bins, 4), bool), 0.0, np.ones(52)
+    )
+    seen = (case().motion.t // 2).astype(int) % 2 == 0
+    return sparse_regression([case()], left, trusted, ["imu_gyro"], seen, ~seen)
+
+
+@pytest.mark.parametrize("signal", ["time", "force_z", "rate_x", "torque_FL_calf"])
+def test_a_rest_that_goes_with_a_reading_is_named(signal):
+    (one,) = formed(signal)
+    assert one.channel == "imu_gyro"
+    assert one.column == "gyro_y"
+    assert one.regressors == (signal,)
+    # Four fifths of the variance over the log; single blocks excite it more or less.
+    assert 0.5 < one.share < 0.95
+
+
+def test_white_noise_has_no_form_but_its_channel_and_loudest_column():
+    (one,) = formed()
+    assert one.channel == "imu_gyro"
+    assert one.regressors == ()
+    assert one.share == 0.0

@@ -1,83 +1,65 @@
-"""A channel of a user's own package is in the table, in trace's channels, report and figures."""
+"""Channels and columns of a user's own: traced, drawn, kept and asked for."""
 
-import json
-import sys
-
-import numpy as np
-import pytest
-from own_package import run_with
-from synthetic import synthetic_walk
-
-from surefoot.models.attribution.data import data_notes
-from surefoot.models.attribution.evidence import log_under_model
-from surefoot.models.attribution.model_error import ModelError
-from surefoot.models.attribution.noise_floor import NoiseFloor
-from surefoot.models.residuals.channels import BUNDLED_CHANNELS, CHANNELS, channels
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import plugins
-from surefoot.sim.robot import Robot
-
-TRACE = """
 import json
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+import pytest
+from own_package import found
+from synthetic import synthetic_walk, without
 
-from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.attribution.data import _misnamed_channels, data_notes, readings
+from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
+from surefoot.models.attribution.model_error import ModelError
+from surefoot.models.attribution.noise_floor import NoiseFloor
+from surefoot.models.residuals.channels import BUNDLED_CHANNELS, CHANNELS, channels
 from surefoot.scenarios.trace.report import over_floor
 from surefoot.scenarios.trace.run import trace
-from surefoot.sim.effects import effect
+from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.plugins import plugins
+from surefoot.sim.effects import add, effect
+from surefoot.sim.effects.base import Effect
+from surefoot.sim.effects.traced import Traced
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log import LogError
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
-robot, out = Robot.load("spot_class"), Path(sys.argv[1])
-course = (Segment(8.0, 0.5, turn=0.3), Segment(6.0, 0.4, turn=-0.3))
-log = walk(Scenario("plain", course, Ground(0.8)), robot, 3, [effect("payload", "all", 6.0)], False)
-legs = ("q_", "dq_", "tau_", "contact_", "slip_", "mu_")
-log = replace(log, frame=log.frame[[n for n in log.frame if not str(n).startswith(legs)]])
-
-case = log_under_model(log, robot)
-keys = [("accel_bias", "z"), ("payload", "all"), ("gyro_bias", "x")]
-data = linearise([case], (), keys)
-column = data.layout.names.index("support")
-slopes = [
-    [float(np.mean(one.values[:, k])) for k in np.flatnonzero(one.columns == column)]
-    for one in data.X
-]
-found = trace([log], robot, out)
-figure = over_floor(found.channels)
-print(json.dumps({
-    "unit": data.layout.columns[column].unit,
-    "slopes": slopes,
-    "mass": robot.mass,
-    "titles": [one.get_text() for ax in figure.axes for one in ax.get_yticklabels()],
-}))
-"""
+LEGS = ("q_", "dq_", "tau_", "contact_", "slip_", "mu_")
 
 
-def test_a_channel_of_a_package_is_traced_told_and_drawn(tmp_path):
-    run = run_with("own_channel", "-c", TRACE, str(tmp_path / "out"))
-    assert run.returncode == 0, run.stderr
-    seen = json.loads(run.stdout.splitlines()[-1])
-    assert seen["unit"] == "N"
-    # Regressors by the chain rule know nothing of it, yet it answers to readings and to the robot.
-    (by_bias,), (by_payload,), by_gyro = seen["slopes"]
-    assert by_bias == pytest.approx(-seen["mass"], rel=0.02)
-    assert by_payload == pytest.approx(9.81, rel=0.02)
-    assert by_gyro == []
-    assert "force of all feet" in seen["titles"]
+def test_a_channel_of_a_package_is_traced_and_drawn(robot, tmp_path):
+    course = (Segment(8.0, 0.5, turn=0.3), Segment(6.0, 0.4, turn=-0.3))
+    loaded = [effect("payload", "all", 6.0)]
+    log = walk(Scenario("plain", course, Ground(0.8)), robot, 3, loaded, declared=False)
+    log = without(log, *LEGS)
+    with found("own_channel"):
+        case = log_under_model(log, robot)
+        keys = [("accel_bias", "z"), ("payload", "all"), ("gyro_bias", "x")]
+        data = linearise([case], (), keys)
+        column = data.layout.names.index("support")
+        assert data.layout.columns[column].unit == "N"
+        # Regressors by the chain rule know nothing of it, yet it answers to readings and the robot.
+        (by_bias,), (by_payload,), by_gyro = (
+            [np.mean(one.values[:, k]) for k in np.flatnonzero(one.columns == column)]
+            for one in data.X
+        )
+        assert by_bias == pytest.approx(-robot.mass, rel=0.02)
+        assert by_payload == pytest.approx(9.81, rel=0.02)
+        assert by_gyro == []
+        figure = over_floor(trace([log], robot, tmp_path / "out").channels)
+    titles = [one.get_text() for ax in figure.axes for one in ax.get_yticklabels()]
+    assert "force of all feet" in titles
 
-    found = json.loads((tmp_path / "out" / "trace.json").read_text())
-    level = found["channels"]["support_force"]
+    seen = json.loads((tmp_path / "out" / "trace.json").read_text())
+    level = seen["channels"]["support_force"]
     assert level["unit"] == "N"
     # 6 kg that the model lacks, beside what walks of the model leave, which have the channel too.
     assert level["before"] == pytest.approx(np.hypot(6.0 * 9.81, level["noise_floor"]), rel=0.1)
-    assert found["verdict"] == "none_of_these"
-    assert any(form["channel"] == "support_force" for form in found["remainder"])
+    assert seen["verdict"] == "none_of_these"
+    assert any(form["channel"] == "support_force" for form in seen["remainder"])
 
 
 def test_without_the_package_there_are_the_bundled_channels_alone():
@@ -107,3 +89,53 @@ def test_what_is_no_channel_is_refused_in_a_line(tmp_path, monkeypatch):
         assert note.startswith("plugin mine = own_thing:Mine (surefoot.channels): ")
     finally:
         plugins.cache_clear()
+
+
+class GyroByTemperature(Effect):
+    """A gyro whose bias goes with the temperature."""
+
+    name = "gyro_by_temperature"
+    unit = "rad/s/K"
+    bounds = (-1.0, 1.0)
+    targets = ("x",)
+    traced = Traced(channels=("imu_gyro",), step=1e-3, needs=("imu", "x_temperature"))
+
+    def compensate(self, log, robot):
+        gyro = log.frame["gyro_x"] - self.value * log.frame["x_temperature"]
+        return replace(log, frame=log.frame.assign(gyro_x=gyro)), robot
+
+
+def test_a_channel_that_there_is_not_is_noted(catalogue):
+    assert not _misnamed_channels()
+
+    @add
+    class Misspelt(GyroByTemperature):
+        name = "misspelt"
+        traced = replace(GyroByTemperature.traced, channels=("imu_gyr",))
+
+    (note,) = _misnamed_channels()
+    assert "misspelt" in note
+    assert "did you mean 'imu_gyro'" in note
+
+
+def test_it_is_read_and_its_effect_a_candidate_where_the_log_has_it(catalogue):
+    plain, robot = synthetic_walk(0, 6.0), Robot.load("spot_class")
+    log = replace(plain, frame=plain.frame.assign(x_temperature=np.linspace(20.0, 30.0, 3000)))
+    assert "x_temperature" not in readings(log).frame
+    add(GyroByTemperature)
+    assert "x_temperature" in readings(log).frame
+    key = ("gyro_by_temperature", "x")
+    assert key in all_keys(log_under_model(readings(log), robot))
+    assert key not in all_keys(log_under_model(readings(plain), robot))
+
+
+def test_a_column_is_a_group_of_a_log_by_itself():
+    log = synthetic_walk(0, 1.0)
+    assert not log.has("x_temperature")
+    with pytest.raises(LogError, match=r"lacks x_temperature"):
+        log.require("x_temperature")
+
+
+def test_events_alone_stay_where_a_body_changes():
+    of_events = {name for name, one in channels().items() if one.of_events}
+    assert of_events == {"stance_displacement", "contact_timing"}

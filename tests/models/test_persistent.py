@@ -138,17 +138,6 @@ def test_a_sequence_shorter_than_a_block_has_only_its_mean_taken_off():
     assert one == pytest.approx(errors - 0.5 * errors.mean(axis=0))  # a prior as large as its noise
 
 
-def test_correlated_axes_are_seen():
-    rng = np.random.default_rng(5)
-    A = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
-    parts = [errors(rng, 20.0, np.inf, 0 * STD) + 0.1 * A @ rng.normal(size=3) for _ in range(60)]
-    found = estimate_bias_model(parts, DT, 0.8).covariance
-    std = np.sqrt(np.diag(found))
-    correlation = found / np.outer(std, std)
-    assert correlation[0, 1] == pytest.approx(0.8, abs=0.15)
-    assert abs(correlation[0, 2]) < 0.4
-
-
 def test_one_sequence_says_little_of_a_part_that_never_changes():
     found = estimate_bias_model(errors(np.random.default_rng(6), 60.0, np.inf), DT, 0.8)
     assert found.nu < 20

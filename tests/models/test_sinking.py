@@ -1,8 +1,6 @@
 """Feet on ground that gives: a model that knows of it is told where they are."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,7 +10,6 @@ from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.residuals.binning import binned, reference_motion
-from surefoot.models.residuals.feet import HALFWAY
 from surefoot.models.residuals.jacobians import Regressor, ResidualJacobians, explained_share
 from surefoot.models.residuals.layout import layout_for, residual
 from surefoot.models.residuals.soft_ground import (
@@ -23,16 +20,14 @@ from surefoot.models.residuals.soft_ground import (
     foot_loads,
     foot_stances,
 )
-from surefoot.models.residuals.torques import DynamicsInputs, InverseDynamics, unbalanced_wrench
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import SOLIMP
-from surefoot.sim.log import JOINTS, LEGS, Log
+from surefoot.sim.log import LEGS, Log
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inverse_dynamics import Dynamics
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import stances_between_swings
 from surefoot.sim.walk import walk
@@ -167,29 +162,6 @@ def test_a_share_explained_does_not_depend_on_the_columns_units():
     assert explained_share(alone, 1000.0 * table) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_feet_give_the_base_what_their_legs_do_not_take():
-    """Of forces f at their centres, J^T f = inverse dynamics - measured torque."""
-    robot, rng = Robot.load("spot_class"), np.random.default_rng(10)
-    q = np.tile(robot.q_home, (5, 1)) + 0.1 * rng.normal(size=(5, 12))
-    force, wrench = rng.normal(size=(5, 4, 3)), rng.normal(size=(5, 6))
-    needed = InverseDynamics(wrench, rng.normal(size=(5, 12)))
-    J = robot.feet_jacobian_I(q)  # I lies as B does
-    taken = np.zeros((5, 12))
-    for leg, joints in enumerate(robot.legs.joints):
-        taken[:, joints] = np.einsum("nij,ni->nj", J[:, leg], force[:, leg])
-    every, up = np.ones((5, 4), dtype=bool), np.tile([0.0, 0.0, 1.0], (5, 1))
-    bins: Any = SimpleNamespace(
-        q_step=q,
-        tau=needed.torque - taken,
-        standing=every,
-        depth=np.tile(robot.foot_radius, (5, 1)),
-    )
-    bins.depth /= HALFWAY
-    steps = DynamicsInputs(bins, up, every, every[:, 0])
-    found = unbalanced_wrench(steps, needed, robot) + wrench
-    assert_allclose(found[:, :3], force.sum(axis=1), atol=1e-9)
-
-
 def test_what_the_rates_alone_do_is_what_mujoco_says(on_soft_ground):
     robot, log = on_soft_ground
     frame = log_under_model(log, robot).motion
@@ -224,28 +196,6 @@ def test_a_foots_load_is_read_from_its_legs_torques(on_soft_ground):
     assert abs(np.mean((of_torques - true)[inside])) < 0.01 * weight
     assert_allclose(shared.sum(axis=1)[log.contact.any(axis=1)], weight, rtol=1e-2)
     assert abs(np.mean((shared - true)[inside])) < 0.05 * weight
-
-
-def test_legs_that_weigh_nothing_carry_what_their_torques_say(monkeypatch):
-    """As they swing on: a torque is of the middle of the step before its row, angles are of the
-    row."""
-    robot, log = Robot.load("spot_class"), synthetic_walk(0, 1.0, robot="spot_class")
-    load = np.random.default_rng(9).uniform(100.0, 300.0, (len(log.t), 4))
-    load[100:200, 1] = 0.0
-    middle = log.q.copy()
-    middle[1:] = 0.5 * (log.q[1:] + log.q[:-1])
-    up = robot.feet_jacobian_I(middle)[:, :, 2]  # I lies as B does, and upright
-    columns = {f"contact_{leg}": (load[:, i] > 0.0).astype(float) for i, leg in enumerate(LEGS)}
-    for leg, joints in enumerate(robot.legs.joints):
-        for joint, along in zip(joints, up[:, leg].T, strict=True):
-            columns[f"tau_{JOINTS[joint]}"] = -load[:, leg] * along
-    log = with_columns(log, columns)
-    motion = reference_motion(log, robot.limbs)
-    bins = binned(log, robot, motion)
-    weightless = np.zeros((len(bins.t), 6)), np.zeros_like(bins.tau)
-    monkeypatch.setattr(Dynamics, "inverse", lambda *_: weightless)
-    found = foot_loads(log, robot, motion, bins)
-    assert_allclose(found, load, atol=1e-9)
 
 
 @pytest.mark.parametrize("torques", [True, False])

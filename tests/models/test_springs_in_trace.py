@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from surefoot.models.attribution.evidence import linearise, log_under_model, table_of
+from surefoot.models.attribution.evidence import (
+    linearise,
+    log_under_model,
+    table_of,
+    with_compensated,
+)
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -15,9 +20,17 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
+
+
 LAYOUT = layout_for(ROBOT.limbs)
+
+
 OF_MOTORS = ("joint_rate", "command")
+
+
 OF_LINKS = ("joint_torque", "base_wrench", *OF_MOTORS)
+
+
 SPRINGS = [
     (("foot_elasticity", "normal", 3e-5), OF_LINKS),
     (("foot_elasticity", "tangential", 3e-5), OF_LINKS),
@@ -69,3 +82,22 @@ def test_another_effect_has_the_same_regressor_beside_elastic_feet_where_they_do
     columns = LAYOUT.of(channel)
     one, other = (x.values[:, np.isin(x.columns, columns)] for x in (plain, beside))
     assert np.nanstd(one - other) < 0.1 * np.nanstd(one)
+
+
+SPRING = effect("leg_compliance", "all", 1e-3)
+
+
+ZERO = effect("encoder_offset", "FL_thigh", 0.02)
+
+
+@pytest.mark.parametrize("more", [(), (ZERO,)])
+def test_what_is_declared_leaves_what_a_search_would(log, more):
+    robot = Robot.load("spot_class")
+    plain = log_under_model(log, robot)
+    declared = log_under_model(log, robot, [SPRING])
+    if more:
+        declared = with_compensated(declared, more)
+    searched, known = table_of(plain, [SPRING, *more]), table_of(declared, ())
+    unseen = layout_for(robot.limbs).of(*SPRING.traced.unseen_by)
+    assert np.isfinite(searched[:, unseen]).any()
+    np.testing.assert_allclose(known[:, unseen], searched[:, unseen], atol=1e-9)

@@ -9,7 +9,12 @@ from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.weights import correlated_entries
 from surefoot.models.residuals.binning import BIN, at_rows, reference_motion
-from surefoot.models.residuals.feet import FEWEST_STANCE_BINS, stance_displacement, stance_means
+from surefoot.models.residuals.feet import (
+    FEWEST_STANCE_BINS,
+    stance_displacement,
+    stance_means,
+    unevenness,
+)
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances
 
@@ -91,3 +96,30 @@ def test_entries_that_resemble_their_neighbours_are_worth_fewer(share, worth):
     for k in range(1, len(z)):
         z[k] = share * z[k - 1] + np.sqrt(1 - share**2) * z[k]
     assert_allclose(correlated_entries(QUADRUPED, z), worth, rtol=0.2)
+
+
+def footholds(seed, rough):
+    rng = np.random.default_rng(seed)
+    leg = np.tile(np.arange(4), 100)
+    xy = np.column_stack(
+        [np.repeat(0.05 * np.arange(100), 4), 0.2 * (leg % 2) + 0.02 * rng.normal(size=400)]
+    )
+    z = 0.2 * xy[:, 0] - 0.1 * xy[:, 1] + rough * rng.normal(size=400)
+    return np.column_stack([xy, z]), leg
+
+
+@pytest.mark.parametrize("rough", [0.002, 0.01])
+def test_the_deviation_is_found_on_a_slope(rough):
+    holds, leg = footholds(0, rough)
+    assert unevenness(holds, leg) == pytest.approx(rough, rel=0.15)
+
+
+def test_constants_of_legs_and_a_step_are_no_rough_ground():
+    holds, leg = footholds(1, 0.0)
+    holds[:, 2] += 0.01 * (leg == 2) + 0.1 * (holds[:, 0] > 2.5)
+    assert unevenness(holds, leg) < 0.002
+
+
+def test_too_few_footholds_show_nothing():
+    holds, leg = footholds(2, 0.01)
+    assert unevenness(holds[:3], leg[:3]) == 0.0

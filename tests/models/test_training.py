@@ -11,7 +11,7 @@ from synthetic import Body, synthetic_walk, without
 from surefoot.models.observer.data import SHORTEST, validation_rows
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.odometry import move_velocity
-from surefoot.models.observer.predict import Loop, predict, prediction_errors
+from surefoot.models.observer.predict import predict, prediction_errors
 from surefoot.models.observer.samples import body_velocity, decimate, observer_samples
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
@@ -42,13 +42,6 @@ def test_the_same_seed_gives_the_same_observer(walks):
     )
     assert first.hash == again.hash
     assert first.hash != other.hash
-
-
-def test_progress_is_told(walks):
-    told = []
-    train(walks["fit"], Body(), replace(TINY, inputs="q"), progress=lambda *step: told.append(step))
-    assert [step[:2] for step in told] == [(3, 6), (6, 6)]
-    assert all(np.all(rmse > 0) for _, _, rmse in told)
 
 
 @pytest.mark.parametrize("loss", ["mse", "gml"])
@@ -101,21 +94,6 @@ def test_held_out_walks_are_scored_and_not_trained_on(walks):
     for name, weight in ours.weights.items():
         assert np.array_equal(weight, theirs.weights[name])
     assert [one.name for one in ours.logs] == [fit.name, held.name]
-
-
-@pytest.mark.parametrize("loss", ["mse", "gml"])
-def test_the_loop_is_the_whole_log(loss, mse_observer, gml_observer, walks):
-    observer = mse_observer if loss == "mse" else gml_observer
-    log = walks["test"]
-    seen = observer_samples(log, observer.inputs)
-    whole = predict(observer, log, Body())
-    loop = Loop(observer)
-    for m in range(100):
-        v_I, covariance = loop.step(seen.x[m])
-        assert v_I == pytest.approx(whole.v_I[m], abs=1e-5)
-        assert (covariance is None) == (whole.covariance is None)
-        if covariance is not None and whole.covariance is not None:
-            assert covariance == pytest.approx(whole.covariance[m], rel=1e-3, abs=1e-8)
 
 
 def test_filtering_the_last_samples_is_filtering_the_log(walks):

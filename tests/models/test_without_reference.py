@@ -1,9 +1,10 @@
-"""A walk without a reference: what feet and joints say of each other, and nothing else."""
+"""Logs without a reference, and references whose samples are fewer than rows."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from surefoot.models.attribution.data import _not_identifiable
 from surefoot.models.attribution.diagnose import diagnose
@@ -13,6 +14,12 @@ from surefoot.models.attribution.evidence import (
     channels_of,
     log_under_model,
     table_of,
+)
+from surefoot.models.attribution.sensor_noise import (
+    ReferenceSampling,
+    reference_notes,
+    reference_sampling,
+    resample_reference,
 )
 from surefoot.models.residuals.feet import between_feet
 from surefoot.models.residuals.layout import layout_for
@@ -26,8 +33,14 @@ from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import body_twists
 
 SPOT = Robot.load("spot_class")
+
+
 SHORT = Scenario("short", (Segment(4.0, 0.5, 0.1, 0.3),), Ground(0.8))
+
+
 TURNS = ((0.5, 0.0, 0.2), (0.6, 0.0, 0.5), (0.3, 0.1, -0.5), (0.6, 0.0, 0.0))
+
+
 LONG = Scenario("long", tuple(Segment(4.0, *twist) for twist in TURNS), Ground(0.8))
 
 
@@ -39,13 +52,13 @@ def without_reference(log, *groups):
 
 
 @pytest.fixture(scope="module")
-def log():
+def short():
     return walk(SHORT, SPOT, 7)
 
 
 @pytest.fixture(scope="module")
-def case(log):
-    return log_under_model(without_reference(log), SPOT)
+def case(short):
+    return log_under_model(without_reference(short), SPOT)
 
 
 def test_feet_against_each_other_know_nothing_of_the_body_and_count_once():
@@ -64,14 +77,14 @@ def test_feet_against_each_other_know_nothing_of_the_body_and_count_once():
     np.testing.assert_allclose(white, np.eye(2), atol=0.03)
 
 
-def test_legs_and_imu_reckon_the_course_of_a_walk(log):
+def test_legs_and_imu_reckon_the_course_of_a_walk(short):
     # Feet creep and roll: a floor's course needs no more.
-    reckoned = with_dead_reckoning(without_reference(log), SPOT.feet)
+    reckoned = with_dead_reckoning(without_reference(short), SPOT.feet)
     assert reckoned is not None
-    np.testing.assert_allclose(body_twists(reckoned), body_twists(log), atol=0.05)
+    np.testing.assert_allclose(body_twists(reckoned), body_twists(short), atol=0.05)
 
 
-def test_channels_that_need_a_reference_are_left_out(case, log):
+def test_channels_that_need_a_reference_are_left_out(case, short):
     there = {"leg_velocity", "stance_velocity", "joint_torque", "joint_rate"}
     assert not case.fixed
     assert set(channels_of(case)) - {"command"} == there
@@ -82,7 +95,7 @@ def test_channels_that_need_a_reference_are_left_out(case, log):
     assert {"encoder_offset", "link_length", "gyro_bias", "backlash"} & names
     assert not names & {"imu_position", "accel_bias", "payload", "reference_delay", "contact_delay"}
     # Without an IMU legs say nothing of each other either.
-    bare = log_under_model(without_reference(log, "gyro_", "accel_"), SPOT)
+    bare = log_under_model(without_reference(short, "gyro_", "accel_"), SPOT)
     assert set(channels_of(bare)) - {"command"} == {"joint_rate"}
     columns = layout.of("joint_torque", "leg_velocity")
     assert not np.isfinite(table_of(bare, ())[:, columns]).any()
@@ -138,3 +151,54 @@ def test_what_two_standing_feet_contradict_is_named_and_nothing_else_is():
     blind = effect("accel_bias", "x", 0.5)
     seen = without_reference(walk(LONG, SPOT, 7, (blind,), declared=False))
     assert diagnose([seen], SPOT).verdict != "attributed"
+
+
+def test_a_reference_with_a_sample_a_row_is_not_coarse(log):
+    assert reference_sampling(log) is None
+
+
+def test_samples_and_their_noise_are_found_again(log):
+    rng = np.random.default_rng(0)
+    intervals = tuple(rng.choice([0.0083, 0.0167, 0.025], 1000))
+    true = ReferenceSampling(intervals, 0.8e-3, 1.5e-3, 2e-3)
+    found = reference_sampling(resample_reference(log, true, rng))
+    assert found is not None
+    seen = np.sum(np.cumsum(intervals) < log.t[-1] - log.t[0])
+    assert len(found.intervals) == pytest.approx(seen, rel=0.01)
+    assert_allclose(np.median(found.intervals), np.median(intervals), atol=1e-6)
+    assert found.stamp == pytest.approx(true.stamp, rel=0.25)
+    assert found.angle == pytest.approx(true.angle, rel=0.25)
+    assert found.position == pytest.approx(true.position, rel=0.25)
+
+
+def test_without_an_imu_only_the_samples_are_known(log):
+    rng = np.random.default_rng(1)
+    resampled = resample_reference(log, ReferenceSampling((0.02,) * 50, 1e-3, 1e-3), rng)
+    names = [n for n in resampled.frame if str(n).startswith(("gyro_", "accel_"))]
+    bare = type(resampled)(resampled.frame.drop(columns=names), resampled.meta, resampled.name)
+    found = reference_sampling(bare)
+    assert found is not None
+    assert (found.position, found.angle) == (0.0, 0.0)
+
+
+def test_a_reference_without_error_keeps_the_motion(log):
+    seen = resample_reference(log, ReferenceSampling((0.01,), 0.0, 0.0), np.random.default_rng(2))
+    assert_allclose(seen.ref_p, log.ref_p, atol=5e-4)
+    assert_allclose(seen.ref_R_GI, log.ref_R_GI, atol=4e-3)
+
+
+def test_a_reference_with_a_noisy_sample_a_row_is_seen_by_the_floor(log):
+    """As motion capture logged with an IMU is; a simulated one, with velocities, is not."""
+    slow = log.rows(slice(None, None, 5))
+    noisy = resample_reference(
+        slow, ReferenceSampling((), 0.6e-3, 1e-3, 1e-3), np.random.default_rng(3)
+    )
+    names = [n for n in noisy.frame if str(n).startswith("ref_v")]
+    measured = type(noisy)(noisy.frame.drop(columns=names), noisy.meta, noisy.name)
+    found = reference_sampling(measured)
+    assert found is not None
+    assert found.intervals == ()
+    assert found.position == pytest.approx(0.6e-3, rel=0.35)
+    assert reference_sampling(noisy) is None
+    assert any("included in the noise floor" in note for note in reference_notes(measured))
+    assert reference_notes(noisy) == ()

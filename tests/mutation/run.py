@@ -27,9 +27,9 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 sys.path[:0] = [str(HERE), str(HERE.parent / "common")]
+import pandas as pd  # noqa: E402
 import tyro  # noqa: E402
-from mutate import Mutant  # noqa: E402
-from plan import PLAN, drawn, read_plan  # noqa: E402
+from mutate import PLAN, Mutant, drawn, read_plan  # noqa: E402
 from scipy.stats import binomtest  # noqa: E402
 from trial import Outcome, Workplace, dotted  # noqa: E402
 
@@ -111,17 +111,14 @@ def run_mutants(
     todo = [
         (kept_row(data, mutant) is None, number, mutant)
         for number, mutant in enumerate(every, 1)
-        if fnmatch(mutant.file, only) and _to_try(rows[mutant.key], survivors)
+        if fnmatch(mutant.file, only)
+        and ((row := rows[mutant.key]) is None or (survivors and row["outcome"] not in KILLED))
     ]
     for _, number, mutant in sorted(todo, key=lambda one: one[:2])[:at_most]:
         row = write_row(data, mutant, place, place.try_mutant(mutant))
         rows[mutant.key] = row
         print(f"{number}/{len(every)} {shown(row)}", flush=True)
     return [row for row in rows.values() if row is not None]
-
-
-def _to_try(row: Mapping[str, Any] | None, survivors: bool) -> bool:
-    return row is None or (survivors and row["outcome"] not in KILLED)
 
 
 def first_outcomes(place: Workplace, data: Path) -> list[str]:
@@ -166,24 +163,21 @@ def write_row(folder: Path, mutant: Mutant, place: Workplace, outcome: Outcome) 
 
 def read_row(folder: Path, mutant: Mutant, place: Workplace) -> dict[str, Any] | None:
     """The row of a mutant, None where it is not finished or has lapsed."""
-    values = _values(folder, mutant)
-    if values is None or values["digest"] != _digest(mutant, place, values["row"]):
-        return None
-    return values["row"]
+    row, digest = _kept(folder, mutant)
+    return row if row is not None and digest == _digest(mutant, place, row) else None
 
 
 def kept_row(folder: Path, mutant: Mutant) -> dict[str, Any] | None:
     """The row of a mutant, lapsed or not; None where it was never tried."""
-    values = _values(folder, mutant)
-    return values and values["row"]
+    return _kept(folder, mutant)[0]
 
 
-def _values(folder: Path, mutant: Mutant) -> dict[str, Any] | None:
+def _kept(folder: Path, mutant: Mutant) -> tuple[dict[str, Any] | None, str]:
     try:
         values = json.loads((folder / f"{mutant.key}.json").read_text(encoding="utf-8"))
-        return values if {"digest", "row"} <= values.keys() else None
-    except (OSError, ValueError, AttributeError):
-        return None
+        return values["row"], values["digest"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None, ""
 
 
 def _digest(mutant: Mutant, place: Workplace, row: Mapping[str, Any]) -> str:
@@ -191,7 +185,7 @@ def _digest(mutant: Mutant, place: Workplace, row: Mapping[str, Any]) -> str:
     if row["outcome"] in KILLED:
         tests: Iterable[Path] = (place.root / file for file in row["files"])
     else:
-        tests = place.nearest_tests(dotted(mutant.file))[: place.plan.nearest]
+        tests = place.nearest_tests(dotted(mutant.file))
     digest = hashlib.sha256(_code((place.root / mutant.file).read_bytes()))
     for path in tests:
         digest.update(
@@ -205,19 +199,14 @@ def _code(source: bytes) -> bytes:
     """The syntax tree of a source without its docstrings."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
-        for name in ("body", "orelse", "finalbody"):
-            block = getattr(node, name, None)
-            if isinstance(block, list):
-                setattr(node, name, [one for one in block if not _is_text(one)])
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [one for one in body if not _is_text(one)]  # type: ignore[attr-defined]
     return ast.dump(tree).encode()
 
 
 def _is_text(node: ast.stmt) -> bool:
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def write_mutants_page(
@@ -225,51 +214,47 @@ def write_mutants_page(
 ) -> str:
     """Write the page and return its first words; first as of `first_outcomes`."""
     reasons = read_typed(EQUIVALENT, dict[str, Reason], "equivalent mutants")
-    of = {kind: [r for r in rows if _kind(r, reasons) == kind] for kind in KINDS}
-    equivalent = of["equivalent"]
-    killed, survived, uncovered = (len(of[k]) for k in ("killed", "survived", "uncovered"))
-    seconds = sum(row["seconds"] for row in rows)
+    columns = ["key", "file", "line", "kind", "before", "after", "outcome", "tests", "seconds"]
+    table = pd.DataFrame(rows, columns=columns).sort_values(["file", "line"])
+    timeouts = (table["outcome"] == "timeout").sum()
+    table["folder"] = [str(Path(file).parent) for file in table["file"]]
+    table["fate"] = table["outcome"].replace("timeout", "killed")
+    table.loc[table["key"].isin(list(reasons)) & (table["fate"] != "killed"), "fate"] = KINDS[-1]
+    table["line"] = table["file"] + ":" + table["line"].astype(str)
+    table["why"] = [reasons[key].reason if key in reasons else "" for key in table["key"]]
+    of = {kind: table.loc[table["fate"] == kind] for kind in KINDS}
+    killed, survived, uncovered, equivalent = (len(one) for one in of.values())
+    seconds = table["seconds"].sum()
     words = (
         f"{killed} of the {killed + survived + uncovered} mutants that are not equivalent to the "
         f"code are killed ({_share(killed, survived + uncovered)} %).\n\n"
         f"{len(rows)} of the {drawn_in_all} mutants that were drawn are finished; "
-        f"{sum(row['outcome'] == 'timeout' for row in rows)} are killed by the time they took, "
-        f"{survived} survived, of {uncovered} no test that is quick enough calls the function, and "
-        f"{len(equivalent)} are equivalent. {_first_words(first)} A mutant takes "
-        f"{seconds / max(len(rows), 1):.1f} s of the processor, all take {seconds / 60:.0f} min."
+        f"{timeouts} are killed by the time they took, {survived} survived, of {uncovered} no test "
+        f"that imports the module is quick enough, and {equivalent} are equivalent. "
+        f"{_first_words(first)} A mutant takes {seconds / max(len(rows), 1):.1f} s of the "
+        f"processor, all take {seconds / 60:.0f} min."
     )
     how = (
         "A mutant is one change of a line: a sign, a constant by a tenth or by one, a comparison, "
         "two swapped arguments, a statement left out. `tests/mutation/plan.toml` says which files "
-        "and holds the seed. The tests that call the changed function are run, of the files of "
-        "tests that import the module and least else, until one fails."
+        "and holds the seed. The quickest tests of the files that import the module and least else "
+        "are run, until one fails."
     )
+    change = ["key", "line", "before", "after"]
     sections = [
-        Section("Findings", words, _counts(rows, reasons, "folder")),
+        Section("Findings", words, _counts(table, "folder")),
         Section("Method", how),
-        Section("By kind of change", "", _counts(rows, reasons, "kind"), file="kinds"),
-        Section("By file", "", _counts(rows, reasons, "file"), file="files"),
-        Section(
-            "Survivors",
-            "What no test notices.",
-            [{**_change(row), "tests": row["tests"]} for row in _by_place(of["survived"])] or None,
-            file="survivors",
-        ),
-        Section(
-            "Without a test",
-            "Functions that no test calls within its time.",
-            [_change(row) for row in _by_place(of["uncovered"])] or None,
-            file="without_a_test",
-        ),
-        Section(
-            "Equivalent",
-            "Changes that no test can notice, and why.",
-            [{**_change(row), "why": reasons[row["key"]].reason} for row in equivalent] or None,
-            file="equivalent",
-        ),
+        Section("By kind of change", "", _counts(table, "kind"), file="kinds"),
+        Section("By file", "", _counts(table, "file"), file="files"),
     ]
-    origin = origin_of("surefoot.scenarios.cli.main", "make mutants")
-    write_page(page, "Mutants", sections, origin)
+    for title, text, kind, shown_columns in (
+        ("Survivors", "What no test notices.", "survived", [*change, "tests"]),
+        ("Without a test", "Changes that no quick test is near.", "uncovered", change),
+        ("Equivalent", "Changes that no test can notice, and why.", "equivalent", [*change, "why"]),
+    ):
+        found = of[kind].loc[:, shown_columns].to_dict(orient="records")
+        sections.append(Section(title, text, found or None, file=title.lower().replace(" ", "_")))
+    write_page(page, "Mutants", sections, origin_of("surefoot.scenarios.cli.main", "make mutants"))
     return words
 
 
@@ -286,38 +271,15 @@ def _first_words(first: list[str]) -> str:
     )
 
 
-def _kind(row: Mapping[str, Any], reasons: Mapping[str, Reason]) -> str:
-    if row["outcome"] in KILLED:
-        return "killed"
-    return "equivalent" if row["key"] in reasons else row["outcome"]
-
-
-def _by_place(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return sorted(rows, key=lambda row: (row["file"], row["line"]))
-
-
-def _change(row: Mapping[str, Any]) -> dict[str, Any]:
-    place = f"{row['file']}:{row['line']}"
-    return {"key": row["key"], "line": place, "before": row["before"], "after": row["after"]}
-
-
-def _counts(
-    rows: list[dict[str, Any]], reasons: Mapping[str, Reason], by: str
-) -> list[dict[str, Any]]:
+def _counts(table: pd.DataFrame, by: str) -> list[dict[str, Any]]:
     """A row for each file, kind or folder."""
-    counts: dict[str, Counter[str]] = {}
-    for row in rows:
-        name = str(Path(row["file"]).parent) if by == "folder" else row[by]
-        counts.setdefault(name, Counter())[_kind(row, reasons)] += 1
-    return [
-        {
-            by: name,
-            "mutants": one.total(),
-            **{kind: one[kind] for kind in KINDS},
-            "killed [%]": _share(one["killed"], one["survived"] + one["uncovered"]),
-        }
-        for name, one in sorted(counts.items())
-    ]
+    rows = []
+    for name, fates in table.groupby(by)["fate"]:
+        found = Counter(fates)
+        counts = {kind: found[kind] for kind in KINDS}
+        share = _share(counts["killed"], counts["survived"] + counts["uncovered"])
+        rows.append({by: name, "mutants": len(fates), **counts, "killed [%]": share})
+    return rows
 
 
 def _share(killed: int, survived: int) -> str:

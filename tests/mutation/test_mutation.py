@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mutate import mutants_of
-from plan import PLAN, drawn, quotas, read_plan
+from mutate import PLAN, drawn, mutants_of, quotas, read_plan
 from run import first_outcomes, read_row, run_mutants
-from trial import Covering, Outcome, Workplace
+from trial import Outcome, Workplace
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = '''"""Sums."""
@@ -146,53 +145,6 @@ def test_lapsed_rows_come_first_and_keep_what_was_found_at_first(place, tmp_path
     rows = run_mutants(place, tmp_path, at_most=2)
     assert [row["key"] for row in rows] == [mutant.key for mutant in every[:3]]
     assert first_outcomes(place, tmp_path) == ["survived", "killed", "killed"]
-
-
-def test_the_quickest_tests_are_chosen_whatever_file_they_lie_in(place):
-    """A slow test of the nearest file leaves none of the budget to a quick one elsewhere."""
-    mutant = _mutant("LEAST = 0.5", "LEAST = 0.55")
-    slow, quick = ROOT / "slow.py", ROOT / "quick.py"
-    known = {slow: [covering("slow", 14.0), covering("middle", 3.0)], quick: [covering("q", 0.1)]}
-
-    class Known(Workplace):
-        def nearest_tests(self, module):
-            return [slow, quick]
-
-        def covering(self, path, interpreted):
-            return known[path]
-
-    chosen = dict(Known(place.root, place.folder, place.plan)._chosen(mutant, False))
-    assert [test.id for test in chosen[slow]] == ["middle"]
-    assert [test.id for test in chosen[quick]] == ["q"]
-
-
-def test_tests_that_name_a_neighbour_of_the_module_come_before_those_of_commands(
-    tmp_path, monkeypatch
-):
-    texts = {
-        "sim/inner.py": "",
-        "sim/outer.py": "from surefoot.sim.inner import VALUE\n",
-        "sim/inner_other.py": "",
-        "tests/own.py": "from surefoot.sim import inner\n",
-        "tests/near.py": "from surefoot.sim.outer import run\n",
-        "tests/command.py": "from surefoot.main import main\n",
-        "tests/other.py": "from surefoot.sim.inner_other import run\n",
-    }
-    for name, text in texts.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    sources = {"own": 9, "near": 8, "command": 2}
-    imports = {
-        tmp_path / f"tests/{name}.py": frozenset({"surefoot.sim.inner", *map(str, range(count))})
-        for name, count in sources.items()
-    } | {tmp_path / "tests/other.py": frozenset()}
-    monkeypatch.setattr("trial._imports_of_tests", lambda *_: imports)
-    nearest = Workplace(tmp_path, tmp_path, read_plan(PLAN)).nearest_tests("surefoot.sim.inner")
-    assert [path.stem for path in nearest] == ["own", "near", "command"]
-
-
-def covering(name: str, seconds: float) -> Covering:
-    return Covering(name, seconds, frozenset({"estimator/tiny.py:same"}))
 
 
 def test_the_draw_is_that_of_its_seed_and_has_every_file_by_its_share():

@@ -1,18 +1,17 @@
-"""One mutant against the tests that cover it, in a forked child of this process.
+"""One mutant against the nearest tests, in a forked child of this process.
 
 The package is copied into a folder of the cache, which the children import it from: the working
 tree is never touched, the commands that tests start see the mutant as well, and products of long
 runs are kept under the digest of what made them. The copy is made good again at every start.
 
-Which functions a test calls is recorded once a test file and kept; a change of the file or of the
-code that it imports makes it again. Kernels are interpreted where the mutant is in one; elsewhere
+How long each test takes is measured once a test file and kept; a change of the file or of the code
+that it imports measures it again. Kernels are interpreted where the mutant is in one; elsewhere
 their machine code is that of before.
 """
 
 import compileall
 import contextlib
 import ctypes
-import inspect
 import json
 import os
 import re
@@ -21,39 +20,28 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
-from mutate import MODULE, Mutant
-from numba.core import config, event
-from plan import Plan
+from mutate import MODULE, Mutant, Plan
+from numba.core import config
 
 from surefoot.sim.common.files import kept_file
 from surefoot.sim.common.sources import imported_sources, sources_digest
 
 ROOMS = ("sim", "estimator", "models", "scenarios")
-KERNELS = "surefoot.sim.common.kernels"
 LEFT_OUT = "not slow and not long and not pictures"
 
 
 @dataclass(frozen=True)
-class Covering:
-    """A test: its id, its seconds of the processor, and the functions that it calls, as
-    "file:qualified name"."""
-
-    id: str
-    seconds: float
-    functions: frozenset[str]
-
-
-@dataclass(frozen=True)
 class Outcome:
-    """How the tests of a mutant ended: survived, killed, timeout (of which killed) or uncovered.
+    """How the tests of a mutant ended: survived, killed, timeout (of which killed) or uncovered,
+    where no test is quick enough.
 
     by is the test that failed, files those whose tests ran, seconds of the processor.
     """
@@ -67,12 +55,11 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Workplace:
-    """A checkout, its copy of the package, and what is known of its tests."""
+    """A checkout and its copy of the package."""
 
     root: Path
     folder: Path
     plan: Plan
-    known: dict[tuple[str, bool], list[Covering]] = field(default_factory=dict)
 
     @property
     def overlay(self) -> Path:
@@ -80,14 +67,15 @@ class Workplace:
 
     def refresh(self) -> None:
         """Make the copy the same as the checkout, stamps too, for machine code is kept by them."""
-        wanted: dict[Path, Path] = {}
-        for room in ROOMS:
-            for path in (self.root / room).rglob("*"):
-                if path.is_file() and "__pycache__" not in path.parts:
-                    wanted[self.overlay / "surefoot" / path.relative_to(self.root)] = path
+        sources = [path for room in ROOMS for path in (self.root / room).rglob("*")]
+        wanted = {
+            self.overlay / "surefoot" / path.relative_to(self.root): path
+            for path in sources
+            if path.is_file() and "__pycache__" not in path.parts
+        }
         for path in (self.root / "surefoot").glob("*.py"):
             wanted[self.overlay / "surefoot" / path.name] = path
-        for path in list((self.overlay).rglob("*")):
+        for path in list(self.overlay.rglob("*")):
             if path.is_file() and "__pycache__" not in path.parts and path not in wanted:
                 path.unlink()
         for to, path in wanted.items():
@@ -108,112 +96,67 @@ class Workplace:
             shutil.copy2(source, path)
 
     def nearest_tests(self, module: str) -> list[Path]:
-        """Test files that import a module in turn: first those that name it, then those that name
-        a module that does, and of these first those that import little else."""
-        beside = [name for name, path in _modules(self.root).items() if _names(path, module)]
-        found = []
-        for path, sources in _imports_of_tests(self.root, tuple(self.plan.tests)).items():
-            named = _names(path, module)
-            if named or module in sources:
-                near = any(_names(path, name) for name in beside)
-                found.append((0 if named else 1 if near else 2, len(sources), path))
-        return [path for *_, path in sorted(found)]
+        """The nearest test files that import a module in turn: first those that name it, and of
+        these and of the others first those that import little else."""
+        found = [
+            (not _names(path, module), len(sources), path)
+            for path, sources in _imports_of_tests(self.root, tuple(self.plan.tests)).items()
+            if module in sources or _names(path, module)
+        ]
+        return [path for *_, path in sorted(found)][: self.plan.nearest]
 
-    def covering(self, path: Path, interpreted: bool) -> list[Covering]:
-        """The tests of a file that pass in time, and what they call."""
-        name = path.relative_to(self.root).as_posix()
-        if (name, interpreted) not in self.known:
-            digest = sources_digest("surefoot.tests." + path.stem, str(path))[:24]
-            how = "interpreted" if interpreted else "compiled"
-            kept = self.folder / "calls" / f"{path.stem}_{how}_{digest}.json"
-            if not kept.is_file():
-                rows = self._record(name, interpreted)
-                with kept_file(kept) as temporary:
-                    temporary.write_text(json.dumps(rows), encoding="utf-8")
-            self.known[name, interpreted] = [
-                Covering(row["id"], row["seconds"], frozenset(row["functions"]))
-                for row in json.loads(kept.read_text(encoding="utf-8"))
-            ]
-        return self.known[name, interpreted]
-
-    def _record(self, name: str, interpreted: bool) -> list[dict[str, Any]]:
-        rows = self.folder / f"calls_{os.getpid()}.jsonl"
-        rows.unlink(missing_ok=True)
-        longest = self.plan.longest_test
-        recorder = _Recorder(self.overlay / "surefoot", rows, longest, stop=interpreted)
-        # Machine code that is not there yet is made in the first of the tests that need it.
-        limit = self.plan.longest_file if interpreted else 5 * self.plan.longest_file
-        self._forked(lambda: _pytest(self.root, [name], [recorder]), interpreted, limit)
-        text = rows.read_text(encoding="utf-8") if rows.is_file() else ""
-        rows.unlink(missing_ok=True)
-        return [json.loads(line) for line in text.splitlines()]
+    def times(self, path: Path, interpreted: bool) -> dict[str, float]:
+        """Seconds of the processor of each test of a file that passes in time, quickest first."""
+        digest = sources_digest("surefoot.tests." + path.stem, str(path))[:24]
+        how = "interpreted" if interpreted else "compiled"
+        kept = self.folder / "times" / f"{path.stem}_{how}_{digest}.json"
+        if not kept.is_file():
+            file = [path.relative_to(self.root).as_posix()]
+            if not interpreted:  # once more, so that machine code is there
+                self._run_tests(file, interpreted, 5 * self.plan.longest_file)
+            _, _, rows = self._run_tests(
+                file, interpreted, self.plan.longest_file, self.plan.longest_test
+            )
+            found = {row["id"]: row["seconds"] for row in rows if row["passed"]}
+            with kept_file(kept) as temporary:
+                temporary.write_text(json.dumps(found), encoding="utf-8")
+        times = json.loads(kept.read_text(encoding="utf-8"))
+        return dict(sorted(times.items(), key=lambda one: one[1]))
 
     def try_mutant(self, mutant: Mutant) -> Outcome:
-        """Run the tests that cover a mutant, those of the nearest files first, until one fails."""
-        interpreted = self._interpreted(mutant)
+        """Run the nearest files' tests, of each the quickest within the budget, until one fails."""
+        interpreted = _interpreted(mutant, self.root)
         tests, used, files = 0, 0.0, []
-        for path, chosen in self._chosen(mutant, interpreted):
+        for path in self.nearest_tests(dotted(mutant.file)):
+            chosen, needed = [], 0.0
+            for name, seconds in self.times(path, interpreted).items():
+                needed += seconds
+                if needed <= self.plan.budget:
+                    chosen.append(name)
+            if not chosen:
+                continue
             files.append(path.relative_to(self.root).as_posix())
-            tests += len(chosen)
-            limit = self.plan.patience * sum(test.seconds for test in chosen) + self.plan.grace
-            failed, seconds = self._run_tests(mutant, chosen, interpreted, limit)
-            used += seconds
-            if failed is not None:
-                outcome = "timeout" if failed == "timeout" else "killed"
-                by = files[-1] if failed == "timeout" else failed
+            limit = self.plan.patience * min(needed, self.plan.budget) + self.plan.grace
+            with self.mutated(mutant):
+                code, seconds, rows = self._run_tests([*chosen, "-x"], interpreted, limit)
+            tests, used = tests + len(chosen), used + seconds
+            if code:
+                timed_out = code in (-signal.SIGXCPU, -signal.SIGKILL)
+                failed = [row["id"] for row in rows if not row["passed"]]
+                # Without a failed test it fell at the import, or took the process with it.
+                by = failed[0] if failed and not timed_out else files[-1]
+                outcome = "timeout" if timed_out else "killed"
                 return Outcome(outcome, by, tests, (files[-1],), round(used, 2))
         outcome = "survived" if files else "uncovered"
         return Outcome(outcome, "", tests, tuple(files), round(used, 2))
 
-    def _chosen(self, mutant: Mutant, interpreted: bool) -> Iterator[tuple[Path, list[Covering]]]:
-        """Tests that cover a mutant by file: the quickest of all files, as far as the budget goes,
-        and one at least."""
-        nearest = self.nearest_tests(dotted(mutant.file))[: self.plan.nearest]
-        covering = [
-            (test.seconds, place, test)
-            for place, path in enumerate(nearest)
-            for test in self.covering(path, interpreted)
-            if _covers(test, mutant)
-        ]
-        chosen: dict[int, list[Covering]] = {}
-        left = self.plan.budget
-        for seconds, place, test in sorted(covering, key=lambda one: one[:2]):
-            if seconds > left and chosen:
-                break
-            chosen.setdefault(place, []).append(test)
-            left -= seconds
-        for place, tests in sorted(chosen.items()):
-            yield nearest[place], tests
-
     def _run_tests(
-        self, mutant: Mutant, tests: list[Covering], interpreted: bool, limit: float
-    ) -> tuple[str | None, float]:
-        """The first test that fails, None where none does, and the seconds used."""
-        said = self.folder / f"failed_{os.getpid()}"
-        said.unlink(missing_ok=True)
-        ids = [test.id for test in tests]
-        watcher = _Watcher(said)
-        with self.mutated(mutant):
-            code, seconds = self._forked(
-                lambda: _pytest(self.root, [*ids, "-x"], [watcher]), interpreted, limit
-            )
-        failed = said.read_text(encoding="utf-8") if said.is_file() else ""
-        said.unlink(missing_ok=True)
-        if code == 0:
-            return None, seconds
-        if code == -signal.SIGXCPU or code == -signal.SIGKILL:
-            return "timeout", seconds
-        # Without a failed test it fell at the import, or took the process with it.
-        return failed or ids[0].partition("::")[0], seconds
-
-    def _interpreted(self, mutant: Mutant) -> bool:
-        kernels = _kernel_sources(self.root)
-        module = dotted(mutant.file)
-        seen = mutant.scope == MODULE and any(module in one for one in kernels.values())
-        return module in kernels or seen
-
-    def _forked(self, run: Callable[[], int], interpreted: bool, limit: float) -> tuple[int, float]:
-        """Exit code and seconds of the processor of a forked child, which imports the copy."""
+        self, tests: list[str], interpreted: bool, limit: float, longest: float = 0.0
+    ) -> tuple[int, float, list[dict[str, Any]]]:
+        """Exit code, seconds of the processor, and a row for each test that ended, of a forked
+        child that imports the copy; a test is stopped after `longest` seconds, 0 for never."""
+        results = self.folder / f"results_{os.getpid()}.jsonl"
+        results.write_text("", encoding="utf-8")
         sys.stdout.flush()
         child = os.fork()
         if child == 0:
@@ -221,7 +164,9 @@ class Workplace:
             try:
                 os.setpgid(0, 0)
                 self._enter(interpreted, limit)
-                code = int(run())
+                fixed = ["-p", "no:cacheprovider", "-p", "no:xdist", f"--rootdir={self.root}"]
+                fixed += ["-q", "--tb=line", "-m", LEFT_OUT]
+                code = int(pytest.main([*tests, *fixed], [_Results(results, longest)]))
             except BaseException as error:
                 print(repr(error), file=sys.stderr)
             finally:
@@ -242,7 +187,10 @@ class Workplace:
             with contextlib.suppress(OSError):
                 os.killpg(child, signal.SIGKILL)  # what its tests left running
         assert used is not None
-        return os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
+        lines = results.read_text(encoding="utf-8").splitlines()
+        results.unlink()
+        seconds = used.ru_utime + used.ru_stime
+        return os.waitstatus_to_exitcode(status), seconds, [json.loads(line) for line in lines]
 
     def _enter(self, interpreted: bool, limit: float) -> None:
         """In a child: limits, and the copy of the package in the place of this process' own."""
@@ -250,7 +198,6 @@ class Workplace:
             ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: end with the parent
         seconds = int(limit) + 1
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 2))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         most = pages * resource.getpagesize() + self.plan.memory
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
@@ -267,8 +214,8 @@ class Workplace:
             "PYTHONPATH": str(self.overlay),
             "PYTHONDONTWRITEBYTECODE": "1",
             "SUREFOOT_CACHE": str(self.folder / "cache"),
+            "NUMBA_DISABLE_JIT": str(int(interpreted)),
         }
-        os.environ["NUMBA_DISABLE_JIT"] = str(int(interpreted))
         config.DISABLE_JIT = int(interpreted)
         # A loaded machine fails no test, and chance none.
         checks = {"deadline": None, "suppress_health_check": list(HealthCheck)}
@@ -281,121 +228,54 @@ class Workplace:
             kernels.sources_digest = lambda name, file=None: digests.get(name) or now(name, file)
 
 
-_LOCALS = ".<locals>"
-
-
-def _covers(test: Covering, mutant: Mutant) -> bool:
-    """Whether a test calls the mutated function; of what is made at the import, which functions of
-    the module read, whether it calls one of them."""
-    if mutant.scope == MODULE:
-        return any(function.startswith(f"{mutant.file}:") for function in test.functions)
-    # A function inside an `if` of another has no mark of it in its scope.
-    scope = f"{mutant.file}:{mutant.scope}".replace(_LOCALS, "")
-    return any(function.replace(_LOCALS, "") == scope for function in test.functions)
-
-
 class _TooLong(Exception):
     pass
 
 
-class _Recorder:
-    """Plugin of pytest: a row for each test that passes in time."""
+class _Results:
+    """Plugin of pytest: writes a row for each test that ended."""
 
-    def __init__(self, package: Path, rows: Path, longest: float, stop: bool):
-        self.package = f"{package}/"
+    def __init__(self, rows: Path, longest: float):
         self.rows = rows
         self.longest = longest
-        self.stop = stop
-        self.shared: set[str] = set()
-        self.called: set[str] = set()
         self.passed = True
+        signal.signal(signal.SIGPROF, self._stop)
 
-    def _trace(self, frame: Any, event: str, argument: Any) -> None:
-        code = frame.f_code
-        if code.co_flags & inspect.CO_OPTIMIZED and code.co_filename.startswith(self.package):
-            self.called.add(f"{code.co_filename[len(self.package) :]}:{code.co_qualname}")
+    def _stop(self, number: int, frame: Any) -> None:
+        raise _TooLong
 
-    @pytest.hookimpl(hookwrapper=True)
-    def pytest_collection(self) -> Iterator[None]:
-        sys.settrace(self._trace)
-        yield
-        sys.settrace(None)
-        self.shared |= self.called
-
-    @pytest.hookimpl(hookwrapper=True)
-    def pytest_runtest_protocol(self, item: Any) -> Iterator[None]:
-        self.called, self.passed = set(), True
-        compiling = _Compiling()
-        start = time.process_time()
-        sys.settrace(self._trace)
-        with event.install_listener("numba:compile", compiling):
-            yield
-        sys.settrace(None)
-        seconds = time.process_time() - start - compiling.seconds
-        if self.passed and seconds <= self.longest:
-            functions = sorted(self.called | self.shared)
-            row = {"id": item.nodeid, "seconds": round(seconds, 3), "functions": functions}
-            with self.rows.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-
-    @pytest.hookimpl(hookwrapper=True)
-    def pytest_runtest_setup(self, item: Any) -> Iterator[None]:
-        # What fixtures of a module call counts for all of its tests.
-        yield
-        self.shared |= self.called
-
-    @pytest.hookimpl(hookwrapper=True)
+    @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: Any) -> Iterator[None]:
-        if self.stop:
-            signal.signal(signal.SIGPROF, _too_long)
-            signal.setitimer(signal.ITIMER_PROF, self.longest)
-        yield
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, self.longest)
+        try:
+            return (yield)
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: Any) -> Iterator[Any]:
+        self.passed, start = True, time.process_time()
+        result = yield
+        seconds = round(time.process_time() - start, 3)
+        with self.rows.open("a", encoding="utf-8") as file:
+            row = {"id": item.nodeid, "seconds": seconds, "passed": self.passed}
+            file.write(json.dumps(row) + "\n")
+        return result
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         self.passed &= report.passed
 
 
-class _Compiling(event.Listener):
-    """Seconds of the processor that numba compiles for."""
-
-    def __init__(self):
-        self.seconds = 0.0
-        self.depth = 0
-        self.start = 0.0
-
-    def on_start(self, event: Any) -> None:
-        self.start = self.start if self.depth else time.process_time()
-        self.depth += 1
-
-    def on_end(self, event: Any) -> None:
-        self.depth -= 1
-        self.seconds += 0.0 if self.depth else time.process_time() - self.start
-
-
-def _too_long(number: int, frame: Any) -> None:
-    raise _TooLong
-
-
-class _Watcher:
-    """Plugin of pytest: writes which test failed."""
-
-    def __init__(self, said: Path):
-        self.said = said
-
-    def pytest_runtest_logreport(self, report: Any) -> None:
-        if report.failed:
-            self.said.write_text(report.nodeid, encoding="utf-8")
-
-
-def _pytest(root: Path, arguments: list[str], plugins: list[Any]) -> int:
-    fixed = ["-p", "no:cacheprovider", f"--rootdir={root}", "-m", LEFT_OUT, "-p", "no:xdist"]
-    return pytest.main([*arguments, "-q", "--tb=line", *fixed], plugins)
-
-
 def dotted(file: str) -> str:
     """The module of a file of a room."""
     return "surefoot." + file.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+
+
+def _interpreted(mutant: Mutant, root: Path) -> bool:
+    """Whether a mutant is in kernels, or in what is made at the import of a module of theirs."""
+    kernels, module = _kernel_sources(root), dotted(mutant.file)
+    made_at_import = mutant.scope == MODULE and any(module in one for one in kernels.values())
+    return module in kernels or made_at_import
 
 
 @cache
@@ -406,13 +286,6 @@ def _imports_of_tests(root: Path, folders: tuple[str, ...]) -> dict[Path, frozen
         path: frozenset(imported_sources("surefoot.tests." + path.stem, str(path)))
         for path in paths
     }
-
-
-@cache
-def _modules(root: Path) -> dict[str, Path]:
-    """Module -> its source."""
-    paths = (path for room in ROOMS for path in sorted((root / room).rglob("*.py")))
-    return {dotted(path.relative_to(root).as_posix()): path for path in paths}
 
 
 @cache
@@ -427,8 +300,9 @@ def _names(path: Path, module: str) -> bool:
 @cache
 def _kernel_sources(root: Path) -> dict[str, frozenset[str]]:
     """Module with kernels -> modules that it imports in turn."""
-    return {
-        name: frozenset(imported_sources(name))
-        for name, path in _modules(root).items()
-        if f"from {KERNELS} import" in path.read_text(encoding="utf-8")
-    }
+    found = {}
+    for path in (path for room in ROOMS for path in sorted((root / room).rglob("*.py"))):
+        if "from surefoot.sim.common.kernels import" in path.read_text(encoding="utf-8"):
+            name = dotted(path.relative_to(root).as_posix())
+            found[name] = frozenset(imported_sources(name))
+    return found

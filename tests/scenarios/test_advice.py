@@ -1,6 +1,7 @@
-"""Advice on an estimate that is not to be trusted names what is wrong with it."""
+"""Advice on an estimate, and on where its contacts come from."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,12 @@ from synthetic import without
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.advice import advice, likelihood, needs_advice
+from surefoot.scenarios.estimate.contact_sources import (
+    AS_LOGGED,
+    compare_contacts,
+    contact_lines,
+    moving_in_contact,
+)
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.settings import (
@@ -17,6 +24,7 @@ from surefoot.scenarios.estimate.settings import (
     StateSettings,
 )
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -99,3 +107,171 @@ def test_estimate_prints_it_and_the_imu_alone_is_not_silent(walked, tmp_path, ca
     shown = capsys.readouterr()
     assert "advice: imu " in shown.err
     assert str(tmp_path / "imu.tum") in shown.out
+
+
+ROBOTS = ("spot_class", "v60_class", "aliengo")
+
+
+FAULTS = ("early", "late", "dead", "chattering")
+
+
+DRAWS = 40
+
+
+"""Wrong contacts that are drawn, ten of each kind; walks are shared."""
+
+
+LACKING = ((), ("force_",))
+
+
+"""What half of the logs lack."""
+
+
+def widened(contact: np.ndarray, before: int, after: int) -> np.ndarray:
+    """Contacts (N, L) that begin `before` rows earlier and end `after` rows later."""
+    rows, found = np.arange(len(contact)), contact.copy()
+    for shift in range(-after, before + 1):
+        found |= contact[np.clip(rows + shift, 0, len(rows) - 1)]
+    return found
+
+
+def with_contacts(log: Log, contact: np.ndarray) -> Log:
+    names = [f"contact_{leg}" for leg in log.legs]
+    return log.with_columns(dict(zip(names, contact.T.astype(float), strict=True)))
+
+
+def wrong_contacts(log: Log, fault: str, rng: np.random.Generator) -> Log:
+    """Flags that begin 10 to 50 ms early, end so late, of one to three dead sensors, or that
+    chatter at 3 to 15 % of the rows.
+    """
+    contact, rows = log.contact, round(rng.uniform(0.01, 0.05) * log.rate)
+    if fault == "early":
+        wrong = widened(contact, rows, 0)
+    elif fault == "late":
+        wrong = widened(contact, 0, rows)
+    elif fault == "dead":
+        wrong = contact.copy()
+        wrong[:, rng.permutation(4)[: rng.integers(1, 4)]] = rng.integers(2)
+    else:
+        wrong = contact ^ (rng.random(contact.shape) < rng.uniform(0.03, 0.15))
+    return with_contacts(log, wrong)
+
+
+@pytest.fixture(scope="module")
+def walks() -> dict[str, Log]:
+    course = (Segment(7.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(6.0, 0.5, turn=-0.4))
+    scenario = Scenario("contacts", course, Ground(0.8))
+    return {name: walk(scenario, Robot.load(name), 5) for name in ROBOTS}
+
+
+def rpe(log: Log, robot: Robot) -> float:
+    found = run_filter("leg", log, robot).metrics
+    assert found is not None
+    return found.rpe_trans
+
+
+def judged(true: Log, wrong: Log, lacks: tuple[str, ...]) -> dict[str, Any]:
+    """The source that is found without a reference; and the error of the leg filter with it, over
+    the least of all sources and over that with true contacts.
+    """
+    robot = Robot.for_log(true)
+    found = compare_contacts(without(wrong, "ref_", *lacks), robot)
+    assert found is not None
+    errors = {
+        one.contacts.source: rpe(with_contacts(true, one.contacts.log.contact), robot)
+        for one in found.tried
+    }
+    source = AS_LOGGED if found.better is None else found.better.source
+    return {
+        "source": source,
+        "over best": errors[source] / min(errors.values()),
+        "over true": errors[source] / rpe(true, robot),
+        "as logged": errors[AS_LOGGED] / rpe(true, robot),
+    }
+
+
+def drawn(walks: dict[str, Log], number: int) -> dict[str, Any]:
+    """One draw, of a seed of its own."""
+    rng, fault = np.random.default_rng([5, number]), FAULTS[number % len(FAULTS)]
+    name = ROBOTS[number % len(ROBOTS)]
+    lacks = LACKING[number // 4 % 2]
+    wrong = wrong_contacts(walks[name], fault, rng)
+    return {"robot": name, "fault": fault, "lacks": "".join(lacks)} | judged(
+        walks[name], wrong, lacks
+    )
+
+
+@pytest.mark.slow
+def test_the_best_source_is_found_in_nine_of_ten_draws(walks):
+    rows = [drawn(walks, number) for number in range(DRAWS)]
+    for row in rows:
+        print(row)
+    assert np.mean([is_best(row) for row in rows]) >= 0.9
+    assert max(row["over true"] for row in rows) <= 1.5
+
+
+def is_best(row: dict[str, Any]) -> bool:
+    """Whether no source is clearly better: by a quarter, or by the half from which another than the
+    logged one is advised.
+    """
+    return row["over best"] < (1.5 if row["source"] == AS_LOGGED else 1.25)
+
+
+@pytest.mark.parametrize(("fault", "lacks"), list(zip(FAULTS, [(), ("force_",), ()], strict=False)))
+def test_wrong_contacts_are_noticed_and_mended(walks, fault, lacks):
+    wrong = wrong_contacts(walks["spot_class"], fault, np.random.default_rng(1))
+    row = judged(walks["spot_class"], wrong, lacks)
+    assert row["source"] != AS_LOGGED
+    assert row["over true"] < 1.5 < 3.0 < row["as logged"]
+
+
+def test_true_contacts_are_left_as_they_are(walks):
+    for log in (walks["v60_class"], without(walks["v60_class"], "ref_")):
+        found = compare_contacts(log, Robot.for_log(log))
+        assert found is not None
+        assert found.better is None
+        assert found.by_reference is log.has("reference")
+        assert contact_lines(log, lambda share: None, only_better=True) == ((), {})
+
+
+def test_a_log_without_contacts_is_told_where_to_take_them_from(walks):
+    log = without(walks["v60_class"], "contact_")
+    found = compare_contacts(log, Robot.for_log(log))
+    assert found is not None
+    assert found.logged is None
+    assert found.better is not None
+
+
+@pytest.mark.parametrize("lacks", ["gyro_", "q_"])
+def test_a_log_on_which_no_leg_filter_runs_says_what_it_lacks(walks, lacks):
+    (said,), changes = contact_lines(without(walks["v60_class"], lacks), lambda share: None)
+    assert "not compared" in said
+    assert lacks.rstrip("_") in said
+    assert changes == {}
+
+
+def test_feet_that_move_under_flags_are_timed():
+    """Flags that begin 30 ms before a foot stands and end 10 ms after."""
+    t = 0.01 * np.arange(200)
+    stands = (np.arange(200) % 50 >= 20)[:, None]
+    begin, end = moving_in_contact(t, np.where(stands, 0.0, 1.0), widened(stands, 3, 1))
+    assert [begin, end] == pytest.approx([0.03, 0.01])
+
+
+def test_info_prints_lines_of_a_map_that_mend_the_contacts(walks, tmp_path, capsys):
+    """Of a dead sensor, which is implausible; pasted into a map, they make these contacts."""
+    contact = walks["spot_class"].contact.copy()
+    contact[:, 1] = True
+    log = without(with_contacts(walks["spot_class"], contact), "ref_", "slip_", "mu_")
+    log.write(tmp_path / "walk.parquet")
+    main(["info", f"{tmp_path}/walk.parquet"])
+    said = capsys.readouterr().out
+    lines = said[said.index("\n[contact]\n") :]
+    names = [name for name in log.columns if not name.startswith("contact_")]
+    columns = "".join(f'{name} = "{name}"\n' for name in names)
+    log.frame.to_csv(tmp_path / "walk.csv", index=False)
+    text = f'[robot]\nname = "spot_class"\n[columns]\n{columns}{lines}'
+    (tmp_path / "map.toml").write_text(text)
+    mended = import_log(tmp_path / "walk.csv", tmp_path / "map.toml")
+    true, robot = walks["spot_class"], Robot.load("spot_class")
+    assert rpe(with_contacts(true, mended.contact), robot) < 1.5 * rpe(true, robot)

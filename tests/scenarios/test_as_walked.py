@@ -1,4 +1,4 @@
-"""A robot as it walks: what was measured of one walk, put into the suites' walks by one rule."""
+"""Robots as walked, imperfections as drawn, and the courses of the paper."""
 
 from dataclasses import asdict, replace
 
@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from surefoot import Scenario
 from surefoot.scenarios.experiments.as_walked import load_as_walked
-from surefoot.scenarios.experiments.file import Cell, Experiment
+from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
+from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
+from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.carry import BodyScale, carried, scale_of
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.walking.batch import walk_job
 
 FILE = """source = "a test"
@@ -94,3 +98,83 @@ def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
     assert isinstance(walked, Log)
     # Ten steps of 12 cm.
     assert np.ptp(walked.ref_p[:, 2]) == pytest.approx(1.2, abs=0.15)
+
+
+def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
+    suite = Experiment.load("vision60")
+    _, built, _ = suite.conditions
+    jobs = [Cell(s, "v60_class", built, 1).job for s in suite.scenarios]
+    assert all(job.effects == jobs[0].effects for job in jobs)
+    assert len({job.seed for job in jobs}) == len(jobs)
+    assert not any(job.declared for job in jobs)
+    assert Cell(suite.scenarios[0], "v60_class", built, 2).job.effects != jobs[0].effects
+    assert jobs[0].scenario.sensors.contact_delay == 0.005
+
+
+def test_sizes_follow_the_law_of_the_file():
+    offsets = Imperfection("encoder_offset", "", normal=0.01)
+    drawn = np.array([[e.value for e in offsets.drawn(k, QUADRUPED)] for k in range(400)])
+    # The standard error of a deviation from n draws is about 1 / sqrt(2 n) of it.
+    assert np.std(drawn) == pytest.approx(0.01, rel=4 / np.sqrt(2 * drawn.size))
+    assert abs(drawn.mean()) < 4 * 0.01 / np.sqrt(drawn.size)
+    turns = Imperfection("imu_rotation", "", ("x", "y", "z"), uniform=0.006)
+    drawn = np.array([[e.value for e in turns.drawn(k, QUADRUPED)] for k in range(400)])
+    assert 0.0059 < np.abs(drawn).max() <= 0.006
+    compliance = Imperfection("leg_compliance", "", QUADRUPED.joints[:3], fixed=1e-4)
+    assert {e.value for e in compliance.drawn(3, QUADRUPED)} == {1e-4}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "are written as"),
+        ("[[imperfection]]\neffect='wings'\nnormal=1\nsource=''", "unknown effect 'wings'"),
+        ("[[imperfection]]\neffect='payload'\nsource=''", "needs one of normal"),
+        ("[[imperfection]]\neffect='payload'\nfixed=true\nsource=''", "must be a number"),
+        ("[[imperfection]]\neffect='payload'\nfixed=1", "source is missing"),
+        ("[[imperfection]]\neffect='payload'\nfixed=99\nsource=''", "must lie between"),
+        ("[[imperfection]]\neffect='payload'\nfixed=1\nsource=''\ntargets=['x']", "unknown target"),
+        ("[[imperfection]]\neffect='payload'\nfixed=1\nsource=''\nsize=2", "unknown key 'size'"),
+    ],
+)
+def test_bad_imperfections_are_one_clear_line(tmp_path, text, said):
+    (tmp_path / "bad.toml").write_text(text)
+    assert said in refused(r"bad\.toml", load_imperfections, tmp_path / "bad.toml")
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_gears_as_stiff_as_real_ones_make_no_robot_fall_on_a_sheet(seed):
+    suite = Experiment.load("vision60")
+    course = next(s for s in suite.scenarios if s.name == "3CC3CCW")
+    start = replace(course, segments=course.segments[:2], laps=1)
+    gears = (effect("leg_compliance", "all", 1e-4),)
+    walked = walk_job(replace(Cell(start, "v60_class", PLAIN, seed).job, effects=gears)).log
+    assert isinstance(walked, Log)
+    slip = walked.frame[[f"slip_{leg}" for leg in walked.legs]].to_numpy()
+    assert slip[walked.contact].max() > 0.2
+
+
+FOLDERS = [bundled("surefoot.scenarios", "courses") / suite for suite in ("vision60", "spot")]
+
+
+# Length [m] and duration [s] of the paper's sequences.
+PAPER = {
+    "2CC2CCW": (53.15, 76.3), "2CCW2CC": (51.97, 95.57), "3CC3CCW": (74.65, 107.96),
+    "3CCW3CC": (83.42, 129.93), "RoomScan": (38.96, 66.97), "Slipped": (19.01, 43.03),
+    "Stroll": (99.21, 162.3), "Atrium": (109.93, 124.50), "BiCorridor": (240.82, 277.29),
+    "BridgeLoop": (161.17, 187.20), "CorriLoop": (208.68, 229.40), "Downstair": (233.75, 270.90),
+    "Overpass": (169.17, 213.49), "Quad": (447.83, 503.69), "SlopeStair": (273.37, 307.49),
+    "Tunnel": (247.94, 277.00), "Upstair": (197.22, 227.89),
+}  # fmt: skip
+
+
+def test_every_course_of_the_suites_is_in_the_paper():
+    courses = [Scenario.load(path) for folder in FOLDERS for path in folder.glob("*.toml")]
+    assert sorted(course.name for course in courses) == sorted(PAPER)
+    for course in courses:
+        seconds = np.array([part.duration for part in course.segments])
+        speeds = np.hypot(*np.transpose([(p.forward, p.lateral) for p in course.segments]))
+        length, duration = PAPER[course.name]
+        assert course.laps * speeds @ seconds == pytest.approx(length, rel=0.01), course.name
+        walked = course.laps * seconds.sum() + 2 * course.stand
+        assert walked == pytest.approx(duration, rel=0.03), course.name

@@ -6,11 +6,13 @@ import pytest
 from biped import biped, biped_log
 from refusals import refused
 
+from studies.measured import measured_folder
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
@@ -137,3 +139,16 @@ def test_feet_are_named_where_no_shape_says(tmp_path):
     np.testing.assert_allclose(bare.torque_limit, 30.0)
     np.testing.assert_allclose(bare.feet_I(np.zeros((1, 2)))[0], [[0, 0.1, -0.4], [0, -0.1, -0.4]])
     refused("no body or site 'heel'", Robot.load, path, feet={"one": "heel"})
+
+
+RECORDING = measured_folder() / "icub_biped" / "walking.mat"
+
+
+@pytest.mark.skipif(not RECORDING.is_file(), reason=f"the measured walk is not here ({RECORDING})")
+def test_the_leg_filter_follows_a_metre_to_five_centimetres():
+    log = import_log(RECORDING, "icub_biped")
+    found = run_filter("leg", log, Robot.for_log(log))
+    assert found.metrics is not None
+    assert found.metrics.rpe_trans < 0.05
+    assert found.metrics.ape_trans < 0.05
+    assert not found.health.lost

@@ -1,4 +1,4 @@
-"""The command line: what a user types, and what bad input says."""
+"""Commands in a newcomer's first hour: one clear line for what is wrong, tables that fit."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,9 +7,14 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from processes import ended
 from refusals import refusal, refused
 
-from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.cli.main import COMMANDS, main
+from surefoot.scenarios.estimate.contract import Learnt
+from surefoot.scenarios.estimate.notes import notes_on
+from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.scenarios.reporting.tables import WIDTH, in_terminal
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
@@ -51,25 +56,16 @@ BAD = {
     "missing robot file": ("estimate log.parquet --filter leg --robot no.xml", "no.xml"),
     "joints of something else": ("estimate joints.parquet --filter leg", "joints"),
     "two files of one name": ("estimate log.parquet --filter leg -o new.tum", "new.tum"),
-    "unknown filter": ("estimate log.parquet --filter magic", "magic"),
     "no observer": ("estimate log.parquet --filter coverage", "needs observer"),
     "no gml observer": ("estimate log.parquet --filter velocity", "needs observer"),
-    "not an observer": ("estimate log.parquet --filter velocity --observer text.toml", "text.toml"),
-    "not bounds": ("estimate log.parquet --filter coverage --bounds text.toml", "text.toml"),
-    "missing scenario": ("simulate no.toml -o new", "no.toml"),
     "nothing to hide": ("simulate short.toml --undeclared -o new", "needs effects"),
     "trace of two robots": ("trace log.parquet other/log.parquet -o new", "v60_class"),
-    "trace with a bad seed": ("trace log.parquet --seed -1 -o new", "seed -1"),
-    "demo with a bad seed": ("demo --seed -1 -o new", "seed -1"),
     "an experiment of no such name": ("experiment vision -o new", "bundled are spot, vision60"),
     "train too short": ("train log.parquet -o new.safetensors", "training takes"),
-    "train onto a file": ("train log.parquet -o short.toml", "--force"),
     "calibrate without observer": (
         "calibrate no.safetensors log.parquet -o new.json",
         "no.safetensors",
     ),
-    "compare logs of one name": ("compare log.parquet other/log.parquet -o new", "log.parquet"),
-    "import wrong columns": ("import csv columns.csv --map go1_square -o new.parquet", "column"),
 }
 
 
@@ -143,3 +139,62 @@ def test_a_robot_is_shown_as_it_was_read(tmp_path, capsys):
     assert "115.000" in rows["FL_calf"]
     assert "0.036" in rows["RR"]
     assert (tmp_path / "spot.png").stat().st_size > 10_000
+
+
+@pytest.fixture(scope="module")
+def log(log) -> Log:
+    """A few seconds of the walk that all tests share."""
+    return log.rows(slice(0, 1500))
+
+
+def test_a_table_fits_the_terminal_unless_all_of_it_is_wanted():
+    names = ["log", "filter", "APE_trans [m]", "APE_rot [deg]", "RPE_trans [m]", "RPE_rot [deg/m]"]
+    names += ["pi<gamma [%]", "NEES_pos", "NEES_vel", "NEES_att", "step [us]"]
+    row = dict.fromkeys(names, 1.0) | {
+        "log": "walk",
+        "filter": "coverage_persistent",
+        "empty": None,
+    }
+    shown = in_terminal([row, row])
+    assert max(map(len, shown.splitlines())) <= WIDTH
+    assert all(name in shown for name in ("filter", "APE_trans [m]", "NEES_pos"))
+    assert "empty" not in shown
+    assert all(name in in_terminal([row], wide=True) for name in names)
+
+
+def test_chosen_filters_alone_run_and_identical_ones_are_said_to_be(log, tmp_path, capsys):
+    path = tmp_path / "walk.parquet"
+    log.write(path)
+    main(f"compare {path} --filters leg,leg_slip -o {tmp_path / 'two'}".split())
+    shown = capsys.readouterr().out
+    assert "identical: leg and leg_slip" in shown
+    assert max(map(len, shown.partition("\n\n")[0].splitlines())) <= WIDTH
+    text = (tmp_path / "two" / "table.csv").read_text()
+    assert [line.split(",")[1] for line in text.splitlines()[1:]] == ["leg", "leg_slip"]
+    wrong = ended(f"compare {path} --filters leg,lag -o {tmp_path}/no")
+    assert "unknown filter 'lag'" in str(wrong)
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_folder_for_a_log_names_the_logs_in_it(log, tmp_path):
+    assert "no log is in it" in str(ended(f"info {tmp_path}"))
+    log.write(tmp_path / "mine.parquet")
+    assert "mine.parquet" in str(ended(f"estimate {tmp_path} --filter imu"))
+
+
+def test_a_log_of_another_robot_is_said_to_be(log):
+    robots = Robot.load("spot_class"), Robot.load("v60_class")
+    said = [notes_on(log, robot, Learnt(), FilterSettings()) for robot in robots]
+    assert said[0] == ()
+    assert ["spot_class" in line and "v60_class" in line for line in said[1]] == [True]
+    unnamed = replace(log, meta=replace(log.meta, robot=""))
+    assert notes_on(unnamed, robots[1], Learnt(), FilterSettings()) == ()
+
+
+@pytest.mark.parametrize("command", ["", "compare", "estimate", "import"])
+def test_help_is_not_cut_off(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert not ended(f"{command} --help")
+    shown = capsys.readouterr().out
+    assert not [mark for mark in ("…", "...\n ") if mark in shown.replace("LOG...", "")]
+    assert command or all(name in shown for name in COMMANDS)

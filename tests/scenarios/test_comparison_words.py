@@ -1,4 +1,4 @@
-"""What a comparison says: who errs least, who is overconfident, what did not run, what is best."""
+"""What a comparison says: best filters, claims, and traits of a user's own estimators."""
 
 from dataclasses import fields, replace
 from typing import Any
@@ -13,11 +13,13 @@ from surefoot.scenarios.compare import (
     ONE_WALK,
     Comparison,
     _pictures,
-    command_line,
     error_summary,
     with_best_marked,
 )
+from surefoot.scenarios.estimate.estimators import ESTIMATORS, Traits, traits
 from surefoot.scenarios.estimate.run import Result
+from surefoot.scenarios.experiments.file import Condition, Experiment
+from surefoot.scenarios.experiments.findings import suite_findings, suite_overview
 
 
 @pytest.fixture
@@ -65,12 +67,6 @@ def test_the_best_of_each_log_is_marked_and_empty_columns_go():
     assert list(with_best_marked(found)["NEES_pos"]) == [0.1, 90.0, 0.1, 1.0]  # none is right
 
 
-def test_a_command_is_kept_without_the_folders_of_its_paths():
-    given = ["/home/me/.venv/bin/surefoot", "compare", "/home/me/a.parquet", "-o", "out"]
-    assert command_line(given) == "surefoot compare a.parquet -o out"
-    assert command_line(["/usr/bin/pytest", "-q"]) == ""
-
-
 def test_the_imu_alone_is_drawn_where_nothing_else_ran(walk):
     """It is kept out of pictures that it would spoil; alone, its chart was empty."""
     health: Any = None
@@ -79,3 +75,39 @@ def test_the_imu_alone_is_drawn_where_nothing_else_ran(walk):
     (drawn,) = [p.figure for p in _pictures(alone, None) if "position_error" in p.file]
     assert isinstance(drawn, Figure)
     assert drawn.axes[0].lines
+
+
+class Mine:
+    of_legs = True
+
+
+def test_traits_are_the_defaults_where_a_class_says_nothing(monkeypatch):
+    assert traits("nobody") == Traits()
+    monkeypatch.setitem(ESTIMATORS.bundled, "mine", Mine)
+    assert traits("mine") == Traits(of_legs=True)
+
+
+def test_one_of_each_kind_is_no_variant():
+    short = [name for name in ESTIMATORS.bundled if not traits(name).variant]
+    assert short == ["coverage", "velocity", "leg", "imu"]
+    assert [name for name in ESTIMATORS.bundled if not traits(name).drawn] == ["imu"]
+
+
+def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch):
+    monkeypatch.setitem(ESTIMATORS.bundled, "mine", Mine)
+    names = ["coverage", "coverage_persistent", "mine", "imu", "radar_leg"]
+    columns = {"condition": "plain", "role": "test", "sequence": "walk", "seed": 0, "robot": "r"}
+    columns |= {"coverage_n": 0, "coverage [%]": float("nan"), "fed_mean_x [m/s]": float("nan")}
+    rows = pd.DataFrame({"filter": names, "APE_trans [m]": [0.4, 0.3, 0.1, 9.0, 0.01]})
+    rows = rows.assign(**columns, NEES_pos=[3.0, 5.9, 6.1, 3.0, 3.0])
+    text = suite_findings(rows, Experiment("one", (), conditions=(Condition("plain"),)))
+    main, rest = text.split("\n\n")
+    assert "`mine` (0.100 m, plain)" in main
+    assert "`coverage_persistent`" in rest
+    assert "0.300 m (plain; lowest on 0 of 1" in rest
+    assert "`coverage`, `coverage_persistent` (plain)" in rest  # within a factor of two of 3
+    assert "radar_leg" not in text
+    assert "imu" not in text
+    shown = suite_overview(rows).set_index("filter")
+    assert shown.loc["imu", "APE [m], plain"] == 9.0
+    assert list(shown.columns) == ["APE [m], plain", "NEES, plain"]

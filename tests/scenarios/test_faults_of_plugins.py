@@ -3,18 +3,19 @@
 import numpy as np
 import pytest
 import torch
+from own_package import forget_plugins
 from synthetic import synthetic_walk
 
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.regions import calibrator, errors_needed
 from surefoot.models.observer.network import Network
-from surefoot.models.residuals.channels import CHANNELS, channels
-from surefoot.models.residuals.layout import layout_for, residual
+from surefoot.models.residuals.channels import CHANNELS
+from surefoot.models.residuals.layout import residual
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.sim.common import plugins as plugins_module
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.plugins import exits_raised, load_plugin, naming_plugins, plugins
+from surefoot.sim.common.plugins import exits_raised, load_plugin, naming_plugins
 from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.gait.patterns import pattern_named
 from surefoot.sim.robot import Robot
@@ -107,16 +108,10 @@ def offer(tmp_path, monkeypatch):
         offered = f"PLUGINS = {{'surefoot.{kind}': {{'mine': Mine}}}}"
         path.write_text(f"import os\nimport numpy as np\n{SOURCES[kind]}\n{more}\n{offered}\n")
         load_plugin(path)
-        forget_channels()
+        forget_plugins()
 
     yield make
-    plugins.cache_clear()
-    forget_channels()
-
-
-def forget_channels():
-    channels.cache_clear()
-    layout_for.cache_clear()
+    forget_plugins()
 
 
 def estimators(log):
@@ -164,50 +159,35 @@ STATE = "Stream.state = property(lambda self:"
 COVARIANCE = "Stream.covariance = property(lambda self:"
 FAULTS = [
     ("estimators", "Mine.start = lambda *args: 1 / 0", "ZeroDivisionError"),
-    ("estimators", "Mine.start = lambda *args: os._exit(0)", "SystemExit"),
-    ("estimators", "Mine.start = lambda *args: None", "NoneType"),
     ("estimators", "Mine.__init__ = lambda self: os._exit(0)", "SystemExit"),
     ("estimators", "Mine.prepare = lambda self, log, robot: log.rows(slice(0, 99))", "rows"),
     ("estimators", f"{STEP} exit(0)", "SystemExit"),
-    ("estimators", f"{STEP} 'text'", ""),
     ("estimators", f"{STEP} Update(np.zeros(2))", "v_I"),
     ("estimators", f"{STEP} Update(np.full(3, np.nan))", "not finite"),
-    ("estimators", f"{STEP} Update(np.full(3, 1j))", "real"),
-    ("estimators", f"{STATE} None)", "NoneType"),
     ("estimators", f"{STATE} replace(self.filter.state, p_GI=np.full(3, np.nan)))", "not finite"),
-    ("estimators", f"{STATE} replace(self.filter.state, p_GI=np.zeros(2)))", "shape"),
     ("estimators", f"{COVARIANCE} np.full((15, 15), np.nan))", "not finite"),
-    ("estimators", f"{COVARIANCE} np.full((15, 15), 1j))", "real"),
     ("estimators", f"{COVARIANCE} np.eye(14))", "reshape"),
     ("estimators", "Stream.run = lambda self, log, rows, more: None", "NoneType"),
     ("estimators", "Mine.name = 'other'", "calls itself other"),
     ("effects", "Mine.compensate = lambda self, log, robot: exit(0)", "SystemExit"),
-    ("effects", "Mine.compensate = lambda self, log, robot: None", "NoneType"),
     ("effects", "Mine.compensate = lambda self, log, robot: (None, robot)", "NoneType"),
     ("effects", "Mine.bounds = None", "NoneType"),
     ("effects", "Mine.traced = Traced(channels=('imu_gyro',), step=-1.0)", "step"),
     ("effects", "Mine.traced = Traced(step=0.1)", "channels"),
     ("effects", "Mine.step, Mine.lossy = 0.1, True", "step, lossy: to be stated by traced"),
-    ("effects", "Mine.traced = 0.1", "traced must be Traced(...)"),
     ("channels", "Mine.residual = lambda self, inputs: exit(0)", "SystemExit"),
     ("channels", "Mine.residual = lambda self, inputs: np.zeros((3, 3))", "shape"),
-    ("channels", "Mine.residual = lambda self, inputs: 1j", "complex"),
-    ("channels", "Mine.residual = lambda self, inputs: 'text'", ""),
     ("architectures", "Mine.forward = lambda self, x: None", "NoneType"),
     ("architectures", "Mine.forward = lambda self, x: x", "mat1"),
-    ("architectures", "Mine.forward = lambda self, x: x[..., :3] + 1j", "dtype"),
     ("architectures", "Mine.initialise = lambda self, generator: os._exit(0)", "SystemExit"),
     ("calibrators", "Mine.fit_share = 1.0", "fit_share"),
-    ("calibrators", "Mine.samples_needed = lambda self: exit(0)", "SystemExit"),
     ("calibrators", "Mine.samples_needed = lambda self: None", "number"),
     ("calibrators", "Mine.conformalize = lambda self, errors: None", "epsilon"),
     ("calibrators", "Mine.bounds = lambda self: None", "NoneType"),
     ("calibrators", "Mine.epsilon = np.full(3, -1.0)\nMine.conformalize = Mine.fit", "positive"),
-    ("calibrators", "Mine.epsilon = np.full(3, np.nan)\nMine.conformalize = Mine.fit", "positive"),
     ("calibrators", "Mine.level = 2.0", "level"),
     ("gaits", "Mine.sway = 50.0", "sway"),
     ("gaits", "Mine.sway = np.nan", "sway"),
-    ("gaits", "Mine.sway = None", "NoneType"),
     ("gaits", "Mine.phase = (0.0, np.nan, 0.0, 0.0)", "phase"),
 ]
 

@@ -79,14 +79,6 @@ def test_foot_positions_say_what_joint_angles_do(name, log, feet, point_feet):
     assert np.abs(np.subtract(by_feet.covariance, by_joints.covariance)).max() < 1e-9
 
 
-def test_with_the_usual_errors_both_estimate_as_well(log, feet, point_feet):
-    by_joints = run_filter("leg", log, point_feet).metrics
-    by_feet = run_filter("leg", feet, None).metrics
-    assert by_joints is not None
-    assert by_feet is not None
-    assert by_feet.ape_trans < 1.5 * by_joints.ape_trans + 0.01
-
-
 def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
     one = estimator_named("leg_slip")
     whole = estimated(one, feet, None, Learnt())

@@ -5,7 +5,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 from refusals import refused
 from synthetic import without
@@ -18,7 +17,6 @@ from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace import realism
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
-from surefoot.scenarios.trace.loop_report import helped
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, excess, split_errors
 from surefoot.scenarios.trace.realism import choose_gait
 from surefoot.scenarios.trace.training_walks import (
@@ -144,20 +142,6 @@ MEASURED = Scenario("measured", TURNS, Ground(0.8), "spot_class")
 
 
 @pytest.mark.slow
-def test_a_loop_on_a_style_that_falls_ends_with_a_table(robot, tmp_path, capsys):
-    """Of a log whose hips read 0.4 rad too wide."""
-    log = walk(MEASURED, robot, 3)
-    hips = {f"q_{leg}_hip": log.columns[f"q_{leg}_hip"] + 0.4 for leg in log.legs}
-    quick = TrainSettings(model="mlp", steps=150)
-    plan = TrainingPlan(walks=2, seconds=12.0, calibration=60.0, training=quick)
-    table, worlds = loop(log.with_columns(hips), robot, LoopSettings(tmp_path / "loop"), plan=plan)
-    assert "The nearest with which it walks" in capsys.readouterr().out
-    names = [world.name for world in worlds]
-    assert {"leg", "coverage"} <= set(table["filter"])
-    assert helped(table, names) in (tmp_path / "loop/report.html").read_text()
-
-
-@pytest.mark.slow
 def test_a_loop_in_which_the_robot_always_falls_compares_the_filters_that_need_no_observer(
     robot, tmp_path, monkeypatch
 ):
@@ -173,18 +157,6 @@ def test_a_loop_in_which_the_robot_always_falls_compares_the_filters_that_need_n
     assert "coverage" not in set(table["filter"])
     assert not any(world.learnt.observers for world in worlds)
     assert (tmp_path / "loop/report.html").is_file()
-
-
-def test_one_sentence_says_which_filters_the_loop_helped():
-    columns = "filter", "APE_trans [m] before", "APE_trans [m] after"
-    rows = [("leg", 0.2, 0.1), ("velocity", 0.3, 0.4), ("imu", 9.0, 8.0), ("coverage", None, 0.1)]
-    said = helped(pd.DataFrame(rows, columns=columns), ("before", "after"))
-    assert said.index("`leg` (0.200 m before, 0.100 m after)") < said.index(
-        "did not help `velocity`"
-    )
-    assert "imu" not in said
-    assert "coverage" not in said
-    assert said.count(".") == said.count("0.") + 1
 
 
 def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):

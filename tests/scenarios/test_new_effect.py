@@ -1,17 +1,25 @@
-"""`none_of_these` goes on, as docs/guides/own_effect.md describes it: the form that trace names is
-enough to write a class, and with the class the same log is attributed. Of the log the IMU is kept,
-so that it is quick."""
+"""The forms of a new effect, an own estimator and an own filter, filled in and used."""
 
+import os
+import tomllib
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
-from processes import printed
+from own_package import found
+from processes import printed, python
 from refusals import refused
 from synthetic import without
 
 from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.models.attribution.diagnose import diagnose
+from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.estimate.contract import Estimator
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
+from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.sim.effects import CATALOGUE, add
 from surefoot.sim.effects.base import Effect, with_columns
 from surefoot.sim.effects.targets import AXES
@@ -22,6 +30,8 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
+
+
 SIZE = 0.015  # rad/s
 
 
@@ -50,22 +60,22 @@ def settled(t):
 
 
 @pytest.fixture(scope="module")
-def log():
+def warmed():
     course = (Segment(10.0, 0.6, turn=0.3), Segment(10.0, 0.5, turn=-0.4), Segment(10.0, 0.6))
     warm = [ThermalGyroDrift("y", SIZE)]
     walked = walk(Scenario("warm", course, Ground(0.8)), ROBOT, 5, warm, declared=False)
     return without(walked, "q_", "dq_", "tau_", "contact_", "slip_", "mu_")
 
 
-def test_the_form_that_is_left_becomes_an_effect(log, catalogue):
-    before = diagnose([log], ROBOT)
+def test_the_form_that_is_left_becomes_an_effect(warmed, catalogue):
+    before = diagnose([warmed], ROBOT)
     assert before.verdict == "none_of_these"
     form = before.unexplained[0]
     assert (form.channel, form.column) == ("imu_gyro", "gyro_y")
     assert form.regressors[0] in {"settling_8_s", "settling_16_s", "settling_32_s"}
 
     add(GyroWarming)
-    after = diagnose([log], ROBOT)
+    after = diagnose([warmed], ROBOT)
     assert after.verdict == "attributed"
     assert [(e.name, e.target) for e in after.effects] == [("gyro_warming", "y")]
     assert after.effects[0].value == pytest.approx(SIZE, rel=0.1)
@@ -115,3 +125,79 @@ def test_an_effect_that_a_script_adds_is_known_to_processes_that_it_spawns(tmp_p
     script = tmp_path / "script.py"
     script.write_text(ADDED)
     assert printed(script).strip() == "{1: 'own'}"
+
+
+@pytest.fixture(scope="module")
+def file(log, tmp_path_factory):
+    path = tmp_path_factory.mktemp("walk") / "walk.parquet"
+    log.rows(slice(0, 3500)).write(path)
+    return path
+
+
+def test_an_own_estimator_is_in_every_list():
+    with found("own_estimator"):
+        assert list(ESTIMATORS)[-1] == "standing_feet"
+        assert "standing_feet" in Experiment("one", ()).filters
+        mine = ESTIMATORS["standing_feet"]()
+        assert tuned(Robot.load("v60_class")).of(mine) == {"accel": 0.02, "spread": 0.1}
+        assert estimator_color("standing_feet").startswith("#")
+        assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
+
+
+def test_an_own_estimator_is_tabled_and_drawn(file, tmp_path):
+    out = tmp_path / "out"
+    with found("own_estimator"):
+        main(f"compare {file} -o {out}".split())
+    table = pd.read_csv(out / "table.csv")
+    assert list(table["filter"]) == ["leg", "leg_slip", "imu", "standing_feet"]
+    errors = dict(zip(table["filter"], table["APE_trans [m]"], strict=True))
+    assert errors["standing_feet"] < errors["imu"]
+    assert "Mean velocity of the standing feet" in (out / "report.html").read_text()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    main("new estimator two_feet".split())
+    assert "two_feet/test_two_feet.py" in capsys.readouterr().out
+    return tmp_path / "two_feet"
+
+
+def run(folder, *arguments: str):
+    path = os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
+    return python(*arguments, cwd=folder, env={"PYTHONPATH": path})
+
+
+def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
+    pytest_ = ("-m", "pytest", "-q", "-p", "no:cacheprovider")
+    passed = run(folder, *pytest_)
+    assert passed.returncode == 0, passed.stdout
+    module = folder / "two_feet.py"
+    module.write_text(module.read_text().replace("return -moving", "return moving"))
+    assert "failed" in run(folder, *pytest_).stdout
+
+
+def test_it_runs_as_a_plugin_and_its_package_offers_the_same(log, folder):
+    log.write(folder / "log.parquet")
+    line = ("-m", "surefoot", "estimate", "log.parquet", "--filter", "two_feet")
+    ran = run(folder, *line, "--plugin", "two_feet.py")
+    assert "APE_trans" in ran.stdout, ran.stderr
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    ((name, place),) = project["entry-points"]["surefoot.estimators"].items()
+    module, _, kind = place.partition(":")
+    assert (folder / f"{module}.py").is_file()
+    assert f'name = "{name}"' in (folder / f"{module}.py").read_text()
+    assert f"class {kind}" in (folder / f"{module}.py").read_text()
+
+
+@pytest.mark.parametrize("name", ["leg", "Big", "class", "../up", "a-b"])
+def test_a_name_that_will_not_do_is_one_line(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match=r"already|module's name"):
+        main(["new", "estimator", name])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_contract_is_what_the_skeleton_has(folder):
+    text = (folder / "two_feet.py").read_text()
+    assert all(f"{name} " in text or f"def {name}" in text for name in Estimator.__annotations__)

@@ -1,9 +1,15 @@
-"""`surefoot view` of what has no recording yet: a course, and a log."""
+"""What is shown: previews of courses and logs, and recordings in the viewer."""
+
+import subprocess
 
 import pytest
+from refusals import refused
 from rerun.chunk import RrdReader
+from written import written
 
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.viewer.view import recording_file, view
+from surefoot.sim.common.files import command_run, whole_file
 
 
 def entities(path) -> set[str]:
@@ -41,3 +47,55 @@ def test_what_is_neither_is_one_line(tmp_path, monkeypatch):
     for line, message in (("view nowhere", "view opens"), ("view no.toml", "No such file")):
         with pytest.raises(SystemExit, match=message):
             main(line.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("missing.rrd", None, "no such file"),
+        ("robot.xml", b"<mujoco/>", r"opens recordings .* draws a robot"),
+        ("fake.rrd", b"not a recording", "not a rerun recording"),
+        ("empty.rrd", b"", "not a rerun recording"),
+    ],
+)
+def test_what_is_no_recording_is_one_clear_line(tmp_path, name, content, said):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    assert str(path) in refused(said, view, path)
+
+
+def test_a_folder_is_no_recording(tmp_path):
+    refused("is a folder", recording_file, tmp_path)
+
+
+@pytest.mark.parametrize("web", [False, True])
+def test_the_server_listens_on_this_machine_alone(tmp_path, monkeypatch, web):
+    path = written(tmp_path / "walk.rrd", b"RRF2....")
+    commands = []
+
+    def run(command, check):
+        commands.append(command)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    view(path, web=web)
+    (command,) = commands
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert ("--web-viewer" in command) == web
+    assert command[-1] == str(path)
+
+
+def test_a_recording_that_was_altered_is_not_shown(tmp_path, monkeypatch):
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("it is shown"))
+    path = tmp_path / "walk.rrd"
+    with command_run("trace", ()), whole_file(path) as temporary:
+        temporary.write_bytes(b"RRF2....")
+    path.write_bytes(b"RRF2...,")
+    refused("was changed or damaged", view, path)
+
+
+def test_a_viewer_that_fails_is_an_error(tmp_path, monkeypatch):
+    path = written(tmp_path / "walk.rrd", b"RRF2....")
+    monkeypatch.setattr(subprocess, "run", lambda c, check: subprocess.CompletedProcess(c, 3))
+    refused(r"exit code 3; without a screen, try web", view, path)

@@ -153,12 +153,6 @@ def test_colours_are_those_of_the_palette(contents):
     assert f"#{patch >> 8:06X}" == friction_color(0.2)
 
 
-def test_a_blueprint_comes_with_it(walk, tmp_path):
-    path = tmp_path / "walk.rrd"
-    written(path, walk)
-    assert len(RrdReader(path).blueprints()) == 1
-
-
 def test_four_are_shown_at_first_those_that_are_proposed_before_variants():
     all_of_them = [name for name in ESTIMATORS if traits(name).drawn]
     first = ("coverage", "coverage_persistent", "velocity", "leg")

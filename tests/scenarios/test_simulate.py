@@ -202,8 +202,10 @@ def gone_on(two_walks: Path, folder: Path, change) -> None:
         simulate(SimulateSettings([two_walks / "short.toml"], folder / "walks", seeds="0:2"))
 
 
-@pytest.mark.parametrize("missing", [None, *WITHOUT])
-@pytest.mark.parametrize("how", CHANGED)
+@pytest.mark.parametrize(
+    ("how", "missing"),
+    [*((how, None) for how in CHANGED), *(("another walk", name) for name in WITHOUT)],
+)
 def test_a_log_that_was_changed_is_walked_again(how, missing, two_walks, tmp_path, capsys):
     """With journal and manifest, and with one of them."""
 

@@ -11,9 +11,8 @@ from surefoot.models.attribution.data import dead_contacts, readings, split_of, 
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
-from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import OUTPUTS, TraceOptions, trace, trace_logs
-from surefoot.scenarios.trace.words import caution, summary
+from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects
@@ -200,25 +199,6 @@ def test_a_walk_without_a_reference_and_legs_ends_in_a_verdict(tmp_path):
     assert found.verdict == "not_identifiable"
     assert "no channel: the log lacks" in summary(found)
     assert (tmp_path / "out" / "report.html").exists()
-
-
-def test_rivals_are_named_and_the_motion_that_tells_them_apart_is_said_once():
-    rivals = tuple({"name": "encoder_scale", "target": t, "overlap": 0.97} for t in ("a", "b"))
-    found = Trace(
-        verdict="confounded", channels={}, filters={}, rivals=rivals, motion="bend the joint"
-    )
-    said = summary(found)
-    assert "or encoder_scale a (overlap 0.97)" in said
-    assert said.count("bend the joint") == 1
-
-
-def test_what_was_found_beside_a_rest_is_put_to_use_with_caution():
-    harm = "leg filter: larger error with the effects found"
-    found = {"verdict": "none_of_these", "effects": [{}], "notes": ["the ground is level", harm]}
-    assert caution(found).endswith(f"; {harm}")
-    assert "level" not in caution(found)
-    assert caution({**found, "effects": []}) == ""
-    assert caution({**found, "verdict": "attributed"}) == ""
 
 
 @pytest.mark.long

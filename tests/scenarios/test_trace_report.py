@@ -122,12 +122,6 @@ def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():
     assert states["imu_gyro"] not in said
 
 
-def test_only_a_trace_that_explains_the_log_says_that_the_model_lacks_something():
-    for verdict in VERDICTS:
-        first = summary(result(verdict)).splitlines()[0]
-        assert ("lacks link_length" in first) == (verdict in ("attributed", "confounded"))
-
-
 def test_notes_on_faults_come_first_and_the_others_are_folded():
     notes = (
         "accel_x: clipped",

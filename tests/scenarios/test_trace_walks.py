@@ -1,13 +1,14 @@
-"""Friction, outside forces and filters of a trace, on short walks with known truth."""
+"""Traces of walks: friction, pushes, several walks, and what the filters' drift comes of."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from pushes import pushed
+from scipy.spatial.transform import Rotation
 
-from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.models.attribution.diagnose import diagnose
+from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot.models.attribution.diagnose import diagnose, logs_under_model
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.attribution.forces import (
     FEWEST_SLIDES,
@@ -19,8 +20,18 @@ from surefoot.models.attribution.forces import (
     slip_notes,
 )
 from surefoot.models.residuals.binning import BIN
-from surefoot.scenarios.trace.filters import dead_reckoned, drift
+from surefoot.scenarios.estimate.run import Learnt
+from surefoot.scenarios.trace.filters import (
+    before_and_after,
+    causes_of_drift,
+    dead_reckoned,
+    drift,
+    drift_parts,
+)
+from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.sim.effects import effect
+from surefoot.sim.effects.base import Effect, with_columns
+from surefoot.sim.effects.traced import Traced
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -28,12 +39,16 @@ from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
+
+
 GROUND = Ground(0.8)
+
+
 ZIGZAG = (Segment(1.5, 0.4, lateral=0.15), Segment(1.5, 0.4, lateral=-0.15)) * 4
 
 
 @pytest.fixture(scope="module")
-def log():
+def zigzag():
     return walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0)
 
 
@@ -57,8 +72,8 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
     assert one.interval[0] - 0.01 < 0.85 < one.interval[1] + 0.01
 
 
-def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(log):
-    found = friction(log)
+def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(zigzag):
+    found = friction(zigzag)
     assert found is not None
     assert (found.limit, slip_effect(found)) == (None, ())
     assert 0.05 < found.held < 0.8
@@ -104,8 +119,8 @@ def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, 
 @pytest.mark.parametrize(
     "one", [("joint_delay", "all", -0.015), ("foot_rolling", "all", 0.05)], ids=["late", "rolls"]
 )
-def test_another_effect_is_not_taken_for_lost_friction(log, one):
-    altered, known = effect(*one).compensate(log, ROBOT)
+def test_another_effect_is_not_taken_for_lost_friction(zigzag, one):
+    altered, known = effect(*one).compensate(zigzag, ROBOT)
     found = estimate_friction([log_under_model(altered, known)], np.random.default_rng(0))
     assert slip_effect(found) == ()
 
@@ -139,16 +154,16 @@ def test_friction_is_that_with_the_effects_found_compensated():
     assert found.friction.slides == 0
 
 
-def test_without_torques_friction_is_not_identifiable(log):
-    bare = log.frame.drop(columns=[c for c in log.frame if str(c).startswith("tau_")])
-    assert friction(replace(log, frame=bare)) is None
+def test_without_torques_friction_is_not_identifiable(zigzag):
+    bare = zigzag.frame.drop(columns=[c for c in zigzag.frame if str(c).startswith("tau_")])
+    assert friction(replace(zigzag, frame=bare)) is None
     assert "without torques" in slip_notes(None, True)[0]
 
 
-def test_outside_forces_are_found_where_they_act(log):
+def test_outside_forces_are_found_where_they_act(zigzag):
     for spans, there in (((), 0), (((4.0, 5.0), (10.0, 11.0)), 2)):
         case = log_under_model(
-            pushed(log, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else log, ROBOT
+            pushed(zigzag, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else zigzag, ROBOT
         )
         known = linearise([case], (), ())
         found = outside_forces([case], known.table, known, BIN)
@@ -163,16 +178,171 @@ def test_outside_forces_are_found_where_they_act(log):
         assert near == pytest.approx(there * 1.9, abs=0.3)
 
 
-def test_what_comes_with_every_stride_is_no_outside_force(log):
-    strong = effect("torque_scale", "thigh", -0.3).compensate(log, ROBOT)[0]
+def test_what_comes_with_every_stride_is_no_outside_force(zigzag):
+    strong = effect("torque_scale", "thigh", -0.3).compensate(zigzag, ROBOT)[0]
     case = log_under_model(strong, ROBOT)
     known = linearise([case], (), ())
     assert np.nanstd(known.table[:, known.layout.of("base_wrench")[:3]]) > 5.0
     assert outside_forces([case], known.table, known, BIN) == ()
 
 
-def test_dead_reckoning_by_the_legs_is_among_the_filters(log):
-    truth = reference(log)
-    right = drift(truth, dead_reckoned(log, ROBOT.feet))
-    long_ago = effect("link_length", "thigh", 0.02).compensate(log, ROBOT)[1]
-    assert right < 0.02 < drift(truth, dead_reckoned(log, long_ago.feet))
+def test_dead_reckoning_by_the_legs_is_among_the_filters(zigzag):
+    truth = reference(zigzag)
+    right = drift(truth, dead_reckoned(zigzag, ROBOT.feet))
+    long_ago = effect("link_length", "thigh", 0.02).compensate(zigzag, ROBOT)[1]
+    assert right < 0.02 < drift(truth, dead_reckoned(zigzag, long_ago.feet))
+
+
+LONGER = effect("link_length", "FR_calf", 0.006)
+
+
+ZEROS, LATE = (0.02, -0.015, 0.01), (0.0, 0.012, 0.006)
+
+
+"""rad of FL's thigh, and s of the reference's clock, of each walk."""
+
+
+PUSH = (5.0, 6.2)
+
+
+"""s of the second walk."""
+
+
+def walked(seed):
+    own = [effect("encoder_offset", "FL_thigh", ZEROS[seed])]
+    own += [effect("reference_delay", "all", LATE[seed])] if LATE[seed] else []
+    course = Scenario("zigzag", ZIGZAG, Ground(0.8))
+    log = walk(course, ROBOT, seed, [LONGER, *own], declared=False)
+    return pushed(log, ROBOT, [PUSH], (0.0, 30.0, -15.0)) if seed == 1 else log
+
+
+@pytest.fixture(scope="module")
+def found():
+    return trace_logs([walked(0), walked(1)], ROBOT, TraceOptions(holdout=[walked(2)]))
+
+
+COURSE = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
+
+
+class Drift(Effect):
+    """A gyro that drifts with the time since the log began."""
+
+    name = "drift"
+    unit = "rad/s^2"
+    bounds = (-1.0, 1.0)
+    targets = ("all",)
+    traced = Traced(channels=("imu_gyro",), step=1e-3)
+
+    def compensate(self, log, robot):
+        reading = log.frame["gyro_x"].to_numpy() - self.value * (log.t - log.t[0])
+        return with_columns(log, {"gyro_x": reading}), robot
+
+
+def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut(log):
+    robot = Robot.load("spot_class")
+    drifted = log.frame["gyro_x"].to_numpy() + 0.01 * (log.t - log.t[0])
+    drifting = with_columns(replace(log), {"gyro_x": drifted})
+    found = before_and_after(drifting, robot, [Drift("all", 0.01)], Learnt(), 5.0, log.t[-1])
+    right = before_and_after(log, robot, [], Learnt(), 5.0, log.t[-1])
+    assert [one.filter for one in found] == [one.filter for one in right]
+    for one, other in zip(found, right, strict=True):
+        assert one.metrics[1].ape_rot == pytest.approx(other.metrics[0].ape_rot, rel=1e-6)
+    imu = next(one for one in found if one.filter == "imu")
+    assert imu.metrics[0].ape_rot > 5 * imu.metrics[1].ape_rot
+    assert np.isfinite(imu.metrics[1].ape_trans)
+
+
+def test_who_sways_on_the_spot_has_no_drift_by_the_metre():
+    t = np.linspace(0.0, 10.0, 1001)
+    still = np.broadcast_to(np.eye(3), (len(t), 3, 3))
+
+    def path(x):
+        p_GI = np.column_stack([x, np.zeros((len(t), 2))])
+        return Trajectory(t=t, R_GI=still, v_GI=0 * p_GI, p_GI=p_GI, b_a=0 * p_GI, b_g=0 * p_GI)
+
+    away = 0.1 * t
+    assert drift(path(0.5 * t), path(0.5 * t + away)) == pytest.approx(0.2)
+    swaying = path(0.01 * np.sin(t)), path(0.01 * np.sin(t) + away)
+    assert np.isnan(drift(*swaying))
+    assert np.isnan(drift_parts(*swaying)).all()
+
+
+def test_each_cause_of_drift_is_charged_with_what_it_causes(log, robot):
+    """A gyro that reads turns 2 % too large turns the estimate; a short shank sinks it."""
+    turns, sinks = effect("gyro_scale", "z", 0.02), effect("link_length", "FR_calf", 0.006)
+    course = Scenario("seen", COURSE, Ground(0.8))
+    built = walk(course, robot, 4, effects=[turns, sinks], declared=False)
+    (case,), (exact,) = (logs_under_model([one], robot, ()) for one in (built, log))
+    causes = causes_of_drift([case], [turns, sinks])
+    assert causes is not None
+    added = {one.name: drift for one, drift in causes.added}
+    height, yaw = (np.array([abs(x[k]) for x in added.values()]) for k in (1, 2))
+    assert list(added)[int(height.argmax())] == "link_length"
+    assert list(added)[int(yaw.argmax())] == "gyro_scale"
+    assert height.max() > 3.0 * height.min()
+    assert yaw.max() > 3.0 * yaw.min()
+    # Small effects add up to what the declared model drifts more than one that has them all.
+    more = (causes.declared - causes.left)[1:]
+    assert np.sum(list(added.values()), axis=0)[1:] == pytest.approx(more, rel=0.1, abs=1e-4)
+    assert causes.added[0][1][0] > causes.added[1][1][0] > 0.0
+    none = causes_of_drift([exact], [effect("gyro_scale", "z", 0.0)])
+    assert none is not None
+    assert np.abs(causes.left - none.declared).max() < 0.2 * np.abs(causes.declared).max()
+
+
+def test_a_drift_has_a_height_a_yaw_and_a_distance():
+    t = np.linspace(0.0, 10.0, 1001)
+    zeros = np.zeros((len(t), 3))
+
+    def ahead(scale, climb, turn):
+        R_GI = Rotation.from_euler("z", (turn * t)[:, None]).as_matrix()
+        p_GI = np.column_stack([scale * t, 0 * t, climb * t])
+        return Trajectory(t=t, R_GI=R_GI, v_GI=zeros, p_GI=p_GI, b_a=zeros, b_g=zeros)
+
+    found = drift_parts(ahead(1.0, 0.0, 0.0), ahead(1.02, 0.003, 0.01))
+    assert found[1:] == pytest.approx([0.003, 0.01, 0.02], rel=1e-3)
+    assert found[0] > np.hypot(0.02, 0.003)  # beside what the turn adds
+
+
+def test_where_the_leg_filter_does_not_run_no_cause_is_named(log, robot):
+    bare = replace(log, frame=log.frame[[c for c in log.frame if not str(c).startswith("contact")]])
+    cases = logs_under_model([bare], robot, ())
+    assert causes_of_drift(cases, [effect("gyro_scale", "z", 0.02)]) is None
+    assert causes_of_drift(cases, []) is None
+
+
+"""rad of FL's thigh, and s of the reference's clock, of each walk."""
+
+
+"""s of the second walk."""
+
+
+def of_run(run, name):
+    return {z.effect.target: z.effect.value for z in run.zeros if z.effect.name == name}
+
+
+@pytest.mark.slow
+def test_the_size_that_both_walks_share_is_found(found):
+    assert [(e.name, e.target) for e in found.effects] == [("link_length", "FR_calf")]
+    assert found.effects[0].value == pytest.approx(0.006, abs=0.0015)
+    (size,) = found.found
+    assert size.interval[0] - 5e-4 < 0.006 < size.interval[1] + 5e-4
+
+
+@pytest.mark.slow
+def test_each_walk_has_a_zero_and_a_clock_of_its_own(found):
+    for run, zero, late in zip(found.runs, ZEROS, LATE, strict=False):
+        assert of_run(run, "encoder_offset")["FL_thigh"] == pytest.approx(zero, abs=0.004)
+        assert of_run(run, "reference_delay").get("all", 0.0) == pytest.approx(late, abs=0.002)
+
+
+@pytest.mark.slow
+def test_the_push_is_told_from_what_the_robot_lacks(found):
+    (told,) = [one for one in (*found.reasons, *found.notes) if "outside forces" in one]
+    assert "of run 2" in told
+
+
+@pytest.mark.slow
+def test_the_walk_that_no_fit_has_seen_agrees(found):
+    feet = found.held_out.channels["foot_height"]
+    assert feet.after < 0.7 * feet.before

@@ -1,11 +1,18 @@
-"""The commanded course: it obeys its ramps, integrates its velocity, ends where it should."""
+"""Courses: ramps, integrals, laps, and courses carried to a robot of another size."""
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from ground_course import whole_course
 
 from surefoot.sim.gait.course import ACCELERATION, TURN_ACCELERATION
-from surefoot.sim.scenario import Segment
+from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.similar_course import course_for
+from surefoot.sim.walk import walk
 
 DT = 0.004
 
@@ -42,3 +49,92 @@ def test_laps_of_a_square_close():
     assert len(course.t) - len(one.t) == pytest.approx(4 * (5 + np.pi / 2 / 0.6) / DT, abs=4)
     # What is left is the run-out of the last stop.
     assert np.abs(course.pose[-1, :2]).max() < 1.5
+
+
+MENAGERIE = Path(__file__).resolve().parents[3] / "shared" / "models"
+
+
+"""Robots that others drew: no part of this repository."""
+
+
+TORQUES = {
+    "anybotics_anymal_b/anymal_b": 40.0,
+    "anybotics_anymal_c/anymal_c": 80.0,
+    "unitree_a1/a1": 33.5,
+    "unitree_go1/go1": 35.55,
+}
+
+
+"""N m, the largest force range of their position servos, whose control ranges are angles."""
+
+
+SPOT = Robot.load("spot_class")
+
+
+STRIPS = (
+    Strip((2.0, 0.0), (6.0, 0.0), 4.0, (0.0, 0.6), steps=5),
+    Strip((6.0, 0.0), (9.0, 0.0), 4.0, (0.6, 0.6), rough=0.05),
+    Strip((9.0, 4.0), (9.0, -4.0), 2.0, (0.6, 0.0)),
+)
+
+
+COURSE = Scenario(
+    "course",
+    (Segment(8.0, 0.6), Segment(4.0, 0.4, turn=0.5), Segment(6.0, 0.9)),
+    Ground(0.8, (Patch(3.0, 0.0, 2.0, 1.0, 0.2),), strips=STRIPS),
+    robot="spot_class",
+)
+
+
+def small(leg: float) -> Robot:
+    """A robot of another name whose legs are `leg` times as long."""
+    legs = SPOT.legs._replace(offset=leg * SPOT.legs.offset, foot=leg * SPOT.legs.foot)
+    return replace(SPOT, name="small", file=SPOT.file.with_name("small.xml"), legs=legs)
+
+
+def test_the_path_is_similar_and_the_froude_number_the_same():
+    k, dt = 0.5, 0.001
+    scaled = course_for(COURSE, small(k))
+    lead, whole = ([s.duration for s in one.segments] for one in (scaled, COURSE))
+    assert np.allclose(lead, np.sqrt(k) * np.array(whole))
+    before, after = (whole_course(one.segments, dt, 0.0) for one in (COURSE, scaled))
+    # Turns ramp up at one rate whatever the size, which costs a turn of four seconds some 3 %.
+    assert after.pose[-1] == pytest.approx([k, k, 1.0] * before.pose[-1], rel=0.05)
+    speeds = [np.abs(one.velocity[:, 0]).max() ** 2 for one in (before, after)]
+    assert speeds[1] / k == pytest.approx(speeds[0], rel=1e-3)
+
+
+def test_risers_shrink_slopes_stay_and_strips_still_meet():
+    strips = course_for(COURSE, small(0.5)).ground.strips
+    assert strips[0].heights[1] / strips[0].steps == pytest.approx(0.06)
+    steep = [np.ptp(s.heights) / np.hypot(*np.subtract(s.end, s.start)) for s in strips]
+    assert steep == pytest.approx([0.15, 0.0, 0.075], rel=0.1)
+    assert strips[0].end == pytest.approx(strips[1].start)
+    assert strips[1].rough == pytest.approx(0.025)
+
+
+def test_its_own_robot_and_one_of_no_other_walk_it_as_written():
+    assert course_for(COURSE, SPOT) is COURSE
+    free = replace(COURSE, robot=None)
+    assert course_for(free, small(0.5)) is free
+    unknown = replace(COURSE, robot="nobody_knows")
+    assert course_for(unknown, small(0.5)) is unknown
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *list(TORQUES)[:1],
+        *(pytest.param(name, marks=pytest.mark.long) for name in list(TORQUES)[1:]),
+    ],
+)
+def test_robots_of_the_menagerie_walk_the_demo_s_hardest_course(name):
+    """Turns, a stop and ice, drawn for legs of 0.66 m; at that size those of 0.4 m fall on it."""
+    file = MENAGERIE / f"{name}.xml"
+    if not file.is_file():
+        pytest.skip(f"no {file}")
+    robot = Robot.load(file)
+    assert robot.torque_limit.max() == TORQUES[name]
+    whole = Scenario.load("demo/calibrate")
+    log = walk(replace(whole, laps=1), robot, seed=0)
+    assert log.slip.max() > 0.2

@@ -8,6 +8,7 @@ from quadruped_mjcf import KNEE, SPHERE, quadruped_mjcf
 from refusals import refused
 from written import written
 
+from studies.measured import measured_folder
 from surefoot.sim.effects.body import FootRolling
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import build_world
@@ -19,14 +20,26 @@ from surefoot.sim.walk import plan
 from surefoot.sim.walking.trial import why_not
 
 VERTICES = "-.02 -.02 -.02 .02 -.02 -.02 -.02 .02 -.02 .02 .02 -.02 0 0 .03"
+
+
 MESH = f'<asset><mesh name="f" vertex="{VERTICES}"/>'
+
+
 BALL = '<body name="ball" pos="1 0 .2"><freejoint/><geom name="skin" size=".1"/></body>'
+
+
 BOX = '<geom type="box" pos="0 0 -.2" size=".02 .02 .01"/>'
+
+
 WHEELS = "".join(
     f'<body pos="{x} .1 0"><joint name="w{x}" axis="0 1 0"/><geom size=".05"/></body>'
     for x in (0.1, -0.1)
 )
+
+
 CART = f'<body name="cart"><freejoint/><geom size=".1"/>{WHEELS}</body>'
+
+
 STANDING = " 0 0.75 -1.5" * 4
 
 
@@ -187,3 +200,40 @@ def test_a_model_without_a_scene_is_compiled_as_it_is(tmp_path):
     path.write_text(quadruped_mjcf(scene='<geom name="floor" type="plane" size="1 1 1"/>'))
     assert read_model(path)[1] == ()
     assert compiled_model(path).geom("floor").bodyid[0] == 0
+
+
+MODELS = measured_folder().parent / "models"
+
+
+ICUB = measured_folder() / "icub_biped" / "icub.urdf"
+
+
+@pytest.mark.parametrize(
+    ("file", "limits"),
+    [
+        ("anybotics_anymal_b/anymal_b.xml", (40.0, 40.0, 40.0)),
+        ("anybotics_anymal_c/anymal_c.xml", (80.0, 80.0, 80.0)),
+        ("unitree_a1/a1.xml", (33.5, 33.5, 33.5)),
+        ("unitree_go1/go1.xml", (23.7, 23.7, 35.55)),
+    ],
+)
+def test_servos_control_ranges_are_angles_and_no_torques(file, limits):
+    if not MODELS.is_dir():
+        pytest.skip(f"no models in {MODELS}")
+    robot = Robot.load(MODELS / file)
+    assert robot.limbs.legs == ("FL", "FR", "RL", "RR")
+    assert robot.torque_limit.reshape(4, 3).tolist() == [list(limits)] * 4
+
+
+def test_a_humanoid_from_its_urdf():
+    """Its base's x axis points backward: the left leg is the one whose joints are named so."""
+    if not ICUB.is_file():
+        pytest.skip(f"no {ICUB}")
+    icub = Robot.load(ICUB)
+    assert icub.mass == pytest.approx(33.1, abs=0.05)
+    assert icub.foot_bodies == ("l_sole", "r_sole")
+    assert icub.limbs.legs == ("left", "right")
+    assert [len(chain) for chain in icub.limbs.chains] == [6, 6]
+    assert len(icub.limbs.joints) == 32
+    assert icub.limbs.kinds["knee"] == ("l_knee", "r_knee")
+    assert icub.torque_limit[0] == 55.5
