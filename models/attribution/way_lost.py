@@ -17,8 +17,7 @@ from scipy.stats import t as student
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.sim.effects import effect, known_effects
-from surefoot.sim.effects.creep import share_lost
-from surefoot.sim.sensors.way import way_by_feet
+from surefoot.sim.effects.creep import share_lost, way_by_feet
 
 LAWS = ("foot_creep", "foot_scrub")
 WINDOW = 1.0

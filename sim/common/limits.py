@@ -203,3 +203,21 @@ def check_toml_keys(text: str) -> None:
     """Raise SurefootError for keys of more than 64 dots, whose parsing takes quadratic time."""
     if _DOTTED.search(text):
         raise SurefootError("a key has more than 64 dots")
+
+
+_MAGIC = b"PAR1"
+"""First bytes of a Parquet file."""
+
+
+def check_first_bytes(path: Path) -> None:
+    """Raise SurefootError for a recording that has still to be imported, and for a Parquet file
+    that is damaged in its first bytes.
+    """
+    with path.open("rb") as stream:
+        if stream.read(len(_MAGIC)) == _MAGIC:
+            return
+    if path.suffix == ".parquet":
+        raise SurefootError(f"{path}: not a whole Parquet file, damaged in its first bytes")
+    raise SurefootError(
+        f"{path}: not a log, which is a Parquet file; `surefoot import` makes one of it"
+    )

@@ -9,13 +9,11 @@ from functools import partial
 import numpy as np
 
 from surefoot.sim.common.series import low_pass
-from surefoot.sim.effects.base import Effect, along, declared_on, turn_about
+from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, along, declared_on, turn_about
 from surefoot.sim.effects.readings import Offset, Scale
-from surefoot.sim.effects.targets import AXES
-from surefoot.sim.effects.traced import Prior, Traced
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.streams import Streams
+from surefoot.sim.sensors.streams import Reference, Streams
 
 _imu = partial(Traced, step=1e-3, needs=("imu",), belongs_to="sensor", on_given_feet=True)
 _readings = partial(_imu, chain_rule="readings")
@@ -200,3 +198,31 @@ class ImuLowpass(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         # Filter the model's IMU instead: inverting the filter would amplify the readings' noise.
         return log, declared_on(robot, imu_lowpass=self.value)
+
+
+class MountingRotation(Effect):
+    """The IMU is mounted with a rotation about one of its nominal axes, and so is the reference.
+
+    The reference was aligned with the IMU, so the two agree, and the legs are rotated against both.
+    Motion capture is aligned to a body or its IMU by hand or by fitting, to about a degree.
+    """
+
+    name = "mounting_rotation"
+    unit = "rad"
+    bounds = (-0.5, 0.5)
+    targets = AXES
+    traced = Traced(
+        channels=("leg_velocity", "foot_height", "base_wrench"),
+        step=1e-3,
+        needs=("reference",),
+        motion="walk in every direction, crouched and tall",
+    )
+
+    def alter_mounting(self, robot: Robot) -> Robot:
+        return replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))
+
+    def alter_reference(self, reference: Reference) -> Reference:
+        return replace(reference, R_GI=reference.R_GI @ turn_about(self.target, self.value))
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return log, replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))

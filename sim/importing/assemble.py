@@ -33,8 +33,7 @@ from surefoot.sim.importing.sections import EvenTable, by_name
 from surefoot.sim.log import Log, LogError, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS, check_frame, joint_names, joint_prefix
-from surefoot.sim.robot.catalog import SUFFIXES
-from surefoot.sim.robot.model_of_log import model_metadata
+from surefoot.sim.robot.catalog import SUFFIXES, model_metadata
 
 _QUATERNION = GROUPS["reference"][3:]
 

@@ -18,8 +18,7 @@ import numpy as np
 from numba import types
 
 from surefoot.sim.common.copies import copy_row
-from surefoot.sim.common.kernels import kernel
-from surefoot.sim.common.mujoco_library import mujoco_function
+from surefoot.sim.common.kernels import kernel, mujoco_function
 from surefoot.sim.robot.inertia import LinkChange, change_links
 from surefoot.sim.robot.model_file import compiled_model
 

@@ -13,7 +13,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log import Log
-from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.catalog import robot_file, robot_of_log
 from surefoot.sim.robot.feet import LegFeet
 from surefoot.sim.robot.home_pose import standing_joints, stands
 from surefoot.sim.robot.inertia import LinkChange
@@ -22,7 +22,6 @@ from surefoot.sim.robot.kinematics import Legs, feet
 from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
 from surefoot.sim.robot.limbs import Limbs, refuse_foreign
 from surefoot.sim.robot.model_file import compiled_model, read_model
-from surefoot.sim.robot.model_of_log import robot_of_log
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
 _OF_LEGS = ("foot_radius", "foot_reach", "sole", "foot_places")

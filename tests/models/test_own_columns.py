@@ -10,8 +10,7 @@ from surefoot.models.attribution.data import _misnamed_channels, readings
 from surefoot.models.attribution.evidence import all_keys, log_under_model
 from surefoot.models.residuals.channels import channels
 from surefoot.sim.effects import add
-from surefoot.sim.effects.base import Effect
-from surefoot.sim.effects.traced import Traced
+from surefoot.sim.effects.base import Effect, Traced
 from surefoot.sim.log import LogError
 from surefoot.sim.robot import Robot
 

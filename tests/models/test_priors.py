@@ -7,8 +7,8 @@ import pytest
 
 from surefoot.models.attribution.effect_sizes import plausible_size, price_of_some_parts
 from surefoot.sim.effects import known_effects
-from surefoot.sim.effects.body import Payload
-from surefoot.sim.effects.traced import Prior
+from surefoot.sim.effects.base import Prior
+from surefoot.sim.effects.masses import Payload
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
 

@@ -13,9 +13,7 @@ from synthetic import without
 from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.sim.effects import CATALOGUE, add
-from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.effects.targets import AXES
-from surefoot.sim.effects.traced import Traced
+from surefoot.sim.effects.base import AXES, Effect, Traced, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment

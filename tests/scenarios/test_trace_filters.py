@@ -11,8 +11,7 @@ from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import before_and_after, causes_of_drift, drift, drift_parts
 from surefoot.sim.effects import effect
-from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.effects.traced import Traced
+from surefoot.sim.effects.base import Effect, Traced, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment

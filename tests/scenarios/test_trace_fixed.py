@@ -18,8 +18,7 @@ from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase
-from surefoot.sim.robot.machine import load_machine, machine_for_log
+from surefoot.sim.robot.machine import FixedBase, load_machine, machine_for_log
 
 PENDULUM = load_machine("ak80_pendulum")
 

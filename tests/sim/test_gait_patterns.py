@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.gait.patterns import PATTERNS, Pattern, _check
+from surefoot.sim.gait.options import PATTERNS, GaitOptions, Pattern, _check
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment

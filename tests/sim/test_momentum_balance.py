@@ -7,7 +7,7 @@ from synthetic import without
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.physics.momentum_balance import momentum_balance
+from surefoot.sim.physics.loads import momentum_balance
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.stances import inside_stances
 from surefoot.sim.walk import walk
