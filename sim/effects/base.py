@@ -6,6 +6,7 @@ A third, `traced`, says how `trace` looks for it. Its influence on the residual 
 from `compensate` by finite differences; `Traced.chain_rule` declares a faster way.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, TypeVar
@@ -143,6 +144,7 @@ class Effect:
     value: float
 
     name: ClassVar[str]
+    """By default that of the class, in words: `gyro_bias` of a class GyroBias."""
     unit: ClassVar[str]
     bounds: ClassVar[tuple[float, float]]
     may_lessen: ClassVar[bool] = False
@@ -155,6 +157,10 @@ class Effect:
     """Whether a group of parts may share one size (`targets.groups`)."""
     traced: ClassVar[Traced] = Traced()
     """How `trace` looks for the effect."""
+
+    def __init_subclass__(cls) -> None:
+        if "name" not in vars(cls):
+            cls.name = re.sub(r"(?<=.)(?=[A-Z])", "_", cls.__name__).lower()
 
     def __post_init__(self):
         if isinstance(self.targets, tuple) and self.target not in self.targets:

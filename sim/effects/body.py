@@ -30,7 +30,6 @@ class LinkLength(Effect):
     Offset Calibration for Quadrupedal Robots", ROBIO 2022.
     """
 
-    name = "link_length"
     unit = "m"
     bounds = (-0.03, 0.03)
     targets = "leg_link"
@@ -86,7 +85,6 @@ class LinkLength(Effect):
 class HipOffset(Effect):
     """A leg is mounted with an offset along an axis of the base: its hip hinge and all below it."""
 
-    name = "hip_offset"
     unit = "m"
     bounds = (-0.05, 0.05)
     targets = "leg_axis"
@@ -119,7 +117,6 @@ class LegHeading(Effect):
     parts by ten times as much.
     """
 
-    name = "leg_heading"
     unit = "rad"
     bounds = (-0.2, 0.2)
     targets = "leg_axis"
@@ -183,7 +180,6 @@ class FootRolling(Effect):
     A model with point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
     """
 
-    name = "foot_rolling"
     unit = "m"
     bounds = (-0.06, 0.06)
     targets = "leg"

@@ -30,21 +30,13 @@ class FootSlip(Effect):
     slide are masked.
     """
 
-    name = "foot_slip"
     unit = "ratio"
     bounds = (0.0, 0.95)
     targets = ("all",)
     traced = Traced(channels=("leg_velocity",))
 
     def alter_ground(self, ground: Ground) -> Ground:
-        keep = 1.0 - self.value
-        return replace(
-            ground,
-            mu=ground.mu * keep,
-            patches=tuple(replace(p, mu=p.mu * keep) for p in ground.patches),
-            strips=tuple(s if s.mu is None else replace(s, mu=s.mu * keep) for s in ground.strips),
-            fields=tuple(f if f.mu is None else replace(f, mu=f.mu * keep) for f in ground.fields),
-        )
+        return ground.with_friction(1.0 - self.value)
 
 
 class SoftGround(Effect):
@@ -56,7 +48,6 @@ class SoftGround(Effect):
     (`models.residuals.soft_ground`).
     """
 
-    name = "soft_ground"
     unit = "s"
     bounds = (0.0, 0.2)
     targets = ("all",)
@@ -83,7 +74,6 @@ class ContactDelay(Effect):
     contact that ends early is harmless, since an unloaded foot stands still for a while.
     """
 
-    name = "contact_delay"
     unit = "s"
     bounds = (-0.05, 0.15)
     targets = ("touchdown", "liftoff")

@@ -66,7 +66,6 @@ class FootCreep(Effect):
     size is negative, as on round feet that are taken for points.
     """
 
-    name = "foot_creep"
     unit = "ratio"
     bounds = (-0.5, 0.5)
     targets = ("all",)
@@ -76,8 +75,15 @@ class FootCreep(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         way = way_by_feet(log)
-        share = share_lost(self.name, self.value, way.length, way.turned)
+        share = self.share_lost(self.value, way.length, way.turned)
         return without_way(log, way, share), robot
+
+    @classmethod
+    def share_lost(cls, size: float, length: np.ndarray, turned: np.ndarray) -> np.ndarray:
+        """Share (S,), at most 1, of the way that the body loses in each stance by an effect of this
+        size; length and turned as of `Way`.
+        """
+        return np.full(len(length), size)
 
     @classmethod
     def single_targets(cls, limbs: Limbs) -> tuple[str, ...]:
@@ -89,21 +95,15 @@ class FootScrub(FootCreep):
     over the ground, which gyro and feet show.
     """
 
-    name = "foot_scrub"
     unit = "m/rad"
     bounds = (0.0, 1.0)
     traced = _way(prior=Prior(1.0, "no figure found: as far as a foot is from the body's middle"))
 
-
-def share_lost(name: str, size: float, length: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """Share (S,) of the way that the body loses in each stance, by an effect of this name and size;
-    length and turned as of `Way`. No stance loses more than all.
-    """
-    if name == FootCreep.name:
-        return np.full(len(length), size)
-    # The angle of a single stance is noisy; without way, as of a robot at rest, none is lost.
-    lost = gaussian_filter1d(np.minimum(size * turned, length), STANCES)
-    return np.minimum(lost / np.maximum(gaussian_filter1d(length, STANCES), 1e-9), 1.0)
+    @classmethod
+    def share_lost(cls, size: float, length: np.ndarray, turned: np.ndarray) -> np.ndarray:
+        # The angle of a single stance is noisy; without way, as of a robot at rest, none is lost.
+        lost = gaussian_filter1d(np.minimum(size * turned, length), STANCES)
+        return np.minimum(lost / np.maximum(gaussian_filter1d(length, STANCES), 1e-9), 1.0)
 
 
 def without_way(log: Log, way: Way, share: np.ndarray) -> Log:

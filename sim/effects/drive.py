@@ -70,7 +70,6 @@ class ViscousFriction(DriveEffect):
     bounds leave room for the gears of large arms and, in N s/m, for the belts and screws of slides.
     """
 
-    name = "viscous_friction"
     unit = "N m s/rad"
     bounds = (0.0, 1e4)
     traced = _drive(bounds_on_legs=(0.0, 100.0), prior=Prior(10.0, NO_FIGURE_OF_DRIVES))
@@ -91,7 +90,6 @@ class CoulombFriction(DriveEffect):
     bounds leave room for the gears of large arms.
     """
 
-    name = "coulomb_friction"
     unit = "N m"
     bounds = (0.0, 2e3)
     dry = True
@@ -113,7 +111,6 @@ class LoadFriction(DriveEffect):
     velocity", IROS 2010.
     """
 
-    name = "load_friction"
     unit = "ratio"
     bounds = (0.0, 0.9)
     dry = True
@@ -143,7 +140,6 @@ class Armature(DriveEffect):
     large arms.
     """
 
-    name = "armature"
     unit = "kg m^2"
     bounds = (0.0, 1e3)
     traced = _drive(
@@ -184,7 +180,6 @@ class Backlash(Effect):
     the PULSE115-60).
     """
 
-    name = "backlash"
     unit = "rad"
     bounds = (0.0, 0.1)
     targets = "joint"

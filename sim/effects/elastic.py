@@ -38,7 +38,6 @@ class LegCompliance(Effect):
     much as a gear.
     """
 
-    name = "leg_compliance"
     unit = "rad/(N m)"
     bounds = (0.0, 0.02)
     targets = "joint"
@@ -71,7 +70,6 @@ class FootElasticity(Effect):
     Feet of rubber or foam have 1e4 to 1e5 N/m.
     """
 
-    name = "foot_elasticity"
     unit = "m/N"
     bounds = (0.0, 1e-4)
     targets = ("normal", "tangential")

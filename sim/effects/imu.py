@@ -28,7 +28,6 @@ class ImuRotation(Effect):
     Haarnoja et al. (Science Robotics 2024) draw up to 2 degrees for their robot.
     """
 
-    name = "imu_rotation"
     unit = "rad"
     bounds = (-0.5, 0.5)
     targets = AXES
@@ -57,7 +56,6 @@ class GyroScale(Scale):
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
-    name = "gyro_scale"
     bounds = (-0.3, 0.3)
     targets = AXES
     readings = ("gyro",)
@@ -73,7 +71,6 @@ class AccelScale(Scale):
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
-    name = "accel_scale"
     bounds = (-0.3, 0.3)
     targets = AXES
     readings = ("accel",)
@@ -89,7 +86,6 @@ class GyroBias(Offset):
     The MPU-6050's product specification allows 20 deg/s (0.35 rad/s) before calibration.
     """
 
-    name = "gyro_bias"
     unit = "rad/s"
     bounds = (-0.5, 0.5)
     targets = AXES
@@ -107,7 +103,6 @@ class AccelBias(Offset):
     The MPU-6050's product specification allows 50 mg (0.5 m/s^2) along x and y, 80 mg along z.
     """
 
-    name = "accel_bias"
     unit = "m/s^2"
     bounds = (-2.0, 2.0)
     targets = AXES
@@ -126,7 +121,6 @@ class GyroGSensitivity(Effect):
     The MPU-6050's product specification gives 0.1 deg/s per g, 1.8e-4 in this unit.
     """
 
-    name = "gyro_g_sensitivity"
     unit = "rad/s per m/s^2"
     bounds = (-0.02, 0.02)
     targets = AXES
@@ -152,7 +146,6 @@ class ImuPosition(Effect):
     at the origin is off by more.
     """
 
-    name = "imu_position"
     unit = "m"
     bounds = (-0.5, 0.5)
     targets = AXES
@@ -181,7 +174,6 @@ class ImuLowpass(Effect):
     be set from 260 Hz down to 5 Hz (32 ms), by its register map.
     """
 
-    name = "imu_lowpass"
     unit = "s"
     bounds = (0.0, 0.1)
     targets = ("all",)
@@ -207,7 +199,6 @@ class MountingRotation(Effect):
     Motion capture is aligned to a body or its IMU by hand or by fitting, to about a degree.
     """
 
-    name = "mounting_rotation"
     unit = "rad"
     bounds = (-0.5, 0.5)
     targets = AXES

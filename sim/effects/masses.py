@@ -26,7 +26,6 @@ class Payload(Effect):
     Spot carries up to 14 kg (Boston Dynamics, "Spot Specifications").
     """
 
-    name = "payload"
     unit = "kg"
     bounds = (0.0, 30.0)
     targets = ("all",)
@@ -51,7 +50,6 @@ class ComOffset(Effect):
     "Walk These Ways" (CoRL 2022) draws +-0.15 m in its public code.
     """
 
-    name = "com_offset"
     unit = "m"
     bounds = (-0.2, 0.2)
     targets = AXES
@@ -86,7 +84,6 @@ Universal Robots UR10e, technical specifications: 12.5 kg of 33.5 kg.
 class LinkMass(Effect):
     """A link is heavier than in the model, with the same centre of mass."""
 
-    name = "link_mass"
     unit = "kg"
     bounds = (-20.0, 200.0)
     targets = "link"
@@ -123,7 +120,6 @@ class LinkMass(Effect):
 class LinkCom(Effect):
     """A link's centre of mass is shifted along an axis of its body, `<joint>_<axis>`."""
 
-    name = "link_com"
     unit = "m"
     bounds = (-0.5, 0.5)
     targets = "link_axis"
@@ -152,7 +148,6 @@ class LinkInertia(Effect):
     Excludes the first link of a fixed base, whose inertia no motion distinguishes from `armature`.
     """
 
-    name = "link_inertia"
     unit = "kg m^2"
     bounds = (0.0, 20.0)
     may_lessen = True

@@ -84,7 +84,6 @@ class EncoderOffset(Offset):
     Besides "Walk These Ways": Haarnoja et al. (Science Robotics 2024) draw +-2.9 degrees, 0.05 rad.
     """
 
-    name = "encoder_offset"
     unit = "rad"
     bounds = (-0.2, 0.2)
     readings = ("q",)
@@ -103,7 +102,6 @@ class EncoderScale(Scale):
     non-linearity.
     """
 
-    name = "encoder_scale"
     bounds = (-0.2, 0.2)
     readings = ("q", "dq")
     traced = _reading(
@@ -121,7 +119,6 @@ class TorqueScale(Scale):
     draws 90 to 110 %.
     """
 
-    name = "torque_scale"
     bounds = (-0.5, 0.5)
     groups = True
     readings = ("tau",)
@@ -138,7 +135,6 @@ class TorqueBias(Offset):
     The bounds leave room for large arms.
     """
 
-    name = "torque_bias"
     unit = "N m"
     bounds = (-2e3, 2e3)
     readings = ("tau",)

@@ -2,7 +2,6 @@
 gyro, from the rotations that both show.
 """
 
-import operator
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -74,7 +73,7 @@ def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     columns = {}
     for kind in dict.fromkeys(name.split("_")[0] for name in smooth):
         of_kind = [n for n in smooth if n.split("_")[0] == kind]
-        values = _spline(t, kind, [log.columns[name] for name in of_kind])(then)
+        values = _spline(log, kind, of_kind)(then)
         columns |= {name: values[:, i] for i, name in enumerate(of_kind)}
     columns |= {name: log.columns[name][_nearest(t, then)] for name in flags}
     if turns:
@@ -84,25 +83,18 @@ def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
 
 
 KEPT_ROWS = 100_000
-"""Rows up to which splines are kept: those of twelve joints then take a tenth of a GB."""
+"""Rows up to which a log keeps its splines: those of twelve joints then take a tenth of a GB."""
 
 
-_splines: dict[str, tuple[list[np.ndarray], CubicSpline]] = {}
-"""Kind of columns -> those of the last log, time first, and their spline: the delays and the clock
-of a stream are tried one after the other.
-"""
+def _spline(log: Log, kind: str, names: list[str]) -> CubicSpline:
+    """Spline through the columns of one kind: the delays and the clock of a stream are tried one
+    after the other.
+    """
 
+    def made() -> CubicSpline:
+        return CubicSpline(log.t, np.column_stack([log.columns[name] for name in names]))
 
-def _spline(t: np.ndarray, kind: str, columns: list[np.ndarray]) -> CubicSpline:
-    """Spline through columns (N,) of one kind at times t (N,) [s]."""
-    known = [t, *columns]
-    last = _splines.get(kind)
-    if last and len(last[0]) == len(known) and all(map(operator.is_, last[0], known)):
-        return last[1]
-    spline = CubicSpline(t, np.column_stack(columns))
-    if len(t) <= KEPT_ROWS:
-        _splines[kind] = known, spline
-    return spline
+    return log.once(f"spline of {kind}", names, made) if len(log.t) <= KEPT_ROWS else made()
 
 
 def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:

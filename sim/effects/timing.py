@@ -85,7 +85,6 @@ class JointDelay(Delay):
     feet that were computed from them.
     """
 
-    name = "joint_delay"
     delayed = STREAMS["joints"]
     traced = _late(
         channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
@@ -105,7 +104,6 @@ class JointDelay(Delay):
 class ImuDelay(Delay):
     """Angular rates and specific forces arrive late by a constant time."""
 
-    name = "imu_delay"
     delayed = STREAMS["imu"]
     traced = _late(
         channels=("imu_gyro", "imu_accel", "leg_velocity"),
@@ -120,7 +118,6 @@ class ImuDelay(Delay):
 class TorqueDelay(Delay):
     """Joint torques alone arrive late by a constant time."""
 
-    name = "torque_delay"
     delayed = ("tau",)
     traced = _late(
         channels=("joint_torque", "base_wrench", "command"),
@@ -135,7 +132,6 @@ class RateDelay(Delay):
     Drives that differentiate and filter the angles cause this.
     """
 
-    name = "rate_delay"
     delayed = ("dq",)
     traced = _late(
         channels=("joint_rate", "leg_velocity", "joint_torque", "base_wrench"),
@@ -150,7 +146,6 @@ class RateDelay(Delay):
 class ReferenceDelay(Delay):
     """The reference arrives late by a constant time: its rows show where the robot was."""
 
-    name = "reference_delay"
     bounds = (-0.2, 0.2)
     delayed = STREAMS["reference"]
     traced = _late(
@@ -170,7 +165,6 @@ class CommandDelay(Effect):
     low-pass with that mean lag: a share of each command comes a time step late.
     """
 
-    name = "command_delay"
     unit = "s"
     bounds = (0.0, 0.05)
     targets = ("all",)
@@ -215,7 +209,6 @@ class ClockScale(Effect):
     sample is held. Quartz oscillators are off by tens of parts per million (1e-5).
     """
 
-    name = "clock_scale"
     unit = "ratio"
     bounds = (-0.02, 0.02)
     targets = tuple(STREAMS)
