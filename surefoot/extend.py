@@ -67,8 +67,8 @@ if TYPE_CHECKING:
     from surefoot.sim.log.derived import JOINT_WINDOW, derivative
     from surefoot.sim.physics.loads import STICTION_RATE
     from surefoot.sim.robot import Robot
+    from surefoot.sim.robot.body_changes import LinkChange
     from surefoot.sim.robot.catalog import known_robots, robot_file
-    from surefoot.sim.robot.inertia import LinkChange
     from surefoot.sim.robot.legs import JOINTS
     from surefoot.sim.robot.limbs import Limbs
     from surefoot.sim.robot.machine import Machine, Modelled, machine_for_log

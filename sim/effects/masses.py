@@ -15,7 +15,7 @@ from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, along, declar
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import add_payload
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import LinkChange, with_own_inertia
+from surefoot.sim.robot.body_changes import LinkChange, with_own_inertia
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import take_off_ball, with_own_inertia
+from surefoot.sim.robot.body_changes import take_off_ball, with_own_inertia
 from surefoot.sim.robot.legs import LEGS
 
 RELAXATION = 0.001

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.effects import effect
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.body_changes import LinkChange
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, dynamics_of
 
 
