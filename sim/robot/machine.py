@@ -12,9 +12,10 @@ import mujoco
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log
+from surefoot.sim.robot.body_changes import BodyChanges
 from surefoot.sim.robot.catalog import machine_file, robot_of_log
 from surefoot.sim.robot.feet import PointFeet
-from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
+from surefoot.sim.robot.inverse_dynamics import Dynamics, dynamics_of
 from surefoot.sim.robot.limbs import Limbs, refuse_foreign
 from surefoot.sim.robot.model_file import compiled_model
 from surefoot.sim.robot.robot import DeclaredExtras, Robot
