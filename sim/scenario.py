@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -90,9 +90,11 @@ class Scenario:
         with errors_in(f"scenario {path}"):
             ground = file.ground.ground(path.resolve().parent)
         segments = tuple(chain.from_iterable(entry.segments() for entry in file.segment))
-        as_written = {name: value for name, value in vars(file).items() if name != "segment"}
-        named = {"name": path.stem if file.name is None else file.name}
-        return cls(**as_written | named | {"segments": segments, "ground": ground})
+        name = path.stem if file.name is None else file.name
+        same: dict[str, Any] = dict(vars(file))
+        for key in ("name", "segment", "ground"):
+            del same[key]
+        return cls(name, segments, ground, **same)
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,8 @@ from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.body import FootRolling
 from surefoot.sim.effects.contact import ContactDelay, FootSlip
 from surefoot.sim.effects.drive import Armature, Backlash, CoulombFriction, ViscousFriction
-from surefoot.sim.effects.imu import ImuRotation
-from surefoot.sim.effects.readings import (
-    AccelScale,
-    EncoderOffset,
-    GyroBias,
-    GyroScale,
-    TorqueScale,
-)
+from surefoot.sim.effects.imu import AccelScale, GyroBias, GyroScale, ImuRotation
+from surefoot.sim.effects.readings import EncoderOffset, TorqueScale
 from surefoot.sim.effects.timing import ImuDelay, JointDelay, TorqueDelay
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import JOINTS, LEGS, Log, MemoisedLog, Meta
