@@ -69,9 +69,9 @@ class ContactDelay(Effect):
     """The feet's contacts begin or end late by this mean time; a negative size means that they
     begin early.
 
-    Caused by a foot's pad and switch, whose delay depends on the load at each
-    step; the mean over all steps is the size. A long, soft pad touches before the foot stands. A
-    contact that ends early is harmless, since an unloaded foot stands still for a while.
+    Caused by a foot's pad and switch, whose delay depends on the load at each step; the mean over
+    all steps is the size. A long, soft pad touches before the foot stands. A contact that ends
+    early is harmless, since an unloaded foot stands still for a while.
     """
 
     unit = "s"
