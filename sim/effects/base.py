@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.errors import SurefootError, unknown
+from surefoot.sim.common.errors import SurefootError, check_known, errors_in
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.physics.loads import knows_loads
@@ -154,7 +154,7 @@ class Effect:
     targets: ClassVar[Part | tuple[str, ...]]
     """Kind of part that the effect is on, or the names of its targets if they are no parts."""
     groups: ClassVar[bool] = False
-    """Whether a group of parts may share one size (`targets.groups`)."""
+    """Whether a group of parts may share one size (`group_targets`)."""
     traced: ClassVar[Traced] = Traced()
     """How `trace` looks for the effect."""
 
@@ -163,8 +163,9 @@ class Effect:
             cls.name = re.sub(r"(?<=.)(?=[A-Z])", "_", cls.__name__).lower()
 
     def __post_init__(self):
-        if isinstance(self.targets, tuple) and self.target not in self.targets:
-            raise SurefootError(self._unknown(self.target, self.targets))
+        if isinstance(self.targets, tuple):
+            with errors_in(f"effect {self.name}"):
+                check_known("target", self.target, self.targets)
         low, high = self.bounds_on(None, self.target)
         low = -high if self.may_lessen else low
         if not low <= self.value <= high:
@@ -201,22 +202,16 @@ class Effect:
 
         Raises SurefootError for a target that a machine with these limbs does not have.
         """
-        if target in (single := cls.single_targets(limbs)):
-            return (target,)
-        found = cls.group_targets(limbs)
-        if not (single or found):
-            raise SurefootError(f"effect {cls.name}: no part of this machine can have it")
-        if target not in found:
-            raise SurefootError(cls._unknown(target, (*single, *found)))
-        return found[target]
+        known = {one: (one,) for one in cls.single_targets(limbs)} | cls.group_targets(limbs)
+        with errors_in(f"effect {cls.name}"):
+            if not known:
+                raise SurefootError("no part of this machine can have it")
+            check_known("target", target, known)
+        return known[target]
 
     def members(self, limbs: Limbs) -> tuple[str, ...]:
         """The single targets that the effect's target comprises (see `members_of`)."""
         return self.members_of(self.target, limbs)
-
-    @classmethod
-    def _unknown(cls, target: str, known: tuple[str, ...]) -> str:
-        return f"effect {cls.name}: {unknown('target', target, known)}"
 
     def left_of(self, size: float, part: str, least: float = 0.0) -> float:
         """What a part of this size has with the effect.
