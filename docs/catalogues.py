@@ -3,7 +3,7 @@
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.effects import CATALOGUE
-from surefoot.sim.effects.targets import Part
+from surefoot.sim.effects.base import Part
 from surefoot.sim.robot.limbs import QUADRUPED
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -89,18 +89,12 @@ class Scenario:
         file = read_typed(path, _File, "scenario")
         with errors_in(f"scenario {path}"):
             ground = file.ground.ground(path.resolve().parent)
-        return cls(
-            name=path.stem if file.name is None else file.name,
-            segments=tuple(chain.from_iterable(entry.segments() for entry in file.segment)),
-            ground=ground,
-            robot=file.robot,
-            role=file.role,
-            ranges=file.ranges,
-            sensors=file.sensors,
-            gait=file.gait,
-            stand=file.stand,
-            laps=file.laps,
-        )
+        segments = tuple(chain.from_iterable(entry.segments() for entry in file.segment))
+        name = path.stem if file.name is None else file.name
+        same: dict[str, Any] = dict(vars(file))
+        for key in ("name", "segment", "ground"):
+            del same[key]
+        return cls(name, segments, ground, **same)
 
 
 @dataclass(frozen=True)
@@ -116,28 +110,27 @@ class DrawnScenario:
 
 def drawn(scenario: Scenario, rng: np.random.Generator) -> DrawnScenario:
     """Draw a scenario's ranges, and the bumps of its rough strips, from `rng`."""
-    r, ground = scenario.ranges, scenario.ground
-    mu = rng.uniform(*r.mu)
+    r = scenario.ranges
+    ground = scenario.ground.with_friction(rng.uniform(*r.mu))
     speeds = rng.uniform(*r.speed, size=len(scenario.segments))
     period, clearance = rng.uniform(*r.period), rng.uniform(*r.clearance)
     shifts = rng.uniform(-r.patch_shift, r.patch_shift, size=(len(ground.patches), 2))
     gain, payload = rng.uniform(*r.gain), rng.uniform(*r.payload)
     rough = rng.uniform(*r.rough)
     patches = tuple(
-        Patch(p.center_x + dx, p.center_y + dy, p.size_x, p.size_y, p.mu * mu)
+        replace(p, center_x=p.center_x + dx, center_y=p.center_y + dy)
         for p, (dx, dy) in zip(ground.patches, shifts, strict=True)
     )
     # A height field is divided along its lattice, and the true friction with it.
     for layer in (*[s for s in ground.strips if s.rough][:1], *ground.fields):
         patches = tuple(p.snapped(layer) if _on(p, layer) else p for p in patches)
-    strips = tuple(_drawn_strip(s, mu, rough, rng) for s in ground.strips)
-    fields = tuple(f if f.mu is None else replace(f, mu=f.mu * mu) for f in ground.fields)
+    strips = tuple(replace(s, rough=s.rough * rough).roughened(rng) for s in ground.strips)
     segments = tuple(
         # Slower stretches last longer, so that the course keeps its shape.
         Segment(s.duration / k, s.forward * k, s.lateral * k, s.turn * k)
         for s, k in zip(scenario.segments, speeds, strict=True)
     )
-    ground = replace(ground, mu=ground.mu * mu, patches=patches, strips=strips, fields=fields)
+    ground = replace(ground, patches=patches, strips=strips)
     as_walked = replace(scenario, segments=segments, ground=ground)
     return DrawnScenario(as_walked, period, clearance, gain, payload)
 
@@ -147,11 +140,6 @@ def _on(patch: Patch, layer: Layer) -> bool:
     lattice.
     """
     return isinstance(layer, Strip) or rectangles_overlap(patch.rectangle, layer.rectangle)
-
-
-def _drawn_strip(strip: Strip, mu: float, rough: float, rng: np.random.Generator) -> Strip:
-    own_mu = None if strip.mu is None else strip.mu * mu
-    return replace(strip, mu=own_mu, rough=strip.rough * rough).roughened(rng)
 
 
 @dataclass(frozen=True)

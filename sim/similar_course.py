@@ -83,12 +83,11 @@ def _scaled_strip(strip: Strip, k: float) -> Strip:
     neighbours'.
     """
     x0, x1, y0, y1 = (_on_lattice(k * edge) for edge in strip.rectangle)
-    if strip.axis == 0:
-        low, high, middle, width = x0, x1, 0.5 * (y0 + y1), y1 - y0
-    else:
-        low, high, middle, width = y0, y1, 0.5 * (x0 + x1), x1 - x0
-    ends = (low, high) if strip.start[strip.axis] < strip.end[strip.axis] else (high, low)
-    start, end = ((e, middle) if strip.axis == 0 else (middle, e) for e in ends)
+    x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    low, high, width = (
+        ((x0, y), (x1, y), y1 - y0) if strip.axis == 0 else ((x, y0), (x, y1), x1 - x0)
+    )
+    start, end = (low, high) if strip.start < strip.end else (high, low)
     return replace(
         strip,
         start=start,

@@ -21,15 +21,14 @@ from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import group_columns
+from surefoot.sim.physics.drives import share_moved_at_once
 from surefoot.sim.physics.foot_truth import foot_truth
 from surefoot.sim.physics.scene import TIMESTEP, World, add_payload, build_world, robot_spec
-from surefoot.sim.physics.springs import share_moved_at_once
 from surefoot.sim.physics.stepper import STEPS_PER_TICK, TICK, Fallen, simulate_motion
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import model_metadata
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
-from surefoot.sim.robot.model_of_log import model_metadata
 from surefoot.sim.scenario import DrawnScenario, Scenario, drawn
-from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.streams import (
     ContactSwitch,
     Motion,
@@ -39,6 +38,7 @@ from surefoot.sim.sensors.streams import (
     ideal_streams,
     rate_of,
     reference_of,
+    sampled,
 )
 from surefoot.sim.similar_course import course_for
 

@@ -58,21 +58,20 @@ if TYPE_CHECKING:
     from surefoot.sim.common.series import white_noise
     from surefoot.sim.common.toml import Count, Level, NonNegative, Positive, read_toml, read_typed
     from surefoot.sim.effects import compensate_all, effect, known_effects
-    from surefoot.sim.effects.base import Effect, with_columns
+    from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, with_columns
     from surefoot.sim.effects.body import FootRolling
-    from surefoot.sim.effects.contact import DriveEffect
+    from surefoot.sim.effects.creep import Way, way_by_feet
+    from surefoot.sim.effects.drive import DriveEffect
     from surefoot.sim.effects.readings import Offset, Scale
-    from surefoot.sim.effects.targets import AXES
     from surefoot.sim.effects.timing import Delay
-    from surefoot.sim.effects.traced import Prior, Traced
-    from surefoot.sim.gait.patterns import Pattern
+    from surefoot.sim.gait.options import Pattern
     from surefoot.sim.ground.terrain import Ground, HeightField, Patch, Strip
     from surefoot.sim.log import Log, joint_velocity, reference_velocity
     from surefoot.sim.log.derived import JOINT_WINDOW, derivative
-    from surefoot.sim.physics.leg_loads import STICTION_RATE
+    from surefoot.sim.physics.loads import STICTION_RATE
     from surefoot.sim.robot import Robot
+    from surefoot.sim.robot.body_changes import LinkChange
     from surefoot.sim.robot.catalog import known_robots, robot_file
-    from surefoot.sim.robot.inertia import LinkChange
     from surefoot.sim.robot.legs import JOINTS
     from surefoot.sim.robot.limbs import Limbs
     from surefoot.sim.robot.machine import Machine, Modelled, machine_for_log
@@ -80,7 +79,6 @@ if TYPE_CHECKING:
     from surefoot.sim.scenario_catalog import bundled_scenarios
     from surefoot.sim.sensors.stances import stance_phase
     from surefoot.sim.sensors.streams import Motion, Sensors, Streams
-    from surefoot.sim.sensors.way import Way, way_by_feet
     from surefoot.sim.walking.dm_environment import WalkingEnvironment
 
 __getattr__, __dir__ = lazy_names(globals())

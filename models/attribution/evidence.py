@@ -31,9 +31,8 @@ from surefoot.models.residuals.layout import Layout, ResidualTable, filled, layo
 from surefoot.models.residuals.motion import motion_under_model, with_ground
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect, compensate_all, effect, in_order, known_effects
-from surefoot.sim.effects.base import changed_columns, with_columns
+from surefoot.sim.effects.base import AXES, changed_columns, with_columns
 from surefoot.sim.effects.readings import Scale
-from surefoot.sim.effects.targets import AXES
 from surefoot.sim.log import Log, MemoisedLog
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot.machine import Machine

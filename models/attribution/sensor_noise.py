@@ -17,8 +17,7 @@ from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
-from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.effects.targets import AXES
+from surefoot.sim.effects.base import AXES, Effect, with_columns
 from surefoot.sim.importing.reference_check import (
     FEWEST_SAMPLES,
     check_reference,

@@ -25,8 +25,8 @@ from surefoot.models.bootstrap import BLOCK_SECONDS
 from surefoot.models.residuals.binning import bin_mean
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import Effect
-from surefoot.sim.effects.contact import STICTION_RATE
 from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.physics.loads import STICTION_RATE
 
 CURVE_CHANNELS = ("leg_velocity", "foot_height", "base_wrench", "joint_torque")
 """Channels in which an error of a joint's angle shows."""

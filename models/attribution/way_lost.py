@@ -17,8 +17,7 @@ from scipy.stats import t as student
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.sim.effects import effect, known_effects
-from surefoot.sim.effects.creep import share_lost
-from surefoot.sim.sensors.way import way_by_feet
+from surefoot.sim.effects.creep import way_by_feet
 
 LAWS = ("foot_creep", "foot_scrub")
 WINDOW = 1.0
@@ -119,7 +118,7 @@ class _Stances:
 
     def missed(self, law: str, size: float) -> float:
         """Squared error [m^2] of the body's displacements in all windows by a law of this size."""
-        share = share_lost(law, size, self.length, self.turned)
+        share = known_effects()[law].share_lost(size, self.length, self.turned)
         off = (1.0 - share)[:, None] * self.legs - self.body
         return float(sum(np.sum(np.bincount(self.window, x) ** 2) for x in off.T))
 

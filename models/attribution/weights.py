@@ -23,9 +23,9 @@ from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.torques import dilate
 from surefoot.sim.effects import Effect, known_effects
-from surefoot.sim.effects.contact import DriveEffect
+from surefoot.sim.effects.drive import DriveEffect
 from surefoot.sim.log import joint_velocity
-from surefoot.sim.physics.leg_loads import STICTION_RATE
+from surefoot.sim.physics.loads import STICTION_RATE
 
 OUTLIER = 2.5
 """Standard deviations beyond which an entry of the table loses weight."""

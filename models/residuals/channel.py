@@ -141,7 +141,7 @@ class Channel:
     on_fixed_base: ClassVar[bool] = False
     """Whether a machine on a fixed base has it, without contacts and a reference."""
     on_given_feet: ClassVar[bool] = False
-    """Whether a machine that is known by its feet alone has it (`sim.robot.given_feet`); the feet
+    """Whether a machine that is known by its feet alone has it (`sim.robot.machine`); the feet
     then replace joint angles.
     """
     imu_replaces_reference: ClassVar[bool] = False

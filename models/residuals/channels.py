@@ -33,7 +33,7 @@ from surefoot.models.residuals.feet import (
 from surefoot.models.residuals.torques import slope, smooth_121, unbalanced_wrench
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry
-from surefoot.sim.effects.targets import AXES
+from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot.feet import shown_feet
 from surefoot.sim.robot.limbs import Limbs

@@ -25,8 +25,8 @@ from surefoot.models.residuals.torques import (
 )
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.body_changes import LinkChange
 from surefoot.sim.robot.feet import Feet
-from surefoot.sim.robot.inertia import LinkChange
 from surefoot.sim.robot.machine import Machine
 
 DIFFERENCE_STEP = 1e-5  # rad, rad/s

@@ -33,7 +33,7 @@ from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.ground.tiles import SOLIMP, SOLREF
 from surefoot.sim.log import Log, joint_velocity
-from surefoot.sim.physics.momentum_balance import once_for_loads
+from surefoot.sim.physics.loads import once_for_loads
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances_between_swings

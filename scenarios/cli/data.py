@@ -163,7 +163,7 @@ class Info(CheckedSettings, ContactsSettings, options.JsonOption):
     def run(self) -> None:
         from surefoot.scenarios.estimate.inputs import findings_of, read_logs, warned
         from surefoot.sim.importing.advice import lines_of
-        from surefoot.sim.robot.model_of_log import of_robot
+        from surefoot.sim.robot.catalog import of_robot
 
         logs = read_logs(self.logs)
         findings = [(log.name, findings_of(log, self.robot)) for log in logs]

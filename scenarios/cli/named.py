@@ -8,8 +8,7 @@ from typing import Any
 from surefoot.scenarios.estimate.estimators import check_filter
 from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.files import is_file, is_there
-from surefoot.sim.common.limits import admitted
-from surefoot.sim.common.log_file import check_first_bytes
+from surefoot.sim.common.limits import admitted, check_first_bytes
 from surefoot.sim.effects.catalogue import known_effects
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import machine_file, robot_file

@@ -54,8 +54,8 @@ class TraceCommand(TraceSettings):
         from surefoot.scenarios.trace.words import summary
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.importing.advice import advice_words
+        from surefoot.sim.robot.catalog import of_robot
         from surefoot.sim.robot.machine import machine_for_log
-        from surefoot.sim.robot.model_of_log import of_robot
 
         read = [read_in_blocks(path) for path in self.logs]
         read_holdout = [read_in_blocks(path) for path in self.holdout]

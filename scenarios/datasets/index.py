@@ -30,7 +30,7 @@ from surefoot.sim.common.files import (
     write_whole,
 )
 from surefoot.sim.common.sources import code_digest, sources_digest
-from surefoot.sim.gait.patterns import pattern_named
+from surefoot.sim.gait.options import pattern_named
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.walk import Fallen, Plan

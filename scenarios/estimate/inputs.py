@@ -15,8 +15,8 @@ from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
 from surefoot.sim.plausibility.finding import Finding
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import of_robot
 from surefoot.sim.robot.machine import machine_for_log
-from surefoot.sim.robot.model_of_log import of_robot
 
 
 def read_logs(paths: Sequence[Path], robot: str | None = None) -> list[Log]:

@@ -16,7 +16,7 @@ from surefoot.scenarios.cache import product
 from surefoot.sim.common.files import cache_folder
 from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
-from surefoot.sim.gait.patterns import pattern_named
+from surefoot.sim.gait.options import pattern_named
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from surefoot.scenarios.estimate.estimators import shown_at_first
 from surefoot.scenarios.viewer.scene import estimate_path, trunk_size
 from surefoot.scenarios.viewer.series import BANDS
-from surefoot.sim.effects.targets import AXES
+from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 

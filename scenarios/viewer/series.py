@@ -21,7 +21,7 @@ from surefoot.scenarios.reporting.palette import (
     rgba,
 )
 from surefoot.scenarios.viewer.scene import rows_at, send_columns
-from surefoot.sim.effects.targets import AXES
+from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, reference_velocity
 from surefoot.sim.physics.foot_truth import SLIPPING
 

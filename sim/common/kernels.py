@@ -2,9 +2,11 @@
 
 numba's own cache only checks a kernel's own file. If a kernel calls one from another file, and that
 file changes, numba silently runs the old code. Here the name of the cache folder is a digest of the
-kernel's module and of all modules that it imports.
+kernel's module and of all modules that it imports. `mujoco_function` makes a function of MuJoCo
+callable from kernels.
 """
 
+import ctypes
 import gc
 import shutil
 import sys
@@ -15,6 +17,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from llvmlite import binding
 from numba import njit, types
 from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
@@ -183,3 +186,27 @@ class _Compilation(event.Listener):
 
 
 event.register("numba:compile", _Compilation())
+
+
+_C_TYPES = {types.intc: ctypes.c_int, types.uintp: ctypes.c_void_p}
+
+
+def mujoco_function(name: str, *arguments: types.Type) -> Callable[..., None]:
+    """A function of MuJoCo's library on a model and its data, callable from kernels.
+
+    Args:
+        name: of the function, which returns nothing.
+        arguments: types of those that follow the addresses of model and data.
+    """
+    import mujoco  # which not every kernel needs
+
+    folder = Path(mujoco.__file__).parent
+    file = next(file for form in ("libmujoco*", "mujoco.dll") for file in folder.glob(form))
+    function = getattr(ctypes.CDLL(str(file)), name)  # the library that the package has loaded
+    if config.DISABLE_JIT:
+        accepted = (ctypes.c_void_p, ctypes.c_void_p, *(_C_TYPES[one] for one in arguments))
+        function.argtypes, function.restype = accepted, None
+        return function
+    binding.add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
+    # Compiled code refers to the function by its name, so that it can be cached.
+    return types.ExternalFunction(name, types.void(types.uintp, types.uintp, *arguments))

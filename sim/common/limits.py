@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from surefoot.sim.common.errors import SurefootError
 
@@ -172,19 +172,10 @@ def check_unpacked(packed: float, size: float, what: str, at_once: bool = True) 
         check_limit("unpacked", size / max(packed, 1), f"{what}, times its size")
 
 
-class Unpacker(Protocol):
-    """A decompressor of bz2, lz4 or zstd."""
-
-    eof: bool
-    needs_input: bool
-
-    def decompress(self, data: bytes, max_length: int, /) -> bytes:
-        """At most so many of the bytes that the data, and what it was given before, unpack to."""
-        ...
-
-
-def unpacked(unpacker: Unpacker, packed: bytes, what: str) -> bytes:
+def unpacked(unpacker: Any, packed: bytes, what: str) -> bytes:
     """Unpack bytes of unknown origin, checking what there is so far with `check_unpacked`.
+
+    unpacker: a decompressor of bz2, lz4 or zstd.
 
     Raises SurefootError that begins with `what`, or the unpacker's error.
     """
@@ -203,3 +194,21 @@ def check_toml_keys(text: str) -> None:
     """Raise SurefootError for keys of more than 64 dots, whose parsing takes quadratic time."""
     if _DOTTED.search(text):
         raise SurefootError("a key has more than 64 dots")
+
+
+_MAGIC = b"PAR1"
+"""First bytes of a Parquet file."""
+
+
+def check_first_bytes(path: Path) -> None:
+    """Raise SurefootError for a recording that has still to be imported, and for a Parquet file
+    that is damaged in its first bytes.
+    """
+    with path.open("rb") as stream:
+        if stream.read(len(_MAGIC)) == _MAGIC:
+            return
+    if path.suffix == ".parquet":
+        raise SurefootError(f"{path}: not a whole Parquet file, damaged in its first bytes")
+    raise SurefootError(
+        f"{path}: not a log, which is a Parquet file; `surefoot import` makes one of it"
+    )

@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING
 from surefoot.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from surefoot.sim.effects.base import Effect
-    from surefoot.sim.effects.catalogue import CATALOGUE, add, effect, known_effects
-    from surefoot.sim.effects.compensation import compensate_all, declared_effects, in_order
-    from surefoot.sim.effects.targets import AXES
+    from surefoot.sim.effects.base import AXES, Effect
+    from surefoot.sim.effects.catalogue import (
+        CATALOGUE,
+        add,
+        compensate_all,
+        declared_effects,
+        effect,
+        in_order,
+        known_effects,
+    )
 
 __getattr__, __dir__ = lazy_names(globals())

@@ -6,29 +6,118 @@ A third, `traced`, says how `trace` looks for it. Its influence on the residual 
 from `compensate` by finite differences; `Traced.chain_rule` declares a faster way.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.errors import SurefootError, unknown
-from surefoot.sim.effects.targets import AXES, Part, groups, parts
-from surefoot.sim.effects.traced import Prior, Traced
+from surefoot.sim.common.errors import SurefootError, check_known, errors_in
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
-from surefoot.sim.physics.leg_loads import knows_loads
+from surefoot.sim.physics.loads import knows_loads
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.sensors.streams import Reference, Streams
 
+Part = Literal["joint", "link", "link_axis", "leg", "leg_link", "leg_axis"]
+"""A joint; the link that it moves, by its name; that link along one of its body's axes,
+`<joint>_<axis>`; a leg; a link of a leg, named after the joint at its upper end; a leg along one of
+the base's axes, `<leg>_<axis>`.
+"""
+
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of an effect's size, in the effect's unit.
+
+    Attributes:
+        within: bound on the magnitude for 19 of 20 machines.
+        source: of that figure.
+        most: magnitude beyond which the size is implausible for any machine, so that another cause
+            must explain the residual: three times the limit of a working sensor's data sheet.
+    """
+
+    within: float
+    source: str
+    most: float = np.inf
+
+
+@dataclass(frozen=True)
+class Traced:
+    """How `trace` looks for an effect.
+
+    Attributes:
+        channels: residual channels that the effect can change.
+        step: of numerical derivatives with respect to the size, in its unit; required if a model
+            can compensate the effect.
+        prior: of the size; without one, any size within the bounds is equally plausible.
+        belongs_to: what has the effect: the machine; a sensor, whose error is no change of the
+            machine; or a run, in which a zero, bias or clock has a size of its own.
+        motion: that tells the effect from others.
+        needs: groups of a log's columns, as for `Log.require`, that `compensate` needs beyond those
+            of its channels.
+        bounds_on_legs: narrower bounds on a machine with legs, whose parts are small.
+        starts: initial sizes for a search, where the residual is far from linear in the size; by
+            default one step.
+        chain_rule: the only quantities that `compensate` changes, so that derivatives of the
+            residual may use the chain rule: "readings" (columns of gyro, accel, q, dq, tau), "legs"
+            (leg geometry and foot radius) or "mass" (inertial parameters). None: finite differences
+            of the residual, valid for any effect.
+        lossy: whether compensation degrades the readings, by interpolation of streams shifted in
+            time or by the noise of a derivative.
+        uses_loads: whether `compensate` takes the loads of joints or feet from the log, in which
+            all other effects must be compensated before.
+        unseen_by: residual channels whose readings are not compensated. A spring's compensation
+            replaces the encoders' angles by those of a rigid leg with the feet at their actual
+            positions; the motors, and the links if only the feet yield, remain at the encoders'
+            angles.
+        on_given_feet: whether `compensate` also works for a machine that is known by its feet alone
+            (`sim.robot.machine`), by changing the readings or `extras` only.
+        by_search: whether the search over residuals fits the size; False where it has an estimate
+            of its own.
+        spread: relative spread of the size between parts of one kind, at 95 %, of an effect that
+            machines have by construction; None if it may be on any part alone.
+        scales_with: what a size measured on one robot is multiplied by for another: what its unit
+            says (`carry.DIMENSIONS`), or the radius of the foot.
+    """
+
+    channels: tuple[str, ...] = ()
+    step: float = 0.0
+    prior: Prior | None = None
+    belongs_to: Literal["machine", "sensor", "run"] = "machine"
+    motion: str = "more varied motion"
+    needs: tuple[str, ...] = ()
+    bounds_on_legs: tuple[float, float] | None = None
+    starts: tuple[float, ...] = ()
+    chain_rule: Literal["readings", "legs", "mass"] | None = None
+    lossy: bool = False
+    uses_loads: bool = False
+    unseen_by: tuple[str, ...] = ()
+    on_given_feet: bool = False
+    by_search: bool = True
+    spread: float | None = None
+    scales_with: Literal["unit", "foot_radius"] = "unit"
+
+
+NO_FIGURE_OF_DRIVES = "no figure found: wide for legs; large arms may have more"
+"""Source of priors of drives for which none was found."""
+
+
 Kind = TypeVar("Kind", bound=Any)
+
 
 _ESTIMATED = 1.25
 """What a machine may lose of a declared size, as a multiple: the size is an estimate too."""
+
+
 ON_SLIDES = {
     "rad": "m",
     "N m": "N",
@@ -55,6 +144,7 @@ class Effect:
     value: float
 
     name: ClassVar[str]
+    """By default that of the class, in words: `gyro_bias` of a class GyroBias."""
     unit: ClassVar[str]
     bounds: ClassVar[tuple[float, float]]
     may_lessen: ClassVar[bool] = False
@@ -64,13 +154,18 @@ class Effect:
     targets: ClassVar[Part | tuple[str, ...]]
     """Kind of part that the effect is on, or the names of its targets if they are no parts."""
     groups: ClassVar[bool] = False
-    """Whether a group of parts may share one size (`targets.groups`)."""
+    """Whether a group of parts may share one size (`group_targets`)."""
     traced: ClassVar[Traced] = Traced()
     """How `trace` looks for the effect."""
 
+    def __init_subclass__(cls) -> None:
+        if "name" not in vars(cls):
+            cls.name = re.sub(r"(?<=.)(?=[A-Z])", "_", cls.__name__).lower()
+
     def __post_init__(self):
-        if isinstance(self.targets, tuple) and self.target not in self.targets:
-            raise SurefootError(self._unknown(self.target, self.targets))
+        if isinstance(self.targets, tuple):
+            with errors_in(f"effect {self.name}"):
+                check_known("target", self.target, self.targets)
         low, high = self.bounds_on(None, self.target)
         low = -high if self.may_lessen else low
         if not low <= self.value <= high:
@@ -107,22 +202,16 @@ class Effect:
 
         Raises SurefootError for a target that a machine with these limbs does not have.
         """
-        if target in (single := cls.single_targets(limbs)):
-            return (target,)
-        found = cls.group_targets(limbs)
-        if not (single or found):
-            raise SurefootError(f"effect {cls.name}: no part of this machine can have it")
-        if target not in found:
-            raise SurefootError(cls._unknown(target, (*single, *found)))
-        return found[target]
+        known = {one: (one,) for one in cls.single_targets(limbs)} | cls.group_targets(limbs)
+        with errors_in(f"effect {cls.name}"):
+            if not known:
+                raise SurefootError("no part of this machine can have it")
+            check_known("target", target, known)
+        return known[target]
 
     def members(self, limbs: Limbs) -> tuple[str, ...]:
         """The single targets that the effect's target comprises (see `members_of`)."""
         return self.members_of(self.target, limbs)
-
-    @classmethod
-    def _unknown(cls, target: str, known: tuple[str, ...]) -> str:
-        return f"effect {cls.name}: {unknown('target', target, known)}"
 
     def left_of(self, size: float, part: str, least: float = 0.0) -> float:
         """What a part of this size has with the effect.
@@ -164,6 +253,13 @@ class Effect:
         declared model. Raises NotImplementedError if no model can compensate the effect.
         """
         raise NotImplementedError(f"effect {self.name} is only for simulation")
+
+    @property
+    def order(self) -> tuple[bool, bool]:
+        """Place in which the effect is compensated beside others: errors of sensors before those of
+        the body, whose sizes are in true units, and last those that take loads from the log.
+        """
+        return self.traced.uses_loads, type(self).edit_spec is not Effect.edit_spec
 
     @classmethod
     def is_compensated(cls) -> bool:
@@ -258,6 +354,45 @@ class Effect:
 
     def as_dict(self) -> dict[str, Any]:
         return {"name": self.name, "target": self.target, "value": self.value, "unit": self.unit}
+
+
+def parts(part: Part, limbs: Limbs) -> tuple[str, ...]:
+    """Names of the parts of this kind on a machine with these limbs."""
+    names = {
+        "joint": limbs.joints,
+        "link": limbs.joints,
+        "leg": limbs.legs,
+        "leg_link": limbs.links,
+    }
+    if part in names:
+        return names[part]
+    return tuple(f"{one}_{axis}" for one in names[part.removesuffix("_axis")] for axis in AXES)
+
+
+def groups(part: Part, limbs: Limbs) -> dict[str, tuple[str, ...]]:
+    """Groups of parts of this kind for which one size makes sense, with their members.
+
+    Joints and links are grouped by kind (`thigh`), but for links of legs also by side and as `all`;
+    legs as `front`, `rear`, `left`, `right` and `all`. A group has at least two members, and no two
+    have the same.
+    """
+    single = parts(part, limbs)
+    found: dict[str, tuple[str, ...]] = {}
+    if part in ("joint", "link", "leg_link"):
+        for kind, joints in limbs.kinds.items():
+            found[kind] = tuple(joint for joint in joints if joint in single)
+    for side, legs in limbs.sides.items():
+        if part in ("joint", "link") and side in ("left", "right"):
+            found[side] = tuple(limbs.joints[j] for leg in legs for j in limbs.chains[leg])
+        elif part == "leg":
+            found[side] = tuple(limbs.legs[leg] for leg in legs)
+    if part in ("joint", "link", "leg"):
+        found["all"] = single
+    distinct: dict[frozenset[str], str] = {}
+    for name, members in found.items():
+        if len(members) > 1 and name not in single:
+            distinct.setdefault(frozenset(members), name)
+    return {name: found[name] for name in distinct.values()}
 
 
 def turn_about(axis: str, angle: float) -> np.ndarray:

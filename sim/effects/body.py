@@ -1,4 +1,4 @@
-"""Effects of the robot's body: lengths, feet and masses.
+"""Effects of the legs' geometry: lengths, mountings and feet.
 
 Where a docstring gives no source for the bounds, none was found and they were chosen wide.
 """
@@ -9,18 +9,17 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from surefoot.sim.effects.base import Effect, along, declared_on, turn_about
-from surefoot.sim.effects.targets import AXES
-from surefoot.sim.effects.traced import Prior, Traced
+from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, turn_about
 from surefoot.sim.log import Log
-from surefoot.sim.physics.scene import add_payload
-from surefoot.sim.physics.springs import foot_parts
+from surefoot.sim.physics.drives import foot_parts
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import with_own_inertia
-from surefoot.sim.sensors.streams import Reference
 
 _pose = partial(Traced, channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
+
+
 _geometry = partial(_pose, chain_rule="legs")
+
+
 _FEET_OFF = Prior(0.014, "Zhao et al., ROBIO 2022: feet 14 mm off before calibration")
 
 
@@ -31,7 +30,6 @@ class LinkLength(Effect):
     Offset Calibration for Quadrupedal Robots", ROBIO 2022.
     """
 
-    name = "link_length"
     unit = "m"
     bounds = (-0.03, 0.03)
     targets = "leg_link"
@@ -87,7 +85,6 @@ class LinkLength(Effect):
 class HipOffset(Effect):
     """A leg is mounted with an offset along an axis of the base: its hip hinge and all below it."""
 
-    name = "hip_offset"
     unit = "m"
     bounds = (-0.05, 0.05)
     targets = "leg_axis"
@@ -120,7 +117,6 @@ class LegHeading(Effect):
     parts by ten times as much.
     """
 
-    name = "leg_heading"
     unit = "rad"
     bounds = (-0.2, 0.2)
     targets = "leg_axis"
@@ -184,7 +180,6 @@ class FootRolling(Effect):
     A model with point feet lacks the whole radius, 2 to 4 cm on most quadrupeds' models.
     """
 
-    name = "foot_rolling"
     unit = "m"
     bounds = (-0.06, 0.06)
     targets = "leg"
@@ -211,82 +206,9 @@ class FootRolling(Effect):
         return target == "all" and robot.limbs.point_feet and not robot.foot_radius.any()
 
 
-class Payload(Effect):
-    """A mass on the base, as a small ball at its origin.
-
-    Spot carries up to 14 kg (Boston Dynamics, "Spot Specifications").
-    """
-
-    name = "payload"
-    unit = "kg"
-    bounds = (0.0, 30.0)
-    targets = ("all",)
-    traced = Traced(
-        channels=("base_wrench",),
-        step=0.1,
-        chain_rule="mass",
-        prior=Prior(14.0, "Boston Dynamics, Spot Specifications: up to 14 kg"),
-    )
-
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        if self.value:
-            add_payload(spec, robot, self.value)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return log, declared_on(robot, payload=self.value)
-
-
-class ComOffset(Effect):
-    """The base's own centre of mass is shifted along an axis of the base.
-
-    "Walk These Ways" (CoRL 2022) draws +-0.15 m in its public code.
-    """
-
-    name = "com_offset"
-    unit = "m"
-    bounds = (-0.2, 0.2)
-    targets = AXES
-    traced = Traced(
-        channels=("base_wrench",),
-        step=1e-3,
-        chain_rule="mass",
-        prior=Prior(0.15, "Margolis and Agrawal, CoRL 2022, public code: 0.15 m"),
-    )
-
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        base = with_own_inertia(spec, robot.base_name)
-        base.ipos = base.ipos + along(self.target, self.value)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return log, declared_on(robot, com_shift=along(self.target, self.value))
-
-
 def _in_frame(data: mujoco.MjData, body: int, along_G: np.ndarray) -> np.ndarray:
     return data.xmat[body].reshape(3, 3).T @ _unit(along_G)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v)
-
-
-class MountingRotation(Effect):
-    """The IMU is mounted with a rotation about one of its nominal axes, and so is the reference.
-
-    The reference was aligned with the IMU, so the two agree, and the legs are rotated against both.
-    Motion capture is aligned to a body or its IMU by hand or by fitting, to about a degree.
-    """
-
-    name = "mounting_rotation"
-    unit = "rad"
-    bounds = (-0.5, 0.5)
-    targets = AXES
-    traced = _pose(needs=("reference",), motion="walk in every direction, crouched and tall")
-
-    def alter_mounting(self, robot: Robot) -> Robot:
-        return replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))
-
-    def alter_reference(self, reference: Reference) -> Reference:
-        return replace(reference, R_GI=reference.R_GI @ turn_about(self.target, self.value))
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        return log, replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))

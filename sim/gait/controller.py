@@ -13,8 +13,7 @@ from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.gait.irregular import stride_at
-from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
-from surefoot.sim.gait.patterns import pattern_named
+from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions, pattern_named
 from surefoot.sim.gait.stance_control import load_share, stiffen, support
 from surefoot.sim.gait.state import REACHING, STANCE, SWING, Command, FootStates, Gait, LegMemory
 from surefoot.sim.gait.swing import swing

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from surefoot.sim.common.gauss_markov import GaussMarkov
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.series import GaussMarkov
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.gait.state import Gait
 from surefoot.sim.robot.kinematics import BaseMotion

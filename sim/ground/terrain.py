@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, TypeVar
 
 import msgspec
 import numpy as np
@@ -223,6 +223,7 @@ class HeightField:
 
 
 Layer = Strip | HeightField
+Part = TypeVar("Part", Patch, Strip, HeightField)
 
 
 @dataclass(frozen=True)
@@ -246,6 +247,20 @@ class Ground:
             inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
             mu[inside] = self.mu if part.mu is None else part.mu
         return mu
+
+    def with_friction(self, factor: float) -> "Ground":
+        """The ground with this factor on every coefficient of friction."""
+
+        def changed(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+            return tuple(p if p.mu is None else replace(p, mu=p.mu * factor) for p in parts)
+
+        return replace(
+            self,
+            mu=self.mu * factor,
+            patches=changed(self.patches),
+            strips=changed(self.strips),
+            fields=changed(self.fields),
+        )
 
     @property
     def layers(self) -> tuple[Layer, ...]:

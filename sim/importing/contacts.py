@@ -11,7 +11,7 @@ from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.contact import contact_from_force
+from surefoot.sim.sensors.stances import contact_from_force
 
 _LEVELLED = 4.0
 """Time constant with which the accelerometer levels the gyro's attitude [s]: a few strides, over

@@ -29,8 +29,7 @@ from surefoot.sim.importing.reference import poses_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses
-from surefoot.sim.robot.catalog import SUFFIXES
-from surefoot.sim.robot.model_of_log import model_metadata
+from surefoot.sim.robot.catalog import SUFFIXES, model_metadata
 
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""

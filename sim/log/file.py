@@ -18,8 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.limits import admitted, check_limit, check_unpacked
-from surefoot.sim.common.log_file import check_first_bytes
+from surefoot.sim.common.limits import admitted, check_first_bytes, check_limit, check_unpacked
 from surefoot.sim.log.schema import (
     DIGEST_KEY,
     KEY,

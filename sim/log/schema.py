@@ -149,7 +149,7 @@ class Meta:
             as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
             (ground_evenness in m); `reference_offset`, the clock offset of its reference [s];
             `log_name`, its name in a file that is called aligned;
-            `file`, the model's file if it has no known name (`sim.robot.model_of_log`); `ground`,
+            `file`, the model's file if it has no known name (`sim.robot.catalog`); `ground`,
             if it includes height fields from a file (`sim.ground.ground_metadata`).
         warnings: about what was not plausible on import, one line each (`sim.plausibility`).
     """

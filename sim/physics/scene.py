@@ -10,8 +10,7 @@ from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.ground.height_map import HeightMap, surface
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
-from surefoot.sim.physics.gears import Gears, gears_of
-from surefoot.sim.physics.springs import Springs, springs_of
+from surefoot.sim.physics.drives import Gears, Springs, gears_of, springs_of
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
 from surefoot.sim.robot.limbs import QUADRUPED

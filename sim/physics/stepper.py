@@ -15,15 +15,14 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.common.kernels import kernel
-from surefoot.sim.common.mujoco_library import mujoco_function
+from surefoot.sim.common.kernels import kernel, mujoco_function
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.course import Course
 from surefoot.sim.gait.irregular import estimated_base
 from surefoot.sim.gait.state import Gait, LegMemory, RobotState, standing
 from surefoot.sim.ground.height_map import HeightMap, height
-from surefoot.sim.physics.gears import Gears
+from surefoot.sim.physics.drives import Gears
 from surefoot.sim.physics.scene import TIMESTEP, World
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion

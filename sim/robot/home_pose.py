@@ -1,15 +1,36 @@
-"""A standing pose for a robot whose model has no home keyframe."""
+"""The home pose of a robot: that of its model, or a standing one where it has none."""
 
 from itertools import product
 
+import mujoco
 import numpy as np
 from scipy.optimize import least_squares
 
 from surefoot.sim.robot.kinematics import Legs, feet, leg_forward
+from surefoot.sim.robot.legs import JOINTS, LegTree
 
 CROUCH = 0.76  # height of the thigh joint over the foot, as a share of the straight leg
 # Criteria of standing, as shares of the straight leg.
 LOWEST, HIGHEST, UNEVEN, ASKEW = 0.7, 0.97, 0.1, 0.3
+
+
+def home_pose(model: mujoco.MjModel, tree: LegTree) -> np.ndarray:
+    """Angles (J,) [rad] of the keyframe "home", or zeros; for a quadruped that would not stand so,
+    a standing pose with bent knees and feet below the hips.
+    """
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    pose = model.key_qpos[key] if key >= 0 else model.qpos0
+    q_home = pose[model.jnt_qposadr[tree.joint_ids]].copy()
+    if tree.limbs.joints[:12] != JOINTS or (key >= 0 and stands(tree.constants, q_home)):
+        return q_home
+    q_home[:12] = standing_joints(tree.constants, joint_ranges(model, tree.joint_ids))
+    return q_home
+
+
+def joint_ranges(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
+    """Range (J, 2) [rad] of each joint, a half turn to either side where the model gives none."""
+    limited = model.jnt_limited[joints].astype(bool)[:, None]
+    return np.where(limited, model.jnt_range[joints], [-np.pi, np.pi])
 
 
 def stands(legs: Legs, q: np.ndarray) -> bool:

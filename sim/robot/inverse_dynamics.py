@@ -6,8 +6,7 @@ it twice as fast: there is no mass matrix, and dry friction has a closed form. A
 held at the origin with its axes along the world's, so that force and moment are in B.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,9 +17,8 @@ import numpy as np
 from numba import types
 
 from surefoot.sim.common.copies import copy_row
-from surefoot.sim.common.kernels import kernel
-from surefoot.sim.common.mujoco_library import mujoco_function
-from surefoot.sim.robot.inertia import LinkChange, change_links
+from surefoot.sim.common.kernels import kernel, mujoco_function
+from surefoot.sim.robot.body_changes import UNCHANGED_BODY, BodyChanges, bodies_changed
 from surefoot.sim.robot.model_file import compiled_model
 
 _mj_kinematics = mujoco_function("mj_kinematics")
@@ -30,33 +28,6 @@ _mj_comVel = mujoco_function("mj_comVel")
 _mj_passive = mujoco_function("mj_passive")
 _mj_fwdVelocity = mujoco_function("mj_fwdVelocity")
 _mj_rne = mujoco_function("mj_rne", types.intc, types.uintp)
-_CHANGED_FIELDS = (
-    *("body_pos", "body_quat", "body_mass"),
-    *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),
-)
-"""Arrays of a model that `BodyChanges` modify."""
-
-
-class BodyChanges(NamedTuple):
-    """Deviation of a robot from its file: frames of its joints, each with everything attached, and
-    links.
-
-    All frames are relative to the joint before, or the base; empty where they are as in the file.
-
-    Attributes:
-        drawn: position of each joint's frame in the file (J, 3) [m].
-        placed: its actual position (J, 3) [m].
-        turn: its rotation from the file's (J, 3, 3).
-        links: changes of the links' inertia.
-    """
-
-    drawn: np.ndarray = np.empty((0, 3))
-    placed: np.ndarray = np.empty((0, 3))
-    turn: np.ndarray = np.empty((0, 3, 3))
-    links: tuple[LinkChange, ...] = ()
-
-
-UNCHANGED_BODY = BodyChanges()
 
 
 @dataclass(frozen=True)
@@ -158,25 +129,10 @@ class Dynamics:
                 A[:, :3] = base[:, 6:] + model.opt.gravity
         return Q, V, A
 
-    @contextmanager
-    def _changed(self) -> Iterator[None]:
+    def _changed(self) -> AbstractContextManager[None]:
         """Context with the joints' frames and the links changed in the model."""
-        model, changes = self.model, self.changes
-        as_drawn = {name: getattr(model, name).copy() for name in _CHANGED_FIELDS}
-        if len(changes.turn):
-            frames = zip(self.hung, changes.drawn, changes.placed, changes.turn, strict=True)
-            for body, drawn, placed, turn in frames:
-                # All bodies between this one and the joint rotate with it.
-                model.body_pos[body] = placed - turn @ (drawn - model.body_pos[body])
-                quat, before = np.empty(4), model.body_quat[body].copy()
-                mujoco.mju_mat2Quat(quat, turn.ravel())
-                mujoco.mju_mulQuat(model.body_quat[body], quat, before)
-        change_links(model, model.dof_jntid[self.dof_adr], changes.links)
-        try:
-            yield
-        finally:
-            for name, values in as_drawn.items():
-                getattr(model, name)[:] = values
+        joints = self.model.dof_jntid[self.dof_adr]
+        return bodies_changed(self.model, joints, self.hung, self.changes)
 
     @property
     def _memory(self) -> "_Memory":

@@ -4,7 +4,7 @@ A foot is a colliding sphere that rolls, the end of another shape where a leg ha
 hinges, or the flat underside of colliding boxes, meshes and lying rods.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -162,13 +162,9 @@ def _standing_chains(
 
 def _last_hinges(model: mujoco.MjModel) -> list[int]:
     """The last hinge of each chain, with no hinge below it."""
-    hinges = _hinges(model)
-    above: set[int] = set()
+    hinges, above = _hinges(model), set[int]()
     for joint in hinges:
-        body = model.body_parentid[model.jnt_bodyid[joint]]
-        while body > 0:
-            above.add(int(body))
-            body = model.body_parentid[body]
+        above.update(bodies_up_from(model, model.body_parentid[model.jnt_bodyid[joint]]))
     last = [j for j in hinges if int(model.jnt_bodyid[j]) not in above]
     # Of several hinges on one body, the last is the outermost.
     return [j for j in last if j + 1 not in last or model.jnt_bodyid[j] != model.jnt_bodyid[j + 1]]
@@ -177,12 +173,22 @@ def _last_hinges(model: mujoco.MjModel) -> list[int]:
 def _chain_to(model: mujoco.MjModel, body: int, base: int) -> list[int]:
     """The joints between the base and a body, from the base outwards."""
     chain: list[int] = []
-    while body not in (0, base):
-        start, count = model.body_jntadr[body], model.body_jntnum[body]
-        own = [j for j in range(start, start + count) if not _is_spring(model, j)]
-        chain = own + chain
-        body = int(model.body_parentid[body])
+    for link in bodies_up_from(model, body, base):
+        chain = [j for j in _joints_of(model, link) if not _is_spring(model, j)] + chain
     return chain
+
+
+def bodies_up_from(model: mujoco.MjModel, body: int, end: int = 0) -> Iterator[int]:
+    """A body, its parent, and so on, up to but without `end` or the world."""
+    while body not in (0, end):
+        yield int(body)
+        body = model.body_parentid[body]
+
+
+def _joints_of(model: mujoco.MjModel, body: int) -> range:
+    """The joints that move a body."""
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
 
 
 def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int) -> None:
@@ -195,9 +201,7 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int) -> Non
         base: the floating body.
         foot: the body that carries the foot.
     """
-    link = {foot}
-    while (body := int(model.body_parentid[min(link)])) not in (0, base):
-        link.add(body)
+    link = set(bodies_up_from(model, foot, base))
     for joint in np.flatnonzero(np.isin(model.jnt_bodyid, list(link))).tolist():
         kind, called = model.jnt_type[joint], model.joint(joint).name
         slides = kind == mujoco.mjtJoint.mjJNT_SLIDE and model.jnt_stiffness[joint] == 0.0
@@ -450,9 +454,7 @@ def _sole_frames(model: mujoco.MjModel, data: mujoco.MjData) -> list[Foot]:
 def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
     """Whether a body is this link, or attached to it without joints other than springs."""
     while body > link:
-        first = int(model.body_jntadr[body])
-        own = range(first, first + int(model.body_jntnum[body]))
-        if not all(_is_spring(model, joint) for joint in own):
+        if not all(_is_spring(model, joint) for joint in _joints_of(model, body)):
             return False
         body = int(model.body_parentid[body])
     return int(body) == link
@@ -603,11 +605,10 @@ def _constants(model: mujoco.MjModel, base: int, chains: list[list[int]], feet: 
 def _between(model: mujoco.MjModel, ancestor: int, body: int) -> tuple[np.ndarray, np.ndarray]:
     """Pose of `body` in the frame of `ancestor` with every joint between at zero."""
     R, p = np.eye(3), np.zeros(3)
-    while body != ancestor:
+    for link in bodies_up_from(model, body, ancestor):
         R_step = np.empty(9)
-        mujoco.mju_quat2Mat(R_step, model.body_quat[body])
+        mujoco.mju_quat2Mat(R_step, model.body_quat[link])
         R_step = R_step.reshape(3, 3)
-        p = model.body_pos[body] + R_step @ p
+        p = model.body_pos[link] + R_step @ p
         R = R_step @ R
-        body = int(model.body_parentid[body])
     return R, p

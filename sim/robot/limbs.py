@@ -48,7 +48,7 @@ class Limbs:
 
     @property
     def feet_alone(self) -> bool:
-        """Whether nothing is known of the legs but their feet (`sim.robot.given_feet`)."""
+        """Whether nothing is known of the legs but their feet (`sim.robot.machine`)."""
         return bool(self.legs) and not self.chains
 
     @cached_property

@@ -13,16 +13,15 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
 from surefoot.sim.log import Log
-from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.body_changes import BodyChanges, LinkChange
+from surefoot.sim.robot.catalog import robot_file, robot_of_log
 from surefoot.sim.robot.feet import LegFeet
-from surefoot.sim.robot.home_pose import standing_joints, stands
-from surefoot.sim.robot.inertia import LinkChange
-from surefoot.sim.robot.inverse_dynamics import BodyChanges, Dynamics, dynamics_of
+from surefoot.sim.robot.home_pose import home_pose, joint_ranges
+from surefoot.sim.robot.inverse_dynamics import Dynamics, dynamics_of
 from surefoot.sim.robot.kinematics import Legs, feet
-from surefoot.sim.robot.legs import JOINTS, LegTree, find_legs
+from surefoot.sim.robot.legs import find_legs
 from surefoot.sim.robot.limbs import Limbs, refuse_foreign
 from surefoot.sim.robot.model_file import compiled_model, read_model
-from surefoot.sim.robot.model_of_log import robot_of_log
 
 _OF_JOINTS = ("joint_range", "torque_limit", "q_home")
 _OF_LEGS = ("foot_radius", "foot_reach", "sole", "foot_places")
@@ -101,9 +100,9 @@ class Robot:
             foot_radius=tree.foot_radius,
             foot_reach=np.array([foot.reach for foot in tree.feet]),
             sole=np.array([foot.sole for foot in tree.feet]),
-            joint_range=_ranges(model, joints),
+            joint_range=joint_ranges(model, joints),
             torque_limit=_torque_limits(model, joints),
-            q_home=_home(model, joints, tree),
+            q_home=home_pose(model, tree),
             limbs=tree.limbs,
             legs=tree.constants,
             drawn=tree.constants,
@@ -300,11 +299,6 @@ def _imu_site(model: mujoco.MjModel, base: int) -> int:
     return -1
 
 
-def _ranges(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
-    limited = model.jnt_limited[joints].astype(bool)[:, None]
-    return np.where(limited, model.jnt_range[joints], [-np.pi, np.pi])
-
-
 def _torque_limits(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
     """Lower of the motor's and the joint's limit; infinite where neither states one.
 
@@ -327,16 +321,3 @@ def _torque_limits(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
         if model.jnt_actfrclimited[joint]:
             limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
     return limits
-
-
-def _home(model: mujoco.MjModel, joints: np.ndarray, tree: LegTree) -> np.ndarray:
-    """Angles of the keyframe "home", or zeros; for a quadruped that would not stand so, a standing
-    pose with bent knees and feet below the hips.
-    """
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-    pose = model.key_qpos[key] if key >= 0 else model.qpos0
-    q_home = pose[model.jnt_qposadr[joints]].copy()
-    if tree.limbs.joints[:12] != JOINTS or (key >= 0 and stands(tree.constants, q_home)):
-        return q_home
-    q_home[:12] = standing_joints(tree.constants, _ranges(model, joints))
-    return q_home

@@ -11,7 +11,7 @@ from studies.loads.plan import machine_of, moved_mass, usual_torques
 from surefoot import Log, Robot, Scenario, walk
 from surefoot.extend import GRAVITY, Effect, Ground, Modelled, Segment, Sensors, Streams
 from surefoot.sim.log import Meta
-from surefoot.sim.physics.gears import gears_of
+from surefoot.sim.physics.drives import gears_of
 
 RATE = 500.0
 """Rows a second of the arms' logs [Hz]."""

@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.fixed_base import FixedBase
-from surefoot.sim.robot.machine import load_machine
+from surefoot.sim.robot.machine import FixedBase, load_machine
 
 GANTRY = """<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
 <geom type="box" size=".05 .5 .05" mass="20"/><body><joint name="z" type="slide" axis="0 0 1"/>

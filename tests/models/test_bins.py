@@ -15,8 +15,8 @@ from surefoot.models.residuals.contact_timing import near_changes
 from surefoot.models.residuals.feet import level_ground
 from surefoot.models.residuals.torques import dynamics_inputs
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot.given_feet import GivenFeet
 from surefoot.sim.robot.limbs import Limbs
+from surefoot.sim.robot.machine import GivenFeet
 from surefoot.sim.sensors.stances import changes as changes_of
 from surefoot.sim.sensors.streams import Sensors
 

@@ -25,8 +25,7 @@ from surefoot.sim.log import JOINTS, LEGS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.sensors.contact import contact_from_force
-from surefoot.sim.sensors.stances import changes
+from surefoot.sim.sensors.stances import changes, contact_from_force
 from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")

@@ -20,8 +20,7 @@ from surefoot.sim.log import Log, MemoisedLog, Meta
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import PointFeet
-from surefoot.sim.robot.given_feet import GivenFeet
-from surefoot.sim.robot.machine import machine_for_log
+from surefoot.sim.robot.machine import GivenFeet, machine_for_log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 

@@ -19,8 +19,7 @@ from surefoot.scenarios.trace.run import trace
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import plugins
 from surefoot.sim.effects import add, effect
-from surefoot.sim.effects.base import Effect
-from surefoot.sim.effects.traced import Traced
+from surefoot.sim.effects.base import Effect, Traced
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import LogError
 from surefoot.sim.robot import Robot

@@ -15,8 +15,7 @@ from surefoot.models.attribution.evidence import (
 )
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import CATALOGUE, add, effect
-from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.effects.traced import Traced
+from surefoot.sim.effects.base import Effect, Traced, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import JOINTS, LEGS, Log, Meta
 from surefoot.sim.robot import Robot

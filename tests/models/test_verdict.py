@@ -15,8 +15,8 @@ from surefoot.models.attribution.judgement import (
     verdict_of,
 )
 from surefoot.sim.effects import effect, known_effects
-from surefoot.sim.effects.body import Payload
-from surefoot.sim.effects.traced import Prior
+from surefoot.sim.effects.base import Prior
+from surefoot.sim.effects.masses import Payload
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
 CALF = Found(effect("link_length", "FL_calf", 0.004), (0.003, 0.005))

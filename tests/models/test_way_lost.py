@@ -8,10 +8,9 @@ from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.way_lost import way_lost
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import compensate_all, effect
-from surefoot.sim.effects.creep import without_way
+from surefoot.sim.effects.creep import way_by_feet, without_way
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.machine import machine_for_log
-from surefoot.sim.sensors.way import way_by_feet
 
 
 def case_of(log):

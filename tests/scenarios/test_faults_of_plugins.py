@@ -17,7 +17,7 @@ from surefoot.sim.common import plugins as plugins_module
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import exits_raised, load_plugin, naming_plugins
 from surefoot.sim.effects import compensate_all, effect
-from surefoot.sim.gait.patterns import pattern_named
+from surefoot.sim.gait.options import pattern_named
 from surefoot.sim.robot import Robot
 
 SOURCES = {

@@ -21,9 +21,7 @@ from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.sim.effects import CATALOGUE, add
-from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.effects.targets import AXES
-from surefoot.sim.effects.traced import Traced
+from surefoot.sim.effects.base import AXES, Effect, Traced, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment

@@ -22,9 +22,8 @@ from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.importing.columns import ColumnEntry, Entries, read_columns
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.limbs import QUADRUPED
-from surefoot.sim.robot.machine import Modelled, load_machine, machine_for_log
+from surefoot.sim.robot.machine import FixedBase, Modelled, load_machine, machine_for_log
 
 NOISE = {"x": 2.0, "z": 1.0, "shoulder": 0.5, "elbow": 0.3}  # N, N m
 

@@ -30,8 +30,7 @@ from surefoot.scenarios.trace.filters import (
 )
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.sim.effects import effect
-from surefoot.sim.effects.base import Effect, with_columns
-from surefoot.sim.effects.traced import Traced
+from surefoot.sim.effects.base import Effect, Traced, with_columns
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.effects import CATALOGUE, effect
+from surefoot.sim.effects import CATALOGUE, Effect, effect
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -326,6 +326,11 @@ def test_the_whole_catalogue_is_here():
 def test_bundled_effects_say_what_those_of_others_must():
     for name, kind in CATALOGUE.items():
         CATALOGUE.check_member(name, kind)
+
+
+def test_an_effect_is_named_after_its_class_unless_it_says_otherwise():
+    assert type("WetGround", (Effect,), {}).name == "wet_ground"
+    assert type("WetGround", (Effect,), {"name": "rain"}).name == "rain"
 
 
 def test_names_are_listed_before_slow_imports():

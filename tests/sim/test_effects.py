@@ -15,7 +15,7 @@ from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.file import load_effects, save_effects
-from surefoot.sim.effects.timing import reference_lag, reference_lag_drift
+from surefoot.sim.effects.resampling import reference_lag, reference_lag_drift
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import TIMESTEP, robot_spec
 from surefoot.sim.robot.kinematics import feet

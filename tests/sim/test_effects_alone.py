@@ -14,14 +14,15 @@ from synthetic import synthetic_walk
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.body import FootRolling
-from surefoot.sim.effects.contact import Armature, CoulombFriction, FootSlip, ViscousFriction
+from surefoot.sim.effects.contact import ContactDelay, FootSlip
+from surefoot.sim.effects.drive import Armature, Backlash, CoulombFriction, ViscousFriction
 from surefoot.sim.effects.imu import AccelScale, GyroBias, GyroScale, ImuRotation
-from surefoot.sim.effects.joint import Backlash, EncoderOffset, TorqueScale
-from surefoot.sim.effects.timing import ContactDelay, ImuDelay, JointDelay, TorqueDelay
+from surefoot.sim.effects.readings import EncoderOffset, TorqueScale
+from surefoot.sim.effects.timing import ImuDelay, JointDelay, TorqueDelay
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import JOINTS, LEGS, Log, MemoisedLog, Meta
+from surefoot.sim.physics.drives import foot_parts
 from surefoot.sim.physics.scene import robot_spec
-from surefoot.sim.physics.springs import foot_parts
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.streams import Streams

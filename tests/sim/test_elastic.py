@@ -12,9 +12,9 @@ from surefoot.sim.effects import effect
 from surefoot.sim.effects.elastic import _deflection
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.physics.leg_loads import foot_loads_B, joint_loads
+from surefoot.sim.physics.drives import share_moved_at_once
+from surefoot.sim.physics.loads import foot_loads_B, joint_loads
 from surefoot.sim.physics.scene import build_world, robot_spec
-from surefoot.sim.physics.springs import share_moved_at_once
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import last_links
 from surefoot.sim.robot.legs import find_legs

@@ -5,8 +5,7 @@ import pytest
 from refusals import refused
 
 from surefoot.sim.gait.controller import Controller, gait_for, ground_below, tick
-from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.gait.patterns import PATTERNS, Pattern, _check
+from surefoot.sim.gait.options import PATTERNS, GaitOptions, Pattern, _check
 from surefoot.sim.gait.stance_control import stance_forces
 from surefoot.sim.gait.state import LegMemory, RobotState, standing
 from surefoot.sim.gait.swing import climb_progress, place_foot, set_swing_height

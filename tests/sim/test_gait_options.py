@@ -19,9 +19,8 @@ from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import BaseMotion
 from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.sensors.sampling import sampled
 from surefoot.sim.sensors.stances import stances_between_swings
-from surefoot.sim.sensors.streams import Sensors
+from surefoot.sim.sensors.streams import Sensors, sampled
 from surefoot.sim.walk import Fallen, plan, simulate_motion, walk
 
 SPOT = Robot.load("spot_class")

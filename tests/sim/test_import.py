@@ -23,7 +23,7 @@ from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import EVENNESS, Source
 from surefoot.sim.log import JOINTS, Log
 from surefoot.sim.robot.machine import machine_for_log
-from surefoot.sim.sensors.contact import contact_from_force
+from surefoot.sim.sensors.stances import contact_from_force
 
 MEASURED = measured_folder()
 needs_measured = pytest.mark.skipif(

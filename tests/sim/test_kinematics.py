@@ -11,9 +11,9 @@ from synthetic import without
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.physics.momentum_balance import momentum_balance
+from surefoot.sim.physics.loads import momentum_balance
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import LinkChange
+from surefoot.sim.robot.body_changes import LinkChange
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, dynamics_of
 from surefoot.sim.robot.kinematics import axis_rotation
 from surefoot.sim.scenario import Scenario, Segment

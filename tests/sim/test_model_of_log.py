@@ -9,9 +9,8 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.catalog import robot_file
+from surefoot.sim.robot.catalog import of_robot, robot_file
 from surefoot.sim.robot.machine import machine_for_log
-from surefoot.sim.robot.model_of_log import of_robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 

@@ -18,10 +18,9 @@ from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
-from surefoot.sim.robot.fixed_base import FixedBase
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
-from surefoot.sim.robot.machine import load_machine, machine_for_log
+from surefoot.sim.robot.machine import FixedBase, load_machine, machine_for_log
 from surefoot.sim.robot.model_file import compiled_model, read_model
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk

@@ -9,10 +9,10 @@ from refusals import refused
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, effect
+from surefoot.sim.effects.base import groups, parts
 from surefoot.sim.effects.catalogue import add
 from surefoot.sim.effects.elastic import LegCompliance
-from surefoot.sim.effects.joint import EncoderOffset
-from surefoot.sim.effects.targets import groups, parts
+from surefoot.sim.effects.readings import EncoderOffset
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot

@@ -1,4 +1,4 @@
-"""Effects of the links' masses, of arms and pendulums on fixed bases and of legs.
+"""Effects of masses and inertias: of the base, and of the links of legs, arms and pendulums.
 
 A link is the body that a joint moves, and is named after the joint; the machine may have a fixed
 base. The bounds are wide: CAD models omit cables, screws and covers, a tenth to a half of a link's
@@ -11,19 +11,70 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from surefoot.sim.effects.base import Effect, along, declared_on
-from surefoot.sim.effects.traced import Prior, Traced
+from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, along, declared_on
 from surefoot.sim.log import Log
+from surefoot.sim.physics.scene import add_payload
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import LinkChange, with_own_inertia
+from surefoot.sim.robot.body_changes import LinkChange, with_own_inertia
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
+
+
+class Payload(Effect):
+    """A mass on the base, as a small ball at its origin.
+
+    Spot carries up to 14 kg (Boston Dynamics, "Spot Specifications").
+    """
+
+    unit = "kg"
+    bounds = (0.0, 30.0)
+    targets = ("all",)
+    traced = Traced(
+        channels=("base_wrench",),
+        step=0.1,
+        chain_rule="mass",
+        prior=Prior(14.0, "Boston Dynamics, Spot Specifications: up to 14 kg"),
+    )
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        if self.value:
+            add_payload(spec, robot, self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return log, declared_on(robot, payload=self.value)
+
+
+class ComOffset(Effect):
+    """The base's own centre of mass is shifted along an axis of the base.
+
+    "Walk These Ways" (CoRL 2022) draws +-0.15 m in its public code.
+    """
+
+    unit = "m"
+    bounds = (-0.2, 0.2)
+    targets = AXES
+    traced = Traced(
+        channels=("base_wrench",),
+        step=1e-3,
+        chain_rule="mass",
+        prior=Prior(0.15, "Margolis and Agrawal, CoRL 2022, public code: 0.15 m"),
+    )
+
+    def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        base = with_own_inertia(spec, robot.base_name)
+        base.ipos = base.ipos + along(self.target, self.value)
+
+    def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
+        return log, declared_on(robot, com_shift=along(self.target, self.value))
+
 
 _LEAST = 1e-12
 """Least mass [kg] and moment [kg m^2] of a link, which must have some."""
 
 
 _mass = partial(Traced, channels=("joint_torque", "base_wrench"), chain_rule="mass")
+
+
 _LOAD_SHARE = 0.4
 """Load that a machine on a fixed base carries for 19 of 20, as a share of its moving mass:
 Universal Robots UR10e, technical specifications: 12.5 kg of 33.5 kg.
@@ -33,7 +84,6 @@ Universal Robots UR10e, technical specifications: 12.5 kg of 33.5 kg.
 class LinkMass(Effect):
     """A link is heavier than in the model, with the same centre of mass."""
 
-    name = "link_mass"
     unit = "kg"
     bounds = (-20.0, 200.0)
     targets = "link"
@@ -70,7 +120,6 @@ class LinkMass(Effect):
 class LinkCom(Effect):
     """A link's centre of mass is shifted along an axis of its body, `<joint>_<axis>`."""
 
-    name = "link_com"
     unit = "m"
     bounds = (-0.5, 0.5)
     targets = "link_axis"
@@ -99,7 +148,6 @@ class LinkInertia(Effect):
     Excludes the first link of a fixed base, whose inertia no motion distinguishes from `armature`.
     """
 
-    name = "link_inertia"
     unit = "kg m^2"
     bounds = (0.0, 20.0)
     may_lessen = True

@@ -1,6 +1,7 @@
-"""Inertia of bodies: explicit values in a spec, and changes of a compiled model."""
+"""Changes of a robot's bodies: their frames, masses and inertias, in a spec or a compiled model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import mujoco
@@ -17,6 +18,68 @@ class LinkChange(NamedTuple):
     mass: float = 0.0  # kg, at the link's centre of mass
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, in the frame of the link's body
     inertia: float = 0.0  # kg m^2, about every axis through the centre of mass
+
+
+class BodyChanges(NamedTuple):
+    """Deviation of a robot from its file: frames of its joints, each with everything attached, and
+    links.
+
+    All frames are relative to the joint before, or the base; empty where they are as in the file.
+
+    Attributes:
+        drawn: position of each joint's frame in the file (J, 3) [m].
+        placed: its actual position (J, 3) [m].
+        turn: its rotation from the file's (J, 3, 3).
+        links: changes of the links' inertia.
+    """
+
+    drawn: np.ndarray = np.empty((0, 3))
+    placed: np.ndarray = np.empty((0, 3))
+    turn: np.ndarray = np.empty((0, 3, 3))
+    links: tuple[LinkChange, ...] = ()
+
+
+UNCHANGED_BODY = BodyChanges()
+_CHANGED_FIELDS = (
+    *("body_pos", "body_quat", "body_mass"),
+    *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),
+)
+"""Arrays of a model that `BodyChanges` modify."""
+
+
+@contextmanager
+def bodies_changed(
+    model: mujoco.MjModel, joint_ids: np.ndarray, hung: np.ndarray, changes: BodyChanges
+) -> Iterator[None]:
+    """Context with the frames of joints and the links changed in a compiled model.
+
+    Args:
+        model: changed, and restored.
+        joint_ids: (J,), of the joints that the changes index.
+        hung: (J,), the bodies that are placed: as of `Dynamics`.
+        changes: of frames and links.
+    """
+    as_drawn = {name: getattr(model, name).copy() for name in _CHANGED_FIELDS}
+    if len(changes.turn):
+        frames = zip(hung, changes.drawn, changes.placed, changes.turn, strict=True)
+        for body, drawn, placed, turn in frames:
+            # All bodies between this one and the joint rotate with it.
+            model.body_pos[body] = placed - turn @ (drawn - model.body_pos[body])
+            quat, before = np.empty(4), model.body_quat[body].copy()
+            mujoco.mju_mat2Quat(quat, turn.ravel())
+            mujoco.mju_mulQuat(model.body_quat[body], quat, before)
+    for change in changes.links:
+        body = model.jnt_bodyid[joint_ids[change.joint]]
+        model.body_mass[body] += change.mass
+        model.body_ipos[body] += change.com
+        # MuJoCo would ignore the position of a centre of mass that was at the body's origin.
+        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        model.body_inertia[body] += change.inertia
+    try:
+        yield
+    finally:
+        for name, values in as_drawn.items():
+            getattr(model, name)[:] = values
 
 
 def with_own_inertia(spec: mujoco.MjSpec, body: str) -> mujoco.MjsBody:
@@ -60,22 +123,3 @@ def take_off_ball(body: mujoco.MjsBody, mass: float, place: np.ndarray, radius: 
 def _of_point(place: np.ndarray) -> np.ndarray:
     """Inertia (3, 3) about the origin of a unit mass at a place (3,)."""
     return place @ place * np.eye(3) - np.outer(place, place)
-
-
-def change_links(
-    model: mujoco.MjModel, joint_ids: np.ndarray, changes: Sequence[LinkChange]
-) -> None:
-    """Change masses, centres of mass and inertias of a compiled model, in place.
-
-    Args:
-        model: edited.
-        joint_ids: (J,), of the joints that the changes index.
-        changes: of the links that joints move.
-    """
-    for change in changes:
-        body = model.jnt_bodyid[joint_ids[change.joint]]
-        model.body_mass[body] += change.mass
-        model.body_ipos[body] += change.com
-        # MuJoCo would ignore the position of a centre of mass that was at the body's origin.
-        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        model.body_inertia[body] += change.inertia

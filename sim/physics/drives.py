@@ -1,8 +1,10 @@
-"""Springs that a robot's model lacks: between motors and joints, and between feet and their links.
+"""Springs of joints and feet, and gears whose dry friction grows with the load; MuJoCo has neither.
 
 A motor keeps its joint's name, its rotor (the joint's armature) and its encoder; the link follows
 by a second hinge about the same axis, with a spring and damping. A foot becomes a separate body
-that slides relative to its link on springs.
+that slides relative to its link on springs. The friction of a geared joint is that of its file plus
+a share of its motor's torque, in every time step; the shares are kept in the model as numbers of
+their own.
 """
 
 from collections.abc import Sequence
@@ -13,7 +15,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.inertia import take_off_ball, with_own_inertia
+from surefoot.sim.robot.body_changes import take_off_ball, with_own_inertia
 from surefoot.sim.robot.legs import LEGS
 
 RELAXATION = 0.001
@@ -222,3 +224,42 @@ def _soften(spring: mujoco.MjsJoint, compliance: float) -> None:
     spring.stiffness[0] = 1.0 / (before + compliance)
     spring.damping[0] = RELAXATION * spring.stiffness[0]
     spring.armature = INERTIA * spring.stiffness[0]
+
+
+class Gears(NamedTuple):
+    """Dry friction of the gears of J joints.
+
+    Attributes:
+        share: of the motor's torque that is lost (J,), from 0 to 1.
+        dry: friction without load (J,) [N m, N].
+    """
+
+    share: np.ndarray
+    dry: np.ndarray
+
+
+def share_of_load(spec: mujoco.MjSpec, joint: str) -> float:
+    """Share of its motor's torque that a joint's gear loses."""
+    known = spec.numeric(_name(joint))
+    return float(known.data[0]) if known else 0.0
+
+
+def set_share_of_load(spec: mujoco.MjSpec, joint: str, share: float) -> None:
+    """Let a joint's gear lose a share of its motor's torque."""
+    known = spec.numeric(_name(joint))
+    if known:
+        known.data = [share]
+    elif share:
+        spec.add_numeric(name=_name(joint), data=[share])
+
+
+def gears_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Gears:
+    """The gears of a compiled model."""
+    numbers = {model.numeric(i).name: model.numeric(i).data for i in range(model.nnumeric)}
+    shares = [float(numbers[_name(j)][0]) if _name(j) in numbers else 0.0 for j in joint_names]
+    dofs = [int(model.joint(joint).dofadr[0]) for joint in joint_names]
+    return Gears(np.array(shares), model.dof_frictionloss[dofs].copy())
+
+
+def _name(joint: str) -> str:
+    return f"load_friction_{joint}"
