@@ -17,9 +17,8 @@ from surefoot.scenarios.first_use import compile_filters
 from surefoot.scenarios.reporting.html import Picture, Section, nested
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
 from surefoot.scenarios.reporting.plotting import save_figure
-from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import in_terminal
-from surefoot.scenarios.stages import processes, submitted
+from surefoot.scenarios.stages import percent_bar, processes, submitted
 from surefoot.scenarios.trace.report import sections as trace_sections
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import TraceOptions, trace

@@ -48,7 +48,7 @@ class TraceCommand(TraceSettings):
     def run(self) -> None:
         from surefoot.scenarios.estimate.contact_sources import contact_lines
         from surefoot.scenarios.estimate.inputs import not_plausible
-        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.stages import percent_bar
         from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
         from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
         from surefoot.scenarios.trace.words import summary
@@ -138,8 +138,8 @@ class Realism(RealismSettings, RobotSettings):
     """Robot to simulate instead of the log's; measured values are scaled to it."""
 
     def run(self) -> None:
-        from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.stages import percent_bar
         from surefoot.scenarios.trace.realism import card_table, realism
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.log import Log
@@ -233,7 +233,7 @@ class PlanCommand(options.JsonOption):
             plan_text,
             recordings_to_make,
         )
-        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.stages import percent_bar
         from surefoot.sim.robot import Robot
 
         with percent_bar("plan") as bar:

@@ -145,9 +145,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     for (condition, name), part in mine.groupby(["condition", "filter"], sort=False):
         for gamma, at in part.groupby("gamma"):
             row = {"condition": condition, "filter": name, "gamma": gamma}
-            found.append(
-                row | {c: _held(at) if c == HELD else at[c].mean() for c in SWEEP_COLUMNS}
-            )
+            found.append(row | {c: _held(at) if c == HELD else at[c].mean() for c in SWEEP_COLUMNS})
     return pd.DataFrame(found)
 
 
