@@ -16,6 +16,7 @@ import numpy as np
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
+from surefoot.scenarios.datasets.kept_walks import DrawnWalk, KeptLogs, kept_walks
 from surefoot.scenarios.datasets.simulate import BYTES_PER_SECOND
 from surefoot.scenarios.experiments.file import Cell, Condition, Experiment
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
@@ -23,7 +24,6 @@ from surefoot.scenarios.reporting.observer_errors import error_by_number
 from surefoot.scenarios.settings import WalksSettings
 from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.training.drawn_course import drawn_course
-from surefoot.scenarios.training.kept_walks import DrawnWalk, KeptLogs, kept_walks
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import cache_folder, check_space, whole_folder
 from surefoot.sim.common.limits import check_limit
@@ -110,9 +110,9 @@ def drawn_walk(
         scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
     conditions = _conditions()
     condition = conditions[rng.integers(len(conditions))]
-    job = Cell(scenario, robot, condition, int(rng.integers(2**31))).job
-    effects = [_resized(one, rng.uniform(*SIZES)) for one in job.effects]
-    return DrawnWalk(job.scenario, known_robot(robot), job.seed, effects)
+    drawn = Cell(scenario, robot, condition, int(rng.integers(2**31))).walk
+    effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects]
+    return replace(drawn, effects=effects)
 
 
 def _resized(one: Effect, factor: float) -> Effect:

@@ -10,9 +10,7 @@ from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.experiments.file import Cell, Experiment
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.carry import BodyScale, carried, scale_of
-from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.walking.batch import walk_job
 
 FILE = """source = "a test"
 [scale]
@@ -42,9 +40,9 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     suite = Experiment.load("vision60")
     condition = next(c for c in suite.conditions if c.name == "as walked")
     slipped = next(s for s in suite.scenarios if s.name == "Slipped")
-    job = Cell(slipped, "v60_class", condition, 1).job
+    drawn = Cell(slipped, "v60_class", condition, 1).walk
     assert condition.walked is not None
-    assert job.scenario.gait == replace(condition.walked.gait, **condition.walked.on_sheets)
+    assert drawn.scenario.gait == replace(condition.walked.gait, **condition.walked.on_sheets)
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.75, 0.2)
     assert mine.ground == slipped.ground
@@ -90,7 +88,6 @@ def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
     condition = next(c for c in suite.conditions if c.name == "as walked")
     whole = next(s for s in suite.scenarios if s.name == course)
     flight = replace(whole, segments=whole.segments[:3], laps=1)
-    walked = walk_job(Cell(flight, "spot_class", condition, 0).job).log
-    assert isinstance(walked, Log)
+    walked = Cell(flight, "spot_class", condition, 0).walk.simulated()
     # Ten steps of 12 cm.
     assert np.ptp(walked.ref_p[:, 2]) == pytest.approx(1.2, abs=0.15)

@@ -9,20 +9,18 @@ from refusals import refused
 from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
 from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.effects import effect
-from surefoot.sim.log import Log
 from surefoot.sim.robot.limbs import QUADRUPED
-from surefoot.sim.walking.batch import walk_job
 
 
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
     suite = Experiment.load("vision60")
     _, built, _ = suite.conditions
-    jobs = [Cell(s, "v60_class", built, 1).job for s in suite.scenarios]
-    assert all(job.effects == jobs[0].effects for job in jobs)
-    assert len({job.seed for job in jobs}) == len(jobs)
-    assert not any(job.declared for job in jobs)
-    assert Cell(suite.scenarios[0], "v60_class", built, 2).job.effects != jobs[0].effects
-    assert jobs[0].scenario.sensors.contact_delay == 0.005
+    walks = [Cell(s, "v60_class", built, 1).walk for s in suite.scenarios]
+    assert all(walk.effects == walks[0].effects for walk in walks)
+    assert len({walk.seed for walk in walks}) == len(walks)
+    assert not any(walk.declared for walk in walks)
+    assert Cell(suite.scenarios[0], "v60_class", built, 2).walk.effects != walks[0].effects
+    assert walks[0].scenario.sensors.contact_delay == 0.005
 
 
 def test_sizes_follow_the_law_of_the_file():
@@ -62,7 +60,6 @@ def test_gears_as_stiff_as_real_ones_make_no_robot_fall_on_a_sheet(seed):
     course = next(s for s in suite.scenarios if s.name == "3CC3CCW")
     start = replace(course, segments=course.segments[:2], laps=1)
     gears = (effect("leg_compliance", "all", 1e-4),)
-    walked = walk_job(replace(Cell(start, "v60_class", PLAIN, seed).job, effects=gears)).log
-    assert isinstance(walked, Log)
+    walked = replace(Cell(start, "v60_class", PLAIN, seed).walk, effects=gears).simulated()
     slip = walked.frame[[f"slip_{leg}" for leg in walked.legs]].to_numpy()
     assert slip[walked.contact].max() > 0.2
