@@ -26,10 +26,10 @@ from surefoot.scenarios.estimate.estimators import (
 from surefoot.scenarios.estimate.inputs import (
     learnt_from,
     not_plausible,
+    notes_on,
     read_logs,
     with_effects,
 )
-from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (

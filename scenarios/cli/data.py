@@ -206,7 +206,7 @@ class Info(CheckedSettings, ContactsSettings, options.JsonOption):
 
 def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
     """What to know about a log, and how filters start on it."""
-    from surefoot.scenarios.estimate.notes import start_note
+    from surefoot.scenarios.estimate.inputs import start_note
     from surefoot.sim.importing.report import import_lines
 
     start = start_note(log)

@@ -21,7 +21,7 @@ from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named, traits
 from surefoot.scenarios.estimate.inputs import learnt_from
 from surefoot.scenarios.estimate.run import declared_model, run_filter
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.settings import tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Cell, Experiment, Learning, cells_of
 from surefoot.scenarios.viewer.recording import recording

@@ -6,7 +6,7 @@ from own_package import run_with
 
 LISTS = """
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.settings import tuned
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.sim.robot import Robot

@@ -18,7 +18,7 @@ from surefoot.scenarios.datasets.index import recipe
 from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.tuned import read_tuned
+from surefoot.scenarios.estimate.settings import read_tuned
 from surefoot.scenarios.experiments import products
 from surefoot.scenarios.experiments.file import Cell, Condition, Learning
 from surefoot.scenarios.experiments.products import LearntFiles

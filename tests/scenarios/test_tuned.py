@@ -4,7 +4,7 @@ import pytest
 from refusals import refused
 
 from surefoot.scenarios.estimate.run import ESTIMATORS, estimator_named
-from surefoot.scenarios.estimate.tuned import BUNDLED_PARAMETERS, read_tuned, tuned
+from surefoot.scenarios.estimate.settings import BUNDLED_PARAMETERS, read_tuned, tuned
 from surefoot.scenarios.tune import write_tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot

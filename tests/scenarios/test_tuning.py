@@ -10,7 +10,7 @@ from surefoot.scenarios import tune
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import run_filter
-from surefoot.scenarios.estimate.tuned import read_tuned
+from surefoot.scenarios.estimate.settings import read_tuned
 from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.tune import PRICE, price_of, search
 from surefoot.sim.common.errors import SurefootError
