@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from surefoot.models.attribution.design import design
 from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linearise, log_under_model
@@ -117,7 +117,10 @@ def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Ke
     rival = int(np.argmax(np.abs(correlations)))
     share, seconds = float(deviations[i] / allowed), np.inf
     if share <= SHOWN:
-        seconds = brentq(lambda s: covariance(s)[i, i] ** 0.5 - SHOWN * allowed, 0.0, LONGEST_S)
+        found = root_scalar(
+            lambda s: covariance(s)[i, i] ** 0.5 - SHOWN * allowed, bracket=(0.0, LONGEST_S)
+        )
+        seconds = float(found.root)
     near = abs(correlations[rival]) > 0.5
     return Shown(seconds, share, keys[rival] if near else None, float(correlations[rival]))
 
