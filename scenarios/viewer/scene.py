@@ -148,7 +148,8 @@ def _write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Gr
     rows = rows_at(log, POSE_RATE)
     p, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
     p[:, 2] = [height(ground.height_map, x, y) + _ABOVE for x, y, _ in p]
-    R = Rotation.from_euler("z", np.arctan2(R_GB[:, 1, 0], R_GB[:, 0, 0])).as_matrix()
+    yaw = np.arctan2(R_GB[:, 1, 0], R_GB[:, 0, 0])
+    R = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_matrix()
     _send_poses(stream, "world/shadow", log.t[rows], p, R)
     flat = [*(1.1 * trunk_size(robot)[:2]), 0.5 * _ABOVE]
     shape = rr.Ellipsoids3D(half_sizes=[flat], colors=[_SHADOW], fill_mode="solid")
