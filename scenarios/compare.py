@@ -26,10 +26,10 @@ from surefoot.scenarios.estimate.estimators import (
 from surefoot.scenarios.estimate.inputs import (
     learnt_from,
     not_plausible,
+    notes_on,
     read_logs,
     with_effects,
 )
-from surefoot.scenarios.estimate.notes import notes_on
 from surefoot.scenarios.estimate.run import Result, declared_model, robot_of, run_all
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.scenarios.reporting.figures import (
@@ -323,12 +323,17 @@ def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") 
     which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
     words = f"Errors of position, attitude and velocity, with three sigma.{which}"
     pictures.append(Picture(errors_by_axis(few), words, f"{files}_errors.{kind}"))
+    return [*pictures, *velocity_pictures(comparison, f"{files}_velocity.{kind}")]
+
+
+def velocity_pictures(comparison: Comparison, file: str = "") -> list[Picture]:
+    """The observer's prediction with its bounds; none without an observer, bounds or a robot."""
     prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
-    if prediction is not None and bounds is not None and robot is not None:
-        velocity = velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI))
-        words = "Body velocity: the observer's prediction, its calibrated bounds, and the truth."
-        pictures.append(Picture(velocity, words, f"{files}_velocity.{kind}"))
-    return pictures
+    if prediction is None or bounds is None or robot is None:
+        return []
+    drawn = velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI))
+    words = "Body velocity: the observer's prediction, its calibrated bounds, and the truth."
+    return [Picture(drawn, words, file)]
 
 
 def error_summary(log: str, metrics: Mapping[str, Metrics]) -> str:

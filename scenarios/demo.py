@@ -16,10 +16,8 @@ from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.first_use import compile_filters
 from surefoot.scenarios.reporting.html import Picture, Section, nested
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
-from surefoot.scenarios.reporting.plotting import save_figure
-from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.reporting.tables import in_terminal
-from surefoot.scenarios.stages import processes, submitted
+from surefoot.scenarios.stages import percent_bar, processes, submitted
 from surefoot.scenarios.trace.report import sections as trace_sections
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import TraceOptions, trace
@@ -87,7 +85,7 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
         found = tracing.result()
     # The ground as drawn with this seed, in contrast to that in the file.
     ground = plan(Scenario.load("demo/walk"), robot, _seed("walk", seed)).draw.scenario.ground
-    extra = [*_observer_sections(logs, learnt, out), *_loop_sections(found, hidden)]
+    extra = [*_observer_sections(logs, learnt), *_loop_sections(found, hidden)]
     title = "surefoot demo: a walk on slippery ground, estimated by proprioception"
     results = write_comparison([comparison], out, title, ground, extra=extra)
     return results, found, hidden
@@ -140,7 +138,7 @@ def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
     return [hidden_effect, *nested(trace_sections(found))]
 
 
-def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[Section]:
+def _observer_sections(logs: dict[str, Log], learnt: Learnt) -> list[Section]:
     observer, bounds = learnt.bounded("mse")
     test_errors = prediction_errors(observer, logs["walk"])[1]
     held = coverage(test_errors, bounds)
@@ -159,10 +157,7 @@ def _observer_sections(logs: dict[str, Log], learnt: Learnt, out: Path) -> list[
         pictures,
     )
     tested = observer.errors, test_errors
-    errors = error_section(*tested, bounds.epsilon, bounds.gamma, "the third walk")
-    for k, picture in enumerate(errors.pictures):
-        save_figure(picture.figure, out / "figures" / f"observer_errors_{k + 1}.png")
-    return [learning, errors]
+    return [learning, error_section(*tested, bounds.epsilon, bounds.gamma, "the third walk")]
 
 
 def _errors_table(learnt: Learnt, logs: dict[str, Log]) -> list[dict[str, object]]:

@@ -191,12 +191,14 @@ class TraceInputs(RobotSettings):
 
 @dataclass(frozen=True)
 class TraceSettings(TraceInputs, CheckedSettings, OutputSettings):
-    """Files of a trace, as `scenarios.trace.next_steps` names them in commands."""
+    """Files of a trace, for `scenarios.trace.run.trace_files`."""
 
     logs: tuple[Path, ...]
     """Logs of one robot, traced together."""
     out: Path
     """Folder for trace.json, effects.toml, report.html and the recording trace.rrd."""
+    seed: int = 0
+    """Seed of the bootstrap from which the intervals are computed."""
 
 
 @dataclass(frozen=True, kw_only=True)

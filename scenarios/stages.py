@@ -1,4 +1,4 @@
-"""Work in stages, each distributed over processes of this machine and shown by a bar."""
+"""Work shown by bars, and distributed in stages over processes of this machine."""
 
 import multiprocessing
 import signal
@@ -14,6 +14,17 @@ from surefoot.sim.common.files import remove_unfinished
 from surefoot.sim.common.plugins import exits_raised, naming_plugins
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.common.terminal import printing_plainly
+
+LAYOUT = "{l_bar}{bar}| {elapsed}, {remaining} left{postfix}"
+LONGEST_LABEL = 24
+"""Number of characters to which a label is cut."""
+
+
+@contextmanager
+def percent_bar(label: str) -> Iterator[Callable[[float], None]]:
+    """Context with a function that takes the completed share of the work, from 0 to 1."""
+    with drawn_bar(total=100, desc=label[:LONGEST_LABEL], bar_format=LAYOUT) as bar:
+        yield lambda share: bar.update(100.0 * share - bar.n)
 
 
 @contextmanager

@@ -32,8 +32,13 @@ from surefoot.scenarios.estimate.estimators import (
     estimator_named,
 )
 from surefoot.scenarios.estimate.run import declared_model, estimated
-from surefoot.scenarios.estimate.settings import FilterSettings
-from surefoot.scenarios.estimate.tuned import Tuned, read_tuned, tuned, tuned_file
+from surefoot.scenarios.estimate.settings import (
+    FilterSettings,
+    Tuned,
+    read_tuned,
+    tuned,
+    tuned_file,
+)
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.stages import processes, stage

@@ -206,7 +206,7 @@ class Info(CheckedSettings, ContactsSettings, options.JsonOption):
 
 def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
     """What to know about a log, and how filters start on it."""
-    from surefoot.scenarios.estimate.notes import start_note
+    from surefoot.scenarios.estimate.inputs import start_note
     from surefoot.sim.importing.report import import_lines
 
     start = start_note(log)
@@ -220,7 +220,7 @@ def _compared_contacts(
     are in doubt.
     """
     from surefoot.scenarios.estimate.contact_sources import contact_lines
-    from surefoot.scenarios.reporting.progress import percent_bar
+    from surefoot.scenarios.stages import percent_bar
 
     doubted = any(name.startswith("contact_") for one in findings for name in one.streams)
     if not (asked or doubted):
@@ -279,8 +279,7 @@ class View(OutputSettings):
             hint = did_you_mean(self.file, bundled_scenarios())
             what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
             raise SurefootError(f"{self.file}: no such file or scenario; view opens {what}{hint}")
-        from surefoot.scenarios.viewer.preview import write_preview
-        from surefoot.scenarios.viewer.view import view
+        from surefoot.scenarios.viewer.view import view, write_preview
 
         with TemporaryDirectory(prefix="surefoot_") as folder:
             shown = path

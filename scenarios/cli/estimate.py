@@ -81,8 +81,7 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
         from surefoot.models.observer.observer import Observer
         from surefoot.models.observer.training import partial_path, torch_device, train
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
-        from surefoot.scenarios.training.error_by_walks import write_error_by_walks
-        from surefoot.scenarios.training.many_walks import many_walks
+        from surefoot.scenarios.training.many_walks import many_walks, write_error_by_walks
         from surefoot.sim.common.files import refuse_full, refuse_overwrite
 
         refuse_overwrite(self.out, self.force)

@@ -80,7 +80,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         if given.get("page"):
             from surefoot.scenarios.reporting.pages import check_page
 
-            check_page(given["page"])
+            check_page(given["page"], own)
         for path in own:
             stack.enter_context(_alone(path))
         say_if_interrupted(lambda: how_to_go_on(name, run.written, own))

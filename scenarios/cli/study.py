@@ -19,7 +19,7 @@ from surefoot.scenarios.settings import (
     TraceSettings,
     TuneSettings,
 )
-from surefoot.sim.common.errors import SurefootError, check_known
+from surefoot.sim.common.errors import check_known
 from surefoot.sim.effects.catalogue import CATALOGUE
 
 
@@ -42,55 +42,11 @@ class Demo(OutputSettings):
 class TraceCommand(TraceSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
-    seed: int = 0
-    """Seed of the bootstrap from which the intervals are computed."""
-
     def run(self) -> None:
-        from surefoot.scenarios.estimate.contact_sources import contact_lines
-        from surefoot.scenarios.estimate.inputs import not_plausible
-        from surefoot.scenarios.reporting.progress import percent_bar
-        from surefoot.scenarios.trace.long_logs import note_on_blocks, read_in_blocks
-        from surefoot.scenarios.trace.run import TraceOptions, trace, unchanged_beside
+        from surefoot.scenarios.trace.run import trace_files
         from surefoot.scenarios.trace.words import summary
-        from surefoot.sim.effects.file import load_effects
-        from surefoot.sim.importing.advice import advice_words
-        from surefoot.sim.robot.catalog import of_robot
-        from surefoot.sim.robot.machine import machine_for_log
 
-        read = [read_in_blocks(path) for path in self.logs]
-        read_holdout = [read_in_blocks(path) for path in self.holdout]
-        logs, held_out = ([log for own in runs for log in own] for runs in (read, read_holdout))
-        declared = None if self.declared is None else load_effects(self.declared)
-        robots = sorted({log.meta.robot for log in [*logs, *held_out] if log.meta.robot})
-        if not self.robot and len(robots) > 1:
-            raise SurefootError(
-                f"the logs are of {' and '.join(robots)}: trace one robot at a time"
-            )
-        first = [blocks[0] for blocks in (*read, *read_holdout)]
-        robot, *_ = [machine_for_log(log, self.robot) for log in first]
-        # The first block of a long log is checked, as `estimate` checks its first minutes.
-        warnings = not_plausible(first, self.robot, self.strict)
-        for k, log in enumerate(first):
-            with percent_bar("contacts") as progress:
-                said, changes = contact_lines(of_robot(log, self.robot), progress, only_better=True)
-            if said:
-                warnings[k] += (f"{'; '.join(said)}: {advice_words(changes)}",)
-        # A trace must not depend on the names of its logs, so its notes number them.
-        notes = tuple(
-            f"log {k + 1}: {line}" if len(first) > 1 else line
-            for k, lines in enumerate(warnings)
-            for line in lines
-        )
-        chosen = TraceOptions(
-            seed=self.seed,
-            declared=declared,
-            since=unchanged_beside(self.declared, declared or ()) if self.declared else None,
-            holdout=held_out,
-            warnings=(*notes, *note_on_blocks([*read, *read_holdout])),
-            files=self,
-        )
-        with percent_bar("trace") as progress:
-            found = trace(logs, robot, self.out, chosen, progress, self.force)
+        found = trace_files(self)
         print(summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 
@@ -136,8 +92,8 @@ class Realism(RealismSettings, RobotSettings):
     """Robot to simulate instead of the log's; measured values are scaled to it."""
 
     def run(self) -> None:
-        from surefoot.scenarios.reporting.progress import percent_bar
         from surefoot.scenarios.reporting.tables import to_markdown
+        from surefoot.scenarios.stages import percent_bar
         from surefoot.scenarios.trace.realism import card_table, realism
         from surefoot.sim.effects.file import load_effects
         from surefoot.sim.log import Log
@@ -231,7 +187,7 @@ class PlanCommand(options.JsonOption):
             plan_text,
             recordings_to_make,
         )
-        from surefoot.scenarios.reporting.progress import percent_bar
+        from surefoot.scenarios.stages import percent_bar
         from surefoot.sim.robot import Robot
 
         with percent_bar("plan") as bar:

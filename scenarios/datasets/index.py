@@ -5,7 +5,6 @@ for `pd.read_parquet`, which ignores names with a leading underscore, are the lo
 gains a line as each walk ends; an interrupted run continues from it.
 """
 
-import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -13,7 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -25,20 +24,28 @@ from surefoot.sim.common.files import (
     append_lines,
     check_plain,
     file_digest,
+    json_digest,
     json_lines,
     whole_file,
     write_whole,
 )
 from surefoot.sim.common.sources import code_digest, sources_digest
+from surefoot.sim.effects import Effect
 from surefoot.sim.gait.options import pattern_named
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
+from surefoot.sim.robot import Robot
+from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import Fallen, Plan
 from surefoot.sim.walking.batch import Job, known_robot
 
 INDEX_FOLDER = "_dataset"
 MINUTE = 60.0  # s
 DRY = 0.5  # friction coefficient from which ground counts as dry
+
+
+FACTS = ("duration", "length", "slip_share", "creep")
+"""Of a walk (`walk_facts`)."""
 
 
 @dataclass(frozen=True)
@@ -81,19 +88,29 @@ def fall_path(folder: Path, job: Job) -> Path:
 
 
 def recipe(job: Job) -> str:
-    """Hash of scenario, robot, seed, declared effects, code and versions: same recipe, same bits.
+    """Hash of what determines a walk: same recipe, same bits.
 
     Undeclared effects are not included, since the recipe is in the index.
     """
     declared = job.effects if job.declared else ()
-    effects = [e.as_dict() for e in declared]
+    return json_digest(determinants(job.scenario, known_robot(job.robot), job.seed, declared))
+
+
+def determinants(
+    scenario: Scenario, robot: Robot, seed: int, effects: Sequence[Effect]
+) -> dict[str, Any]:
+    """All that determines a simulated walk, as JSON: its inputs, code and versions."""
+    gait = pattern_named(scenario.gait.pattern)
     modules = "surefoot.sim.walking.batch", "surefoot.sim.walking.long_walk"
-    code = [*map(sources_digest, modules), code_digest(*map(type, declared))]
-    robot = known_robot(job.robot).digest
-    gait = pattern_named(job.scenario.gait.pattern)
-    strides = [*map(float, gait.phase), gait.duty, gait.period]
-    parts = [repr(job.scenario), strides, robot, job.seed, effects, code, _versions()]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    return {
+        "scenario": repr(scenario),
+        "strides": [*map(float, gait.phase), gait.duty, gait.period],
+        "robot": [robot.name, robot.digest, robot.q_home.tolist()],
+        "seed": seed,
+        "effects": [one.as_dict() for one in effects],
+        "code": [*map(sources_digest, modules), code_digest(*map(type, effects))],
+        "versions": _versions(),
+    }
 
 
 @cache
@@ -106,7 +123,7 @@ def row_of(
 ) -> IndexRow:
     """The row of a walk from its facts (`walk_facts`), or from its fall, with its log's hash."""
     fall = found if isinstance(found, Fallen) else None
-    numbers = dict.fromkeys(("duration", "length", "slip_share", "creep"), np.nan)
+    numbers = dict.fromkeys(FACTS, np.nan)
     return IndexRow(
         file="" if fall else f"{log_name(job)}.parquet",
         scenario=job.scenario.name,
@@ -211,8 +228,7 @@ def card(rows: pd.DataFrame) -> str:
     whole = rows[rows.falls == 0]
     table = []
     for _, part in rows.groupby(["scenario", "robot"], sort=False, dropna=False):
-        columns = ["length", "duration", "slip_share", "creep"]
-        mean = part.loc[part.falls == 0, columns].mean(skipna=False)
+        mean = part.loc[part.falls == 0, list(FACTS)].mean(skipna=False)
         row = {"scenario": part.scenario.iloc[0], "robot": part.robot.iloc[0]}
         row |= {"walks": len(part), "falls": part.falls.sum()}
         row |= {"length [m]": mean.length, "duration [s]": mean.duration}

@@ -20,8 +20,8 @@ from surefoot.scenarios.datasets.index import (
     write_index,
 )
 from surefoot.scenarios.datasets.walk_file import walk_and_save
-from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.settings import SimulateSettings
+from surefoot.scenarios.stages import percent_bar
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import (
     as_made,

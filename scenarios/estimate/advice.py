@@ -17,7 +17,7 @@ from surefoot.estimator.evaluation.health import Health
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics
-from surefoot.scenarios.estimate.contact_sources import DELAYS, TRIED, earlier, rules_of
+from surefoot.scenarios.estimate.contact_sources import DELAYS, TRIED, earlier, least, rules_of
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.estimate.run import Result, parameters_of, run_filter
@@ -122,11 +122,11 @@ def advice(
     if before is None:
         return ""
     contact = parameters_of(estimator_named(name), robot, settings).get("contact")
-    mending = [one for one in _trials(before, contact, tried) if _mends(before, one)]
+    mending = [one for one in _trials(before, contact, tried) if one and _mends(before, one)]
     best = min(mending, key=lambda one: one.cost, default=None)
     # Contacts are replaced only where else another filter would be.
     if contact is not None and (best is None or best.remedy.filter != name):
-        mending += [one for one in _by_rules(plain, robot, tried) if _mends(before, one)]
+        mending += [one for one in _by_rules(plain, robot, tried) if one and _mends(before, one)]
     if not mending:
         return (
             "no single change of contact noise, source of contacts, times of joints and contacts "
@@ -151,8 +151,9 @@ def likelihood(trajectory: Trajectory) -> float:
     return float(-0.5 * np.mean(squared + np.log(variance / sums[:, COUNT : COUNT + 1] ** 2)))
 
 
-def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial]:
-    """Remedies of a filter on a log, tried: the best of each kind, and those without a size.
+def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial | None]:
+    """Remedies of a filter on a log, tried: the best of each kind, and those without a size; None
+    for one that cannot run.
 
     contact: noise of contacts with which the filter ran; None without any.
     """
@@ -161,55 +162,45 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial]
     if contact is not None:
         sizes = [float(f"{contact * step:.2g}") for step in NOISE_STEPS]
         noises = (_with_noise(plain, size) for size in sizes)
-        yield from _least(noises, tried, lambda one: -one.likelihood)
+        yield least(map(tried, noises), lambda one: -one.likelihood)
     for kinds in (tuple(filter(log.has, ("q", "dq", "foot"))), ("contact",)):
         for sign in (1.0, -1.0) if all(map(log.has, kinds)) else ():
             delays = (_earlier(plain, kinds, sign * delay) for delay in DELAYS)
-            yield from _least(delays, tried, lambda one: one.drift)
+            yield least(map(tried, delays), lambda one: one.drift)
     others = []
-    own = replace(settings, start=StartSettings(), state=StateSettings())
-    if own != settings:
+    usual = replace(settings, start=StartSettings(), state=StateSettings())
+    if usual != settings:
         words = "leave out what the settings say of start and state"
-        others.append(replace(plain, words=words, settings=own))
+        others.append(replace(plain, words=words, settings=usual))
     if other := traits(plain.filter).rejecting:
         words = f"use {other}, which rejects feet whose contacts are wrong"
         others.append(replace(plain, words=words, filter=other))
-    yield from filter(None, map(tried, others))
+    yield from map(tried, others)
 
 
-def _by_rules(plain: Remedy, robot: Robot | None, tried: Try) -> Iterator[Trial]:
+def _by_rules(plain: Remedy, robot: Robot | None, tried: Try) -> Iterator[Trial | None]:
     """Contacts by the best rule on each quantity of the log."""
     for source in rules_of(plain.log, robot):
         remedies = (
             replace(plain, words=f"in the import map: {advice_words(one.changes)}", log=one.log)
             for one in source
         )
-        yield from _least(remedies, tried, lambda one: one.drift)
-
-
-def _least(remedies: Iterator[Remedy], tried: Try, cost: Callable[[Trial], float]) -> list[Trial]:
-    """The remedy up to which the cost falls; none where the first fails."""
-    best: list[Trial] = []
-    for one in map(tried, remedies):
-        if one is None or (best and cost(one) > cost(best[0])):
-            break
-        best = [one]
-    return best
+        yield least(map(tried, remedies), lambda one: one.drift)
 
 
 def _with_noise(plain: Remedy, value: float) -> Remedy:
-    own = dict(plain.settings.filters.get(plain.filter, {}), contact=value)
-    filters = {**plain.settings.filters, plain.filter: own}
+    every = plain.settings.filters
+    filters = {**every, plain.filter: {**every.get(plain.filter, {}), "contact": value}}
     words = f"set filters.{plain.filter}.contact={value:g}, the likeliest by its innovations"
     return replace(plain, words=words, settings=replace(plain.settings, filters=filters))
 
 
 def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
     """The log with the columns of these kinds earlier by a delay [s], or later if negative."""
-    late = ", ".join(f"{one} = {delay:g}" for one in kinds)
+    entries = ", ".join(f"{one} = {delay:g}" for one in kinds)
     words = (
         f"{' and '.join(kinds)} seem {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}; "
-        f"in the import map: [even] late = {{ {late} }}"
+        f"in the import map: [even] late = {{ {entries} }}"
     )
     return replace(plain, words=words, log=earlier(plain.log, kinds, delay))
 

@@ -10,9 +10,10 @@ leave the filter without measurements.
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import get_args
+from typing import TypeVar, get_args
 
 import numpy as np
+import pandas as pd
 
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
@@ -25,6 +26,8 @@ from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.stances import stances
+
+T = TypeVar("T")
 
 TRIED = 60.0
 """Part of a log, from its start, on which contacts and remedies are tried [s]."""
@@ -115,7 +118,7 @@ class ContactComparison:
             if self.by_reference
             else ("velocity error, expected from its innovations,", "mm/s")
         )
-        each = (f"{_milli(one.error)} {unit} {_with(one.contacts.source)}" for one in self.tried)
+        each = (f"{_milli(one.error)} {unit} {one.contacts.source}" for one in self.tried)
         t = self.tried[0].contacts.log.t
         first = f"leg filter on the first {min(TRIED, t[-1] - t[0]):.0f} s: {what}"
         return f"{first} {', '.join(each)}", *self._motion()
@@ -177,10 +180,6 @@ def _why_it_does_not_run(log: Log, robot: Robot | None) -> str:
     return "the log is too short"
 
 
-def _with(source: str) -> str:
-    return source if source.startswith(AS_LOGGED) else f"from {source}"
-
-
 def rules_of(
     log: Log, robot: Robot | None, shares: Iterable[float] = SHARES
 ) -> Iterator[Iterator[Contacts]]:
@@ -220,7 +219,7 @@ def _by_rule(
             levels[leg] = float(f"{sign * (swing + share * (stance - swing)):.4g}")
         rule = ContactTable(levels, levels, of, debounce=_DEBOUNCE)
         stands = contacts_from_loads(log.t, loads, rule)
-        yield Contacts(of, {"contact": vars(rule)}, log.with_columns(stands))
+        yield Contacts(f"from {of}", {"contact": vars(rule)}, log.with_columns(stands))
 
 
 def compare_contacts(
@@ -255,17 +254,17 @@ def compare_contacts(
     every += rules_of(log, robot, shares)
     for k, source in enumerate(every):
         progress(k / len(every))
-        found.append(_least(map(tried, source)))
+        found.append(least(map(tried, source), lambda one: one.error))
     progress(1.0)
     ranked = sorted((one for one in found if one is not None), key=lambda one: one.error)
     return ContactComparison(tuple(ranked), by_reference) if ranked else None
 
 
-def _least(each: Iterable[TriedContacts | None]) -> TriedContacts | None:
-    """That up to which the error falls."""
+def least(each: Iterable[T | None], cost: Callable[[T], float]) -> T | None:
+    """That up to which the cost falls; None where the first one failed."""
     best = None
     for one in each:
-        if one is None or (best is not None and one.error > best.error):
+        if one is None or (best is not None and cost(one) > cost(best)):
             break
         best = one
     return best
@@ -292,9 +291,8 @@ def _by_windows(log: Log, found: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def _in_blocks(t: np.ndarray, times: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """Means (_BLOCKS,) of values at times over equal sections of t."""
     edges = np.linspace(t[0], t[-1], _BLOCKS + 1)[1:-1]
-    block = np.searchsorted(edges, times)
-    means = [squares[block == k].mean() if np.any(block == k) else np.nan for k in range(_BLOCKS)]
-    return np.array(means)
+    means = pd.Series(squares).groupby(np.searchsorted(edges, times)).mean()
+    return means.reindex(range(_BLOCKS)).to_numpy()
 
 
 def moving_in_contact(t: np.ndarray, speed: np.ndarray, contact: np.ndarray) -> tuple[float, float]:

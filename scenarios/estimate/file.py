@@ -20,8 +20,7 @@ from surefoot.estimator.evaluation.trajectory import (
 from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
 from surefoot.scenarios.estimate.advice import advice, needs_advice
 from surefoot.scenarios.estimate.estimators import estimator_named
-from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, with_effects
-from surefoot.scenarios.estimate.notes import notes_on
+from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, notes_on, with_effects
 from surefoot.scenarios.estimate.run import (
     declared_model,
     estimated_in_chunks,

@@ -36,8 +36,7 @@ from surefoot.scenarios.estimate.contract import (
     samples,
 )
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
-from surefoot.scenarios.estimate.settings import FilterSettings
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.settings import FilterSettings, tuned
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.progress import bar as drawn_bar
 from surefoot.sim.effects import compensate_all, declared_effects

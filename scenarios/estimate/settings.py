@@ -1,7 +1,8 @@
-"""User settings of noise, priors and initial state, which override the tuned ones.
+"""Parameters of the estimators: their defaults, overridden by robot in `tuned.toml`, and by the
+user's settings of noise, priors and initial state.
 
-A TOML file with optional entries, for the option --settings of `estimate` and `compare`; `surefoot
-noise` writes one, and --set takes single lines of it.
+These settings are a TOML file with optional entries, for the option --settings of `estimate` and
+`compare`; `surefoot noise` writes one, and --set takes single lines of it.
 
     [noise]                  # of every filter that has the parameter
     gyro = 3e-4              # rad/s/sqrt(Hz), and gyro_walk, rad/s^2/sqrt(Hz)
@@ -26,9 +27,11 @@ noise` writes one, and --set takes single lines of it.
     contact = 0.01
 """
 
+import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +41,84 @@ from surefoot.estimator.core.state import NavState
 from surefoot.estimator.initial import REFERENCE_STD, Start, initial_state, start_covariance
 from surefoot.scenarios.estimate.contract import Estimator, Parameters
 from surefoot.scenarios.estimate.estimators import check_filter
-from surefoot.scenarios.estimate.tuned import overridden
-from surefoot.sim.common.errors import SurefootError, errors_in
+from surefoot.sim.common.errors import SurefootError, check_known, errors_in
+from surefoot.sim.common.files import bundled
 from surefoot.sim.common.limits import check_toml_keys
 from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.common.toml import Positive, read_toml, typed
+from surefoot.sim.common.toml import Name, NonNegative, Positive, read_toml, read_typed, typed
 from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import Feet
 
+BUNDLED_PARAMETERS = bundled("surefoot.scenarios.estimate", "tuned.toml")
+FORMER = {"lasting": "persistent"}
+"""Old names of parameters, in files of surefoot 0.1.0, and the current ones."""
 Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Tuned parameters of a robot's estimators.
+
+    Attributes:
+        mounting: standard deviation of the IMU's mounting about each axis [rad], declared for all
+            of them and never tuned.
+        reason: who chose the rest.
+        filters: by estimator, parameters that differ from their defaults.
+    """
+
+    mounting: float
+    reason: str
+    filters: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def of(self, estimator: Estimator) -> dict[str, float]:
+        """Value of each parameter of an estimator. Raises SurefootError for one that it does not
+        have.
+        """
+        values = {parameter.name: parameter.default for parameter in estimator.parameters}
+        return overridden(values, self.filters.get(estimator.name, {}), estimator.name)
+
+
+def overridden(values: Parameters, chosen: Parameters, where: str) -> dict[str, float]:
+    """Parameters with those `chosen` instead. Raises SurefootError, beginning with `where`, for one
+    that is not among `values`.
+    """
+    with errors_in(where):
+        for name in chosen:
+            check_known("parameter", name, values)
+    return {**values, **chosen}
+
+
+def tuned(robot: Robot | None) -> Tuned:
+    """Tuned parameters for this robot: the entry of its name, else [default]."""
+    every = read_tuned(tuned_file())
+    return every["default"] if robot is None else every.get(robot.name, every["default"])
+
+
+def tuned_file() -> Path:
+    """$SUREFOOT_TUNED, such as written by `surefoot tune`, or else the bundled tuned.toml."""
+    return Path(os.environ.get("SUREFOOT_TUNED", BUNDLED_PARAMETERS))
+
+
+@cache
+def read_tuned(path: Path = BUNDLED_PARAMETERS) -> dict[str, Tuned]:
+    """Read the entries of all robots. Raises SurefootError, one line, on a bad file."""
+    tables = read_typed(path, dict[str, dict[str, NonNegative | Name | dict[str, Positive]]])
+    if "default" not in tables:
+        raise SurefootError(f"{path}: [default] is missing")
+    return {robot: _tuned(table, f"{path}: [{robot}]") for robot, table in tables.items()}
+
+
+def _tuned(table: dict[str, float | str | dict[str, float]], where: str) -> Tuned:
+    filters: dict[str, dict[str, float]] = {}
+    mounting, reason = table.pop("mounting", None), table.pop("reason", None)
+    if not isinstance(mounting, float) or not isinstance(reason, str):
+        raise SurefootError(f"{where} must have mounting, a number, and reason, a string")
+    for name, values in table.items():
+        if not isinstance(values, dict):
+            raise SurefootError(f"{where} {name} must be a table of parameters, is {values!r}")
+        filters[name] = {FORMER.get(key, key): float(value) for key, value in values.items()}
+    return Tuned(mounting, reason, filters)
 
 
 @dataclass(frozen=True)
@@ -115,8 +187,8 @@ class FilterSettings:
         Raises SurefootError for one that it does not have.
         """
         given = {name: value for name, value in _given(self.noise).items() if name in values}
-        own = self.filters.get(estimator.name, {})
-        return overridden({**values, **given}, own, f"[filters.{estimator.name}]")
+        chosen = self.filters.get(estimator.name, {})
+        return overridden({**values, **given}, chosen, f"[filters.{estimator.name}]")
 
     def beginning(self, log: Log, feet: Feet | None = None) -> tuple[NavState, np.ndarray]:
         """`surefoot.estimator.initial.initial_state` of a log, with the given parts replaced, and

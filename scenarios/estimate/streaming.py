@@ -30,8 +30,7 @@ from surefoot.scenarios.estimate.contract import (
 )
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import begin
-from surefoot.scenarios.estimate.settings import FilterSettings
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.settings import FilterSettings, tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import group_columns

@@ -12,6 +12,7 @@ import msgspec
 from surefoot.models.observer.observer import check_inputs, check_network
 from surefoot.models.observer.settings import TRAIN_DEFAULT
 from surefoot.models.registry import CALIBRATORS, LOSSES
+from surefoot.scenarios.datasets.kept_walks import DrawnWalk
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, check_filter, estimator_named
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.catalog import experiment_file
@@ -26,7 +27,7 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.sensors.streams import Sensors
-from surefoot.sim.walking.batch import Job, known_robot
+from surefoot.sim.walking.batch import known_robot
 
 TrainingSteps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
 
@@ -226,7 +227,7 @@ class Cell:
         return self.robot, self.condition.name, self.seed
 
     @property
-    def job(self) -> Job:
+    def walk(self) -> DrawnWalk:
         """The walk to simulate."""
         condition, scenario = self.condition, self.scenario
         sensors = replace(scenario.sensors, **dict(condition.sensors))
@@ -235,8 +236,9 @@ class Cell:
             scenario = condition.walked.scenario(scenario)
         # A seed for each sequence, so that noise and ground differ between walks of one robot.
         seed = crc32(f"{scenario.name}/{self.seed}".encode())
-        effects = condition.effects_of(self.seed, known_robot(self.robot))
-        return Job(scenario, self.robot, seed, effects, condition.declared)
+        robot = known_robot(self.robot)
+        effects = condition.effects_of(self.seed, robot)
+        return DrawnWalk(scenario, robot, seed, effects, condition.declared)
 
     @property
     def learnt_from(self) -> bool:

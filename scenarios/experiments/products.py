@@ -16,12 +16,12 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.compare import compare_log
-from surefoot.scenarios.datasets.index import recipe, row_of, walk_facts
+from surefoot.scenarios.datasets.kept_walks import kept_walk
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named, traits
 from surefoot.scenarios.estimate.inputs import learnt_from
 from surefoot.scenarios.estimate.run import declared_model, run_filter
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.settings import tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Cell, Experiment, Learning, cells_of
 from surefoot.scenarios.viewer.recording import recording
@@ -32,9 +32,9 @@ from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.walk import plan
-from surefoot.sim.walking.batch import Job, known_robot, walk_job
+from surefoot.sim.walking.batch import known_robot
 
-WALKING_MODULE = "surefoot.sim.walking.batch"
+WALKING = "surefoot.sim.walk"
 TRAINING = "surefoot.models.observer.training"
 CALIBRATION = "surefoot.models.calibration.calibrate"
 ESTIMATION = "surefoot.scenarios.experiments.facts"
@@ -55,33 +55,12 @@ class LearntFiles:
         return learnt_from([one.path for one in self.observers.values()], [b.path for b in bounds])
 
 
-def make_walk(folder: Path, job: Job) -> Product:
-    """The log of a walk; if the robot fell, a text file that says so."""
-
-    def make(path: Path) -> dict[str, Any]:
-        walked = walk_job(job)
-        log = walked.log
-        row = row_of(job, walked.plan, walk_facts([log]) if isinstance(log, Log) else log)
-        if isinstance(log, Log):
-            log.write(path, force=True)
-        else:
-            path.write_text(f"fell at {row.fell_at:.1f} s\n")
-        names = ("falls", "fell_at", "duration", "length", "slip_share", "creep", "payload")
-        facts = {name: getattr(row, name) for name in names}
-        declared = sorted({e.name for e in job.effects}) if job.declared else []
-        return facts | {"robot": job.robot, "declared": declared}
-
-    return product(folder, "walk", job_inputs(job), WALKING_MODULE, ".parquet", make)
-
-
-def job_inputs(job: Job) -> dict[str, Any]:
-    """Inputs of a walk besides the code of the simulation."""
-    return {
-        "recipe": recipe(job),
-        "effects": [e.as_dict() for e in job.effects],
-        "declared": job.declared,
-        "code": code_digest(*map(type, job.effects)),
-    }
+def make_walk(folder: Path, cell: Cell) -> Product:
+    """The log of a cell's walk, with the robot and the names of declared effects as facts too."""
+    walk = cell.walk
+    declared = sorted({e.name for e in walk.effects}) if walk.declared else []
+    made = kept_walk(folder, walk)
+    return replace(made, facts=made.facts | {"robot": cell.robot, "declared": declared})
 
 
 def walk_inputs(walk: Product) -> list[str]:
@@ -237,30 +216,35 @@ def make_estimates(
 
 
 def make_recording(
-    folder: Path, walk: Product, job: Job, learnt: LearntFiles, filters: Sequence[str], gamma: float
+    folder: Path,
+    walk: Product,
+    cell: Cell,
+    learnt: LearntFiles,
+    filters: Sequence[str],
+    gamma: float,
 ) -> Product:
     """A rerun recording of a walk with every filter except the baseline.
 
     Args:
         folder: of the products.
         walk: its log.
-        job: the walk's scenario, robot and seed.
+        cell: of the walk.
         learnt: files of observers and bounds.
         filters: their names.
         gamma: joint level of the bounds.
     """
-    name = job.scenario.name
+    name, job = cell.scenario.name, cell.walk
     bounds = learnt.bounds.get(gamma, {})
     parts = [*learnt.observers.values(), *bounds.values()]
     inputs = {
         "walk": walk_inputs(walk),
-        "recipe": recipe(job),
+        "recipe": job.inputs,
         "learnt": sorted(one.digest for one in parts),
-        "filters": {name: filter_inputs(name, known_robot(job.robot)) for name in filters},
+        "filters": {name: filter_inputs(name, job.robot) for name in filters},
     }
 
     def make(path: Path) -> dict[str, Any]:
-        log, robot = replace(Log.read(walk.path), name=name), known_robot(job.robot)
+        log, robot = replace(Log.read(walk.path), name=name), job.robot
         drawn = [one for one in filters if traits(one).drawn]
         found = compare_log(log, robot, learnt.load(gamma), drawn, progress=False)
         ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
@@ -281,12 +265,12 @@ def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:
     mine = [other for other in cells_of(experiment) if other.group == cell.group]
     learnings = experiment.learnings
     parts = {
-        "walk": job_inputs(cell.job),
-        "learnt from": [(o.scenario.role, job_inputs(o.job)) for o in mine if o.learnt_from],
+        "walk": cell.walk.inputs,
+        "learnt from": [(o.scenario.role, o.walk.inputs) for o in mine if o.learnt_from],
         "learning": [[asdict(one), learning_choices(one)] for one in learnings],
         "methods": [method_inputs(one.method) for one in learnings],
         "gammas": [experiment.gammas_of(one, cell.seed) for one in learnings],
         "filters": {n: filter_inputs(n, known_robot(cell.robot)) for n in experiment.filters},
-        "code": [sources_digest(module) for module in (WALKING_MODULE, TRAINING, CALIBRATION)],
+        "code": [sources_digest(module) for module in (WALKING, TRAINING, CALIBRATION)],
     }
     return {"digest": json_digest(parts)}

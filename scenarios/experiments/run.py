@@ -7,9 +7,11 @@ experiment can continue elsewhere without them.
 """
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+from msgspec import convert
 
 from surefoot.models.calibration.regions import BoundsError
 from surefoot.scenarios.cache import Product, finished_case, read_case
@@ -65,7 +67,7 @@ class CellResult:
 
     walk: dict[str, Any]
     estimates: tuple[Estimated, ...] = ()
-    left_out: dict[str, str] | None = None
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ class Outcome:
         }
         reasons: dict[str, dict[str, None]] = {}
         for cell, one in self.cells.items():
-            for name, why in (one.left_out or {}).items():
+            for name, why in one.left_out.items():
                 learns = estimator_named(name.partition(",")[0]).needs.learnt
                 why = fell.get(cell.group, why) if learns else why
                 reasons.setdefault(name, {})[why] = None
@@ -112,13 +114,13 @@ def run(experiment: Experiment, folder: Path, settings: GridSettings) -> Outcome
         for seed in experiment.seeds:
             mine = [cell for cell in cells if cell.seed == seed]
             rows = {c: read_case(data, *_case(experiment, c), ESTIMATION) for c in mine if data}
-            kept = {cell: _from_row(row) for cell, row in rows.items() if row is not None}
+            kept = {cell: convert(row, CellResult) for cell, row in rows.items() if row}
             record = not settings.no_recordings and seed == experiment.seeds[0]
             wanted = [cell for cell in mine if record or cell not in kept]
             groups = {cell.group for cell in wanted}
             # Walks from which the observers and bounds of the wanted cells are learnt.
             further = [c for c in mine if c.learnt_from and c.group in groups and c not in wanted]
-            tasks = {cell: (make_walk, folder, cell.job) for cell in wanted + further}
+            tasks = {cell: (make_walk, folder, cell) for cell in wanted + further}
             walks = stage(pool, f"seed {seed}: walks", tasks)
             learnt = _learn(pool, experiment, folder, walks)
             made = {
@@ -135,11 +137,6 @@ def run(experiment: Experiment, folder: Path, settings: GridSettings) -> Outcome
 def _case(experiment: Experiment, cell: Cell) -> tuple[str, dict[str, Any]]:
     """Name of a cell's row, and what determines it."""
     return f"{cell.title(experiment)}_{cell.seed}", cell_inputs(experiment, cell)
-
-
-def _from_row(row: dict[str, Any]) -> CellResult:
-    estimates = tuple(Estimated(**one) for one in row["estimates"])
-    return CellResult(row["walk"], estimates, row["left_out"])
 
 
 def _learn(
@@ -167,19 +164,12 @@ def _learn(
             for loss in one.losses
         },
     )
-    levels = [
-        (group, one, gamma, loss)
-        for group in by_role["train"]
-        if group in held_out
-        for one in experiment.learnings
-        for gamma in experiment.gammas_of(one, group[2])
-        for loss in one.losses
-    ]
     tasks = {}
-    for group, one, gamma, loss in levels:
-        required, observer = one == experiment.learning, observers[group, one.inputs, loss]
-        task = (_bounds, required, folder, observer, held_out[group][0], gamma, one.method)
-        tasks[group, one, gamma, loss] = task
+    for (group, inputs, loss), observer in observers.items():
+        for one in experiment.learnings if group in held_out else ():
+            for gamma in experiment.gammas_of(one, group[2]) if one.inputs == inputs else ():
+                how = folder, observer, held_out[group][0], gamma, one.method
+                tasks[group, one, gamma, loss] = (_bounds, one == experiment.learning, *how)
     bounds = stage(pool, f"{label}: bounds", tasks)
     found: dict[Group, Learnings] = {
         cell.group: {one: LearntFiles({}, {}) for one in experiment.learnings} for cell in walks
@@ -212,7 +202,8 @@ def _result(
     learnt: Learnings,
     data: Path | None,
 ) -> CellResult:
-    """Run every filter on a walk, with everything that was learnt; stored as a row of `data`.
+    """Run every filter on a walk, with everything that was learnt, or find it in `folder`; a walk
+    that fell has no estimates.
 
     Args:
         experiment: filters and levels.
@@ -220,32 +211,17 @@ def _result(
         cell: of the walk.
         walk: its log.
         learnt: files of observers and bounds.
-        data: folder for the row, or None.
+        data: folder in which the result is stored as a row, or None.
     """
+    if data:
 
-    def make() -> dict[str, Any]:
-        return asdict(_estimates(experiment, folder, cell, walk, learnt))
+        def make() -> dict[str, Any]:
+            return asdict(_result(experiment, folder, cell, walk, learnt, None))
 
-    row = finished_case(data, *_case(experiment, cell), ESTIMATION, make) if data else make()
-    return _from_row(row)
-
-
-def _estimates(
-    experiment: Experiment, folder: Path, cell: Cell, walk: Product, learnt: Learnings
-) -> CellResult:
-    """Run every filter on a walk, or find it in `folder`; a walk that fell has no estimates.
-
-    Args:
-        experiment: filters and levels.
-        folder: of the products.
-        cell: of the walk.
-        walk: its log.
-        learnt: files of observers and bounds.
-    """
-    if walk.facts["falls"]:
-        return CellResult(walk.facts)
+        row = finished_case(data, *_case(experiment, cell), ESTIMATION, make)
+        return convert(row, CellResult)
     found, left_out = [], {}
-    for learning, files in learnt.items():
+    for learning, files in {} if walk.facts["falls"] else learnt.items():
         products, why = make_estimates(
             folder,
             walk,
@@ -286,6 +262,6 @@ def _record(
     for cell, walk in walks.items():
         if not walk.facts["falls"]:
             files = learnt[cell.group][experiment.learning]
-            task = (make_recording, folder, walk, cell.job, files, filters, gamma)
+            task = (make_recording, folder, walk, cell, files, filters, gamma)
             tasks[cell.title(experiment)] = task
     return stage(pool, "recordings", tasks)

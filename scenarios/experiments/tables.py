@@ -109,42 +109,43 @@ def averages(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _averaged(rows: pd.DataFrame, keys: list[str]) -> list[dict[str, object]]:
-    """Means over the walks of a seed, and their spread over seeds, by these columns."""
+    """Means over the walks of a seed and their spread over seeds, coverage, and the number of walks
+    on which the filter was lost, if any, as text, by these columns.
+    """
     found = []
     for values, part in rows.groupby(keys, sort=False, dropna=False):
         by_seed = part.groupby("seed")[[*TABLE_METRICS, SHARE]].mean()
-        found.append(dict(zip(keys, values, strict=True)) | _summary(part, by_seed))
+        row = dict(zip(keys, values, strict=True))
+        row |= {name: with_spread(by_seed[name]) for name in [*TABLE_METRICS, SHARE]}
+        lost = int(part[LOST_FROM].notna().sum())
+        row |= {HELD: _held(part), LOST: f"{lost} of {len(part)}" if lost else None}
+        found.append(row)
     return found
 
 
 def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
     """Mean and spread over seeds, by sequence and filter; test sequences in bold."""
-    found = []
-    for (name, role, filter_name), part in rows.groupby(["sequence", "role", "filter"], sort=False):
-        row: dict[str, object] = {
-            "sequence": f"**{name}**" if role == "test" else f"{name} ({role})",
-            "path": f"{part['length [m]'].mean():.0f} m, {part['duration [s]'].mean():.0f} s",
-            "filter": filter_name,
-        }
-        found.append(row | _summary(part, part))
+    means = rows.groupby("sequence")[["length [m]", "duration [s]"]].mean()
+    found = _averaged(rows, ["sequence", "role", "filter"])
+    for row in found:
+        name, role = row["sequence"], row["role"]
+        length, seconds = means.loc[name]
+        row["path"] = f"{length:.0f} m, {seconds:.0f} s"
+        row["sequence"] = f"**{name}**" if role == "test" else f"{name} ({role})"
     return _marked(found, ["sequence", "path", "filter", *SHOWN_COLUMNS])
 
 
 def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Averages over test sequences by gamma, for the seeds that were run at every gamma."""
-    gammas = sorted({*experiment.gammas, *experiment.sweep.gammas})
     seeds = experiment.sweep.seeds or experiment.seeds
     first = {key: value for key, value in experiment.first.items() if key != "gamma"}
     mine = rows[rows["gamma"].notna() & (rows["role"] == "test") & rows["seed"].isin(seeds)]
     mine = _of(mine, first)
     found = []
     for (condition, name), part in mine.groupby(["condition", "filter"], sort=False):
-        for gamma in gammas:
-            at = part[part["gamma"] == gamma]
-            if len(at):
-                row: dict[str, object] = {"condition": condition, "filter": name, "gamma": gamma}
-                row |= {c: _held(at) if c == HELD else at[c].mean() for c in SWEEP_COLUMNS}
-                found.append(row)
+        for gamma, at in part.groupby("gamma"):
+            row = {"condition": condition, "filter": name, "gamma": gamma}
+            found.append(row | {c: _held(at) if c == HELD else at[c].mean() for c in SWEEP_COLUMNS})
     return pd.DataFrame(found)
 
 
@@ -193,15 +194,6 @@ def with_spread(values: pd.Series) -> str | None:
 def _rounded(value: float, scale: float) -> str:
     digits = 3 if abs(scale) < 10 else 2 if abs(scale) < 100 else 1 if abs(scale) < 1000 else 0
     return f"{value:.{digits}f}"
-
-
-def _summary(part: pd.DataFrame, values: pd.DataFrame) -> dict[str, object]:
-    """Mean and spread of `values`, coverage, and the number of these walks on which the filter was
-    lost, if any, as text.
-    """
-    row: dict[str, object] = {name: with_spread(values[name]) for name in [*TABLE_METRICS, SHARE]}
-    lost = int(part[LOST_FROM].notna().sum())
-    return row | {HELD: _held(part), LOST: f"{lost} of {len(part)}" if lost else None}
 
 
 def _marked(found: list[dict[str, object]], order: list[str]) -> pd.DataFrame:

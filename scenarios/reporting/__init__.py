@@ -32,9 +32,8 @@ if TYPE_CHECKING:
         save_figure,
         set_title,
     )
-    from surefoot.scenarios.reporting.progress import percent_bar
     from surefoot.scenarios.reporting.tables import METRICS, to_csv, to_markdown
-    from surefoot.scenarios.stages import processes, stage
+    from surefoot.scenarios.stages import percent_bar, processes, stage
     from surefoot.sim.common.files import file_digest, refuse_full, refuse_overwrite, whole_folder
     from surefoot.sim.common.progress import bar as progress_bar
     from surefoot.sim.common.sources import code_digest

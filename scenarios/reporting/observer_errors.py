@@ -49,11 +49,13 @@ def error_section(
     pictures = (
         Picture(
             error_distributions(train, test, epsilon, gamma),
-            "Errors in training (green) and elsewhere (red), and the Gaussian fitted to each.",
+            "Errors in training (blue) and elsewhere (red), and the Gaussian fitted to each.",
+            "figures/observer_errors_1.png",
         ),
         Picture(
             error_bounds(train, test, epsilon, gamma),
             "One bound for both: the share of errors that are smaller than the value below.",
+            "figures/observer_errors_2.png",
         ),
     )
     return Section(f"The observer's errors: training and {where}", words, rows, pictures)

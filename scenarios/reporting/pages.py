@@ -133,9 +133,13 @@ def tables_folder(page: Path) -> Path:
     return (home.parent / "data" if home.name == "results" else home) / page.stem
 
 
-def check_page(path: Path) -> None:
-    """Raise SurefootError if the path is that of a file other than a page of results."""
+def check_page(path: Path, outputs: Sequence[Path] = ()) -> None:
+    """Raise SurefootError if the path is that of a file other than a page of results, or the folder
+    of its tables is one of `outputs`.
+    """
     refuse_input(path)
+    if (folder := tables_folder(path).resolve()) in [one.resolve() for one in outputs]:
+        raise SurefootError(f"page {path}: its tables would be in {folder}, which is the output")
     if path.exists() and read_origin(path) == Origin():
         raise SurefootError(f"page {path}: is no page of results; move it away")
 

@@ -99,17 +99,16 @@ def before_and_after(
     plain_part, compensated_part = stretch(log, begin, end), stretch(compensated, begin, end)
     if plain_part is None or compensated_part is None:
         return []
-    truth, done = reference(plain_part), []
+    done = []
     for name in ESTIMATORS:
         try:
             before = filtered(name, plain_part, robot, learnt)
             after = filtered(name, compensated_part, corrected, learnt) if effects else before
         except SurefootError:  # the log or `learnt` lacks an input of this filter
             continue
-        compared = _compared(name, plain_part, truth, before, after)
         why = doubts(name, plain_part, robot, before)
         why_after = doubts(name, compensated_part, corrected, after)
-        done.append(replace(compared, lost=(why, why_after)))
+        done.append(_compared(name, plain_part, before, after, (why, why_after)))
     # Leg filters first, since a better model of the legs affects them most.
     of_filter = {one.filter: traits(one.filter) for one in done}
     done.sort(key=lambda one: of_filter[one.filter].variant or not of_filter[one.filter].of_legs)
@@ -118,35 +117,34 @@ def before_and_after(
     if stands and feet is not None and changed is not None:
         before = dead_reckoned(plain_part, feet)
         after = dead_reckoned(compensated_part, changed)
-        done.append(_compared(DEAD_RECKONING, plain_part, truth, before, after))
+        done.append(_compared(DEAD_RECKONING, plain_part, before, after))
     return done
 
 
 def _compared(
-    name: str, log: Log, truth: Trajectory, before: Trajectory, after: Trajectory
+    name: str, log: Log, before: Trajectory, after: Trajectory, lost: tuple[str, str] = ("", "")
 ) -> BeforeAfter:
     """Compare both estimates with the reference.
 
     Args:
         name: of the filter.
         log: the part of the log.
-        truth: its reference.
         before: estimate with the declared model.
         after: estimate with the effects compensated.
+        lost: as in `BeforeAfter`.
     """
+    truth = reference(log)
     metrics = evaluate(truth, before), evaluate(truth, after)
     drifts = drift(truth, before), drift(truth, after)
-    return BeforeAfter(name, log, before, after, metrics, drifts)
+    return BeforeAfter(name, log, before, after, metrics, drifts, lost)
 
 
 def drift(truth: Trajectory, estimate: Trajectory) -> float:
     """Error of the last position, after aligning the first poses, over the path's length [m/m]. NaN
     for a path shorter than the segments of the relative error, such as that of a swaying robot.
     """
-    truth, estimate = matched(truth, estimate)
-    off = align_first(truth, estimate).p_GI[-1] - truth.p_GI[-1]
-    length = path_length(truth.t, truth.p_GI)
-    return float(np.linalg.norm(off) / length) if length >= SEGMENT else float("nan")
+    truth, aligned, length = _over_path(truth, estimate)
+    return float(np.linalg.norm(aligned.p_GI[-1] - truth.p_GI[-1]) / length)
 
 
 def drift_parts(truth: Trajectory, estimate: Trajectory) -> np.ndarray:
@@ -156,13 +154,21 @@ def drift_parts(truth: Trajectory, estimate: Trajectory) -> np.ndarray:
 
     Unlike the last position, none of these returns to zero where the path is a loop.
     """
-    truth, estimate = matched(truth, estimate)
-    aligned, length = align_first(truth, estimate), path_length(truth.t, truth.p_GI)
+    rpe = evaluate(truth, estimate).rpe_trans
+    truth, aligned, length = _over_path(truth, estimate)
     turned = aligned.R_GI[-1] @ truth.R_GI[-1].T
     height, yaw = aligned.p_GI[-1, 2] - truth.p_GI[-1, 2], np.arctan2(turned[1, 0], turned[0, 0])
     parts = np.array([height, yaw, path_length(aligned.t, aligned.p_GI) - length])
-    parts /= length if length >= SEGMENT else np.nan
-    return np.array([evaluate(truth, estimate).rpe_trans, *parts])
+    return np.array([rpe, *(parts / length)])
+
+
+def _over_path(truth: Trajectory, estimate: Trajectory) -> tuple[Trajectory, Trajectory, float]:
+    """Both at the stamps that they share, aligned at the first, and the length of the true path
+    [m]; NaN where it is shorter than SEGMENT.
+    """
+    truth, estimate = matched(truth, estimate)
+    length = path_length(truth.t, truth.p_GI)
+    return truth, align_first(truth, estimate), length if length >= SEGMENT else np.nan
 
 
 def causes_of_drift(
@@ -307,9 +313,10 @@ def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[s
     """
     means: dict[str, dict[str, dict[str, float]]] = {}
     for name in dict.fromkeys(one.filter for one in stretches):
-        own = [one for one in stretches if one.filter == name]
+        of_filter = [one for one in stretches if one.filter == name]
         for i, side in enumerate(("before", "after")):
-            found = {m: np.mean([getattr(s.metrics[i], m) for s in own]) for m in _FIELDS}
-            found["drift"] = np.mean([s.drift[i] for s in own])
-            means.setdefault(name, {})[side] = {m: float(mean) for m, mean in found.items()}
+            rows = [vars(one.metrics[i]) | {"drift": one.drift[i]} for one in of_filter]
+            means.setdefault(name, {})[side] = {
+                key: float(np.mean([row[key] for row in rows])) for key in (*_FIELDS, "drift")
+            }
     return means

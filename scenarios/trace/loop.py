@@ -30,8 +30,8 @@ from surefoot.scenarios.compare import compare_log
 from surefoot.scenarios.estimate.run import Learnt, declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.pages import check_page
-from surefoot.scenarios.reporting.progress import percent_bar
 from surefoot.scenarios.settings import LoopSettings
+from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import ErrorParts, error_parts, learnt_from_measured
 from surefoot.scenarios.trace.realism import GaitChoice, choose_gait

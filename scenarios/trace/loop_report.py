@@ -12,11 +12,11 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.calibration.regions import BoundsError
 from surefoot.models.observer.predict import prediction_errors
-from surefoot.scenarios.compare import Comparison
+from surefoot.scenarios.compare import Comparison, velocity_pictures
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
-from surefoot.scenarios.reporting.figures import height_figure, trajectories, velocity_figure
+from surefoot.scenarios.reporting.figures import height_figure, trajectories
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.tables import METRICS
@@ -316,15 +316,11 @@ def _pictures(log: Log, worlds: Sequence[LoopWorld], drawn: dict[str, Trajectory
         Picture(trajectories(log, errors), "The walk from above, aligned at the start."),
         Picture(height_figure(log, errors), "Height over time; no sensor measures it."),
     )
-    sections = [Section("Paths of the estimates", pictures=paths)]
-    for world in worlds:
-        seen, bounds = world.comparison.prediction, world.comparison.bounds
-        robot = world.comparison.robot
-        if seen is None or bounds is None or robot is None:
-            continue
-        picture = Picture(
-            velocity_figure(log, seen, bounds.epsilon_at(robot.R_BI)),
-            "Body velocity: the observer's prediction, its bounds, and the reference.",
-        )
-        sections.append(Section(f"The observer, {world.name}", pictures=(picture,)))
-    return sections
+    return [
+        Section("Paths of the estimates", pictures=paths),
+        *(
+            Section(f"The observer, {world.name}", pictures=tuple(shown))
+            for world in worlds
+            if (shown := velocity_pictures(world.comparison))
+        ),
+    ]

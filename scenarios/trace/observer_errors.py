@@ -5,6 +5,7 @@ The loop reports the parts on a measured walk and in simulation.
 """
 
 import numpy as np
+import pandas as pd
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
@@ -103,14 +104,9 @@ def split_errors(
     left = left - parts["slow"]
     parts["with the stride"] = np.zeros_like(left)
     if phase is not None:
-        own = phase[moves]
-        walks = np.isfinite(own)
-        bins = np.floor(STRIDE_BINS * own[walks]).astype(int)
-        means = [
-            left[walks][bins == b].mean(axis=0) if (bins == b).any() else np.zeros(3)
-            for b in range(STRIDE_BINS)
-        ]
-        parts["with the stride"][walks] = np.array(means)[bins]
+        # Rows outside strides are in no bin: their mean is missing.
+        means = pd.DataFrame(left).groupby(np.floor(STRIDE_BINS * phase[moves])).transform("mean")
+        parts["with the stride"] = means.fillna(0.0).to_numpy()
     left = left - parts["with the stride"]
     parts["from stride to stride"] = _running_mean(left, _FAST)
     parts["fast"] = left - parts["from stride to stride"]
@@ -161,7 +157,5 @@ def root_mean_square(errors: np.ndarray) -> list[float]:
 
 def _running_mean(values: np.ndarray, span: float) -> np.ndarray:
     """Centred running mean (N, 3) over `span` [s] at 100 Hz; over fewer rows near the ends."""
-    n = round(span * RATE)
-    weight = np.ones(n)
-    count = np.convolve(np.ones(len(values)), weight, "same")
-    return np.column_stack([np.convolve(v, weight, "same") / count for v in values.T])
+    window = round(span * RATE)
+    return pd.DataFrame(values).rolling(window, min_periods=1, center=True).mean().to_numpy()

@@ -5,7 +5,7 @@ The drift of the leg filter only evaluates a simulated robot. Its effects and ga
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from surefoot.models.attribution.sensor_noise import reference_sampling, resampl
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
 from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
+from surefoot.scenarios.datasets.kept_walks import DrawnWalk, KeptLogs, Report, kept_walks
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.reporting.html import Section
@@ -31,8 +32,6 @@ from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import replica, slower, style_of, walking_style
 
 WALKS_EACH = 3
@@ -124,7 +123,7 @@ def realism(
     settings: RealismSettings,
     effects: Sequence[Effect] = (),
     walker: Robot | None = None,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Report = lambda share: None,
 ) -> tuple[WalkComparison, ...]:
     """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`.
 
@@ -174,7 +173,7 @@ def compare_walks(
     robot: Robot,
     simulating: SimulatedRobot,
     seed: int = 0,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Report = lambda share: None,
 ) -> WalkComparison:
     """Compare a measured log with walks of one simulated robot.
 
@@ -206,7 +205,8 @@ def compare_walks(
     if walked:
         scenario = walked.scenario(scenario)
         added = added or walked.effects_on(simulated)
-    logs, pace = _walks(scenario, poised, added, seed, progress)
+    # Undeclared, since the walks are evaluated with the declared model, like the measured log.
+    logs, pace = _walks(DrawnWalk(scenario, poised, seed, added), progress)
     walks = tuple(
         WalkView(seen_as(replace(one, name=f"{simulating.words} {k}"), log, [seed, k]), declared)
         for k, one in enumerate(logs)
@@ -216,21 +216,9 @@ def compare_walks(
 
 
 def _compared(
-    log: Log,
-    robot: Robot,
-    robots: Sequence[SimulatedRobot],
-    seed: int,
-    progress: Callable[[float], None],
+    log: Log, robot: Robot, robots: Sequence[SimulatedRobot], seed: int, progress: Report
 ) -> list[WalkComparison]:
-    """`compare_walks` with each of the robots to simulate.
-
-    Args:
-        log: measured.
-        robot: its model.
-        robots: to simulate.
-        seed: of the simulated walks.
-        progress: called with the share that is done.
-    """
+    """`compare_walks` with each of the robots to simulate."""
     return [
         compare_walks(log, robot, one, seed, lambda done, k=k: progress((k + done) / len(robots)))
         for k, one in enumerate(robots)
@@ -251,38 +239,22 @@ def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:
     return resample_reference(reduced, sampling, np.random.default_rng(seed))
 
 
-def _walks(
-    scenario: Scenario,
-    robot: Robot,
-    effects: Sequence[Effect],
-    seed: int,
-    progress: Callable[[float], None],
-) -> tuple[list[Log], float]:
+def _walks(first: DrawnWalk, progress: Report) -> tuple[KeptLogs, float]:
     """WALKS_EACH walks at the fastest of REALISM_PACES at which none falls, and that pace.
 
     Args:
-        scenario: at the measured speeds.
-        robot: that walks.
-        effects: of the robot, not declared in the logs.
-        seed: of the first walk; the others count up from it.
+        first: of the walks, at the measured speeds; the seeds of the others count up from its own.
         progress: called with the share of the walks done at a pace.
     """
-    fallen = None
     for pace in REALISM_PACES:
-        logs: list[Log] = []
-        try:
-            for k in range(WALKS_EACH):
-                # Undeclared, since the walks are evaluated with the declared model, like the
-                # measured log.
-                paced = slower(scenario, pace)
-                logs.append(walk(paced, robot, seed + k, effects, declared=False))
-                progress((k + 1) / WALKS_EACH)
+        paced = replace(first, scenario=slower(first.scenario, pace))
+        draws = [replace(paced, seed=first.seed + k) for k in range(WALKS_EACH)]
+        logs = kept_walks(lambda k, _, draws=draws: draws[k], WALKS_EACH, 1, "replica", progress)
+        if len(logs) == WALKS_EACH:
             return logs, pace
-        except Fallen as fall:
-            fallen = fall
     raise SurefootError(
-        f"realism: {robot.name} falls in simulation with the stride and posture of the log, even "
-        f"at {100 * REALISM_PACES[-1]:.0f} % of its speed ({fallen})"
+        f"realism: {first.robot.name} falls in simulation with the stride and posture of the log, "
+        f"even at {100 * REALISM_PACES[-1]:.0f} % of its speed"
     )
 
 
@@ -393,7 +365,7 @@ def choose_gait(
     robot: Robot,
     effects: Sequence[Effect],
     seed: int,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Report = lambda share: None,
 ) -> GaitChoice:
     """Choose the gait by realism cards.
 

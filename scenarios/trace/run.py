@@ -4,6 +4,7 @@ after.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,11 @@ from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose, log
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.model_error import ModelError, model_error_from_dict
 from surefoot.scenarios.cache import contents_digest
+from surefoot.scenarios.estimate.contact_sources import contact_lines
+from surefoot.scenarios.estimate.inputs import not_plausible
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.settings import TraceSettings
+from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.trace.filters import (
     HARM,
     BeforeAfter,
@@ -22,7 +26,7 @@ from surefoot.scenarios.trace.filters import (
     harmful_to_filters,
     mean_metrics,
 )
-from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks
+from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks, read_in_blocks
 from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Filters, Trace
@@ -31,8 +35,11 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect, refuse_overwrite, whole_folder
 from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.effects import Effect
+from surefoot.sim.effects.file import load_effects
+from surefoot.sim.importing.advice import advice_words
 from surefoot.sim.log import Log
-from surefoot.sim.robot.machine import Machine
+from surefoot.sim.robot.catalog import of_robot
+from surefoot.sim.robot.machine import Machine, machine_for_log
 
 OUTPUTS = ("trace.json", "effects.toml", "report.html", "trace.rrd")
 _REPORT_SHARE = 0.35
@@ -52,6 +59,45 @@ class TraceOptions(DiagnosisOptions):
     learnt: Learnt = field(default_factory=Learnt)
     warnings: tuple[str, ...] = ()
     files: TraceSettings | None = None
+
+
+def trace_files(settings: TraceSettings) -> Trace:
+    """Trace the logs of some files, with what is implausible in them, or would be better, noted.
+
+    Raises SurefootError saying what is missing or wrong, also where the logs are of several robots.
+    """
+    fitted = [read_in_blocks(path) for path in settings.logs]
+    held_out = [read_in_blocks(path) for path in settings.holdout]
+    declared = None if settings.declared is None else load_effects(settings.declared)
+    first = [blocks[0] for blocks in (*fitted, *held_out)]
+    robots = sorted({log.meta.robot for log in first if log.meta.robot})
+    if not settings.robot and len(robots) > 1:
+        raise SurefootError(f"the logs are of {' and '.join(robots)}: trace one robot at a time")
+    robot, *_ = [machine_for_log(log, settings.robot) for log in first]
+    # The first block of a long log is checked, as `estimate` checks its first minutes.
+    warnings = not_plausible(first, settings.robot, settings.strict)
+    for k, log in enumerate(first):
+        with percent_bar("contacts") as progress:
+            named = of_robot(log, settings.robot)
+            said, changes = contact_lines(named, progress, only_better=True)
+        if said:
+            warnings[k] += (f"{'; '.join(said)}: {advice_words(changes)}",)
+    # A trace must not depend on the names of its logs, so its notes number them.
+    notes = tuple(
+        f"log {k + 1}: {line}" if len(first) > 1 else line
+        for k, lines in enumerate(warnings)
+        for line in lines
+    )
+    options = TraceOptions(
+        seed=settings.seed,
+        declared=declared,
+        since=unchanged_beside(settings.declared, declared or ()) if settings.declared else None,
+        holdout=list(chain(*held_out)),
+        warnings=(*notes, *note_on_blocks([*fitted, *held_out])),
+        files=settings,
+    )
+    with percent_bar("trace") as progress:
+        return trace(list(chain(*fitted)), robot, settings.out, options, progress, settings.force)
 
 
 def trace(
@@ -91,8 +137,8 @@ def trace(
     for name in OUTPUTS:
         refuse_overwrite(out / name, force)
     cut, cut_holdout = [in_blocks(log) for log in logs], [in_blocks(log) for log in options.holdout]
-    fitted, held_out = ([block for own in runs for block in own] for runs in (cut, cut_holdout))
-    found = trace_logs(fitted, robot, replace(options, holdout=held_out), progress)
+    unseen = replace(options, holdout=list(chain(*cut_holdout)))
+    found = trace_logs(list(chain(*cut)), robot, unseen, progress)
     notes = (*note_on_blocks([*cut, *cut_holdout]), *found.notes)
     steps = next_steps(found, options.files, robot) if options.files else ()
     found = replace(found, notes=notes, steps=steps)

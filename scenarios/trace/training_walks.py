@@ -12,7 +12,7 @@ import numpy as np
 
 from surefoot.models.observer.samples import DQ_CAUSAL
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings
-from surefoot.scenarios.training.kept_walks import DrawnWalk, kept_walks
+from surefoot.scenarios.datasets.kept_walks import DrawnWalk, kept_walks
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects import Effect, compensate_all, effect

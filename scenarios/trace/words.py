@@ -50,7 +50,7 @@ def motion_to_distinguish(names: Sequence[str]) -> str:
 
 def headline(found: Trace) -> str:
     """The result in one sentence."""
-    effects = [_sized(one, found.unit_of(one.name, one.target)) for one in found.effects]
+    effects = [_sized(found, one) for one in found.effects]
     several = f"{', '.join(effects[:-1])} and {effects[-1]}" if effects[1:] else "".join(effects)
     if found.verdict == "none_of_these" and effects:
         what = "1 effect explains" if len(effects) == 1 else f"{len(effects)} effects explain"
@@ -58,24 +58,28 @@ def headline(found: Trace) -> str:
     return VERDICTS[found.verdict].format(several)
 
 
-def size_in_words(found: Found, unit: str) -> str:
-    """An effect with its size and interval, in a suitable multiple of its unit.
+def sizes_in_words(found: Trace, ones: Sequence[Found]) -> list[str]:
+    """Effects of a trace with sizes and intervals, in suitable multiples of their units.
 
     For example 'encoder_offset FL_thigh +19.8 mrad (95 % interval +19.1 .. +20.4)'.
     """
-    factor, _ = _SCALE.get(unit, (1.0, unit))
-    low, high = (factor * x for x in found.interval)
-    return f"{_sized(found.effect, unit)} (95 % interval {low:+.3g} .. {high:+.3g})"
+    lines = []
+    for one in ones:
+        factor, _ = _scale(found, one.effect.name, one.effect.target)
+        low, high = (factor * x for x in one.interval)
+        lines.append(f"{_sized(found, one.effect)} (95 % interval {low:+.3g} .. {high:+.3g})")
+    return lines
 
 
-def _sized(one: Effect, unit: str) -> str:
-    factor, unit = _SCALE.get(unit, (1.0, unit))
+def _sized(found: Trace, one: Effect) -> str:
+    factor, unit = _scale(found, one.name, one.target)
     return f"{one.name} {target_in_words(one)} {factor * one.value:+.3g} {unit}"
 
 
-def sizes_in_words(found: Trace, ones: Sequence[Found]) -> list[str]:
-    """Effects of a trace with their sizes (`size_in_words`)."""
-    return [size_in_words(f, found.unit_of(f.effect.name, f.effect.target)) for f in ones]
+def _scale(found: Trace, name: str, target: str) -> tuple[float, str]:
+    """Factor to a suitable multiple of an effect's unit, and this multiple."""
+    unit = found.unit_of(name, target)
+    return _SCALE.get(unit, (1.0, unit))
 
 
 def target_in_words(one: Effect) -> str:
@@ -114,8 +118,7 @@ def beyond_bounds(found: Trace) -> list[str]:
     lines = []
     for one in sorted(out, key=lambda c: -c.share)[:2]:
         kind = known_effects()[one.key[0]]
-        unit = found.unit_of(*one.key)
-        factor, unit = _SCALE.get(unit, (1.0, unit))
+        factor, unit = _scale(found, *one.key)
         low, high = (factor * x for x in kind.bounds_on(found.limbs, one.key[1]))
         lines.append(
             f"{one.key[0]} {one.key[1]} of {factor * one.size:+.3g} {unit} would explain "
@@ -180,8 +183,8 @@ def summary(found: Trace) -> str:
         lines.append(f"  most drift of the leg filter is by {one.name} {one.target}: {added}")
     lines += [f"found {one}" for one in sizes_in_words(found, found.found)]
     for number, run in enumerate(found.runs, 1):
-        own = [one for one in run.zeros if one.effect in run.compensated]
-        lines += [f"run {number} has {one}" for one in sizes_in_words(found, own)]
+        zeros = [one for one in run.zeros if one.effect in run.compensated]
+        lines += [f"run {number} has {one}" for one in sizes_in_words(found, zeros)]
     lines += [*beyond_bounds(found), *unexplained_in_words(found), *least_changes(found)]
     first, lacking, assumed = ranked_notes(found)
     lines += [f"note: {note}" for note in first]
@@ -200,7 +203,7 @@ def least_changes(found: Trace) -> list[str]:
     for name, sizes in by_name.items():
         ends = []
         for least, target in dict.fromkeys((min(sizes), max(sizes))):
-            factor, unit = _SCALE.get(of := found.unit_of(name, target), (1.0, of))
+            factor, unit = _scale(found, name, target)
             ends.append(f"{factor * least:.3g} {unit} ({target})")
         lines.append(f"  {name} {' to '.join(ends)}")
     return lines

@@ -1,4 +1,5 @@
-"""Many walks of one robot: courses, robots and gaits drawn at random, to train observers on.
+"""Many walks of one robot, drawn at random to train observers on, and the error of observers by
+their number.
 
 Each walk has another course and another robot of its kind: built within tolerances, and half of
 them with the gait, sensors and effects measured on a real robot (the conditions of the suites).
@@ -7,19 +8,27 @@ them with the gait, sensors and effects measured on a real robot (the conditions
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
+from itertools import takewhile
+from pathlib import Path
 
 import numpy as np
 
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.settings import TrainSettings
+from surefoot.scenarios.datasets.kept_walks import DrawnWalk, KeptLogs, kept_walks
 from surefoot.scenarios.datasets.simulate import BYTES_PER_SECOND
 from surefoot.scenarios.experiments.file import Cell, Condition, Experiment
-from surefoot.scenarios.reporting.progress import percent_bar
+from surefoot.scenarios.reporting.html import Picture, Section, write_report
+from surefoot.scenarios.reporting.observer_errors import error_by_number
 from surefoot.scenarios.settings import WalksSettings
+from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.training.drawn_course import drawn_course
-from surefoot.scenarios.training.kept_walks import DrawnWalk, KeptLogs, kept_walks
 from surefoot.sim.common.errors import SurefootError, check_seed
-from surefoot.sim.common.files import cache_folder, check_space
+from surefoot.sim.common.files import cache_folder, check_space, whole_folder
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.effects import Effect
+from surefoot.sim.log import Log
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walking.batch import known_robot
 from surefoot.sim.walking.trial import why_not
@@ -34,6 +43,10 @@ ROLES = ("train", "held_out", "test")
 """Of walks; those of different roles are drawn independently."""
 HELD_OUT = 4, 1 / 6
 """Walks held out to stop by: at least, and as a share of those to train on."""
+CAPTION = (
+    "Root mean square error of the velocity over all test walks, each of equal weight, against the "
+    "number of walks to train on."
+)
 
 
 def many_walks(
@@ -97,9 +110,9 @@ def drawn_walk(
         scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
     conditions = _conditions()
     condition = conditions[rng.integers(len(conditions))]
-    job = Cell(scenario, robot, condition, int(rng.integers(2**31))).job
-    effects = [_resized(one, rng.uniform(*SIZES)) for one in job.effects]
-    return DrawnWalk(job.scenario, known_robot(robot), job.seed, effects)
+    drawn = Cell(scenario, robot, condition, int(rng.integers(2**31))).walk
+    effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects]
+    return replace(drawn, effects=effects)
 
 
 def _resized(one: Effect, factor: float) -> Effect:
@@ -111,3 +124,48 @@ def _resized(one: Effect, factor: float) -> Effect:
 def _conditions() -> tuple[Condition, ...]:
     """Those of the suites in which robots differ from their model."""
     return tuple(one for one in Experiment.load("spot").conditions if one.imperfections)
+
+
+def write_error_by_walks(
+    folder: Path,
+    observer: Observer,
+    walks: KeptLogs,
+    held_out: Sequence[Log],
+    tests: Sequence[Log],
+    settings: TrainSettings,
+    force: bool = False,
+) -> None:
+    """Train on the first 1, 4, 16, ... walks too, and write report.html with table and figure.
+
+    Args:
+        folder: to write.
+        observer: trained on all `walks`.
+        walks: to train on.
+        held_out: to stop by.
+        tests: to evaluate on.
+        settings: of each training.
+        force: whether the folder may be replaced.
+    """
+    from surefoot.models.observer.training import train
+
+    errors = {}
+    for count in takewhile(lambda n: n < len(walks), (4**k for k in range(10))):
+        fewer = train(walks.first(count), None, settings, True, held_out=held_out)
+        errors[count] = test_rmse(fewer, tests)
+    errors[len(walks)] = test_rmse(observer, tests)
+    rows = [
+        {"walks": count, "RMSE [m/s]": rmse, "unseen walks": len(tests)}
+        for count, rmse in errors.items()
+    ]
+    inputs = ",".join(observer.inputs)
+    figure = Picture(error_by_number({inputs: errors}), CAPTION, "error_by_walks.png")
+    with whole_folder(folder, force) as out:
+        section = Section(f"Observers of {inputs}", CAPTION, rows, (figure,))
+        title = f"Error of {observer.robot}'s observers by the number of walks"
+        write_report(out / "report.html", title, [section])
+
+
+def test_rmse(observer: Observer, tests: Sequence[Log]) -> float:
+    """Root mean square of the error's norm [m/s], in which each walk has equal weight."""
+    squares = [(prediction_errors(observer, log)[1] ** 2).sum(axis=1).mean() for log in tests]
+    return float(np.sqrt(np.mean(squares)))

@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import rerun as rr
+from scipy.spatial.transform import Rotation
 
 from surefoot.scenarios.estimate.error_series import ErrorSeries
 from surefoot.scenarios.estimate.estimators import shown_at_first
@@ -148,9 +149,7 @@ def _write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Gr
     p, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
     p[:, 2] = [height(ground.height_map, x, y) + _ABOVE for x, y, _ in p]
     yaw = np.arctan2(R_GB[:, 1, 0], R_GB[:, 0, 0])
-    zero, one = np.zeros(len(rows)), np.ones(len(rows))
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    R = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
+    R = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_matrix()
     _send_poses(stream, "world/shadow", log.t[rows], p, R)
     flat = [*(1.1 * trunk_size(robot)[:2]), 0.5 * _ABOVE]
     shape = rr.Ellipsoids3D(half_sizes=[flat], colors=[_SHADOW], fill_mode="solid")

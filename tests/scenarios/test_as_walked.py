@@ -13,10 +13,8 @@ from surefoot.scenarios.experiments.imperfections import Imperfection, load_impe
 from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.carry import BodyScale, carried, scale_of
-from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
-from surefoot.sim.walking.batch import walk_job
 
 FILE = """source = "a test"
 [scale]
@@ -46,9 +44,9 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     suite = Experiment.load("vision60")
     condition = next(c for c in suite.conditions if c.name == "as walked")
     slipped = next(s for s in suite.scenarios if s.name == "Slipped")
-    job = Cell(slipped, "v60_class", condition, 1).job
+    drawn = Cell(slipped, "v60_class", condition, 1).walk
     assert condition.walked is not None
-    assert job.scenario.gait == replace(condition.walked.gait, **condition.walked.on_sheets)
+    assert drawn.scenario.gait == replace(condition.walked.gait, **condition.walked.on_sheets)
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.75, 0.2)
     assert mine.ground == slipped.ground
@@ -94,8 +92,7 @@ def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
     condition = next(c for c in suite.conditions if c.name == "as walked")
     whole = next(s for s in suite.scenarios if s.name == course)
     flight = replace(whole, segments=whole.segments[:3], laps=1)
-    walked = walk_job(Cell(flight, "spot_class", condition, 0).job).log
-    assert isinstance(walked, Log)
+    walked = Cell(flight, "spot_class", condition, 0).walk.simulated()
     # Ten steps of 12 cm.
     assert np.ptp(walked.ref_p[:, 2]) == pytest.approx(1.2, abs=0.15)
 
@@ -103,12 +100,12 @@ def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
     suite = Experiment.load("vision60")
     _, built, _ = suite.conditions
-    jobs = [Cell(s, "v60_class", built, 1).job for s in suite.scenarios]
-    assert all(job.effects == jobs[0].effects for job in jobs)
-    assert len({job.seed for job in jobs}) == len(jobs)
-    assert not any(job.declared for job in jobs)
-    assert Cell(suite.scenarios[0], "v60_class", built, 2).job.effects != jobs[0].effects
-    assert jobs[0].scenario.sensors.contact_delay == 0.005
+    walks = [Cell(s, "v60_class", built, 1).walk for s in suite.scenarios]
+    assert all(walk.effects == walks[0].effects for walk in walks)
+    assert len({walk.seed for walk in walks}) == len(walks)
+    assert not any(walk.declared for walk in walks)
+    assert Cell(suite.scenarios[0], "v60_class", built, 2).walk.effects != walks[0].effects
+    assert walks[0].scenario.sensors.contact_delay == 0.005
 
 
 def test_sizes_follow_the_law_of_the_file():
@@ -148,8 +145,7 @@ def test_gears_as_stiff_as_real_ones_make_no_robot_fall_on_a_sheet(seed):
     course = next(s for s in suite.scenarios if s.name == "3CC3CCW")
     start = replace(course, segments=course.segments[:2], laps=1)
     gears = (effect("leg_compliance", "all", 1e-4),)
-    walked = walk_job(replace(Cell(start, "v60_class", PLAIN, seed).job, effects=gears)).log
-    assert isinstance(walked, Log)
+    walked = replace(Cell(start, "v60_class", PLAIN, seed).walk, effects=gears).simulated()
     slip = walked.frame[[f"slip_{leg}" for leg in walked.legs]].to_numpy()
     assert slip[walked.contact].max() > 0.2
 

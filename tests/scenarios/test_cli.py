@@ -12,7 +12,7 @@ from refusals import refusal, refused
 
 from surefoot.scenarios.cli.main import COMMANDS, main
 from surefoot.scenarios.estimate.contract import Learnt
-from surefoot.scenarios.estimate.notes import notes_on
+from surefoot.scenarios.estimate.inputs import notes_on
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.reporting.tables import WIDTH, in_terminal
 from surefoot.sim.log import Log, Meta

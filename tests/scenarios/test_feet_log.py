@@ -24,8 +24,7 @@ from surefoot.scenarios.estimate.run import (
     run_filter,
     stepped,
 )
-from surefoot.scenarios.estimate.settings import FilterSettings
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.settings import FilterSettings, tuned
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.log import Log

@@ -23,9 +23,8 @@ from surefoot.scenarios.estimate import streaming
 from surefoot.scenarios.estimate.contract import Beginning, Learnt, Sample, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.radar_velocity import RADAR_COLUMNS
-from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.scenarios.estimate.settings import FilterSettings, tuned
 from surefoot.scenarios.estimate.streaming import StreamingEstimator
-from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot

@@ -12,6 +12,7 @@ from synthetic import without
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
+from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
@@ -32,7 +33,6 @@ from surefoot.scenarios.trace.training_walks import (
     style_that_walks,
     with_style_share,
 )
-from surefoot.scenarios.training import kept_walks
 from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.options import GaitOptions

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from surefoot.scenarios.datasets import kept_walks
+from surefoot.scenarios.datasets.kept_walks import DrawnWalk
 from surefoot.scenarios.settings import WalksSettings
-from surefoot.scenarios.training import kept_walks, many_walks
+from surefoot.scenarios.training import many_walks
 from surefoot.scenarios.training.drawn_course import COMMANDS, drawn_course
-from surefoot.scenarios.training.kept_walks import DrawnWalk
 from surefoot.scenarios.training.many_walks import drawn_walk
 from surefoot.sim.gait.options import PLAIN_GAIT
 from surefoot.sim.ground.terrain import Ground

@@ -17,7 +17,7 @@ from surefoot.models.attribution.diagnose import diagnose
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Estimator
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.tuned import tuned
+from surefoot.scenarios.estimate.settings import tuned
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.sim.effects import CATALOGUE, add

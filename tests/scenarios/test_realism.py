@@ -12,6 +12,7 @@ from synthetic import without
 from surefoot.models.realism import card
 from surefoot.models.realism.card import tolerances
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.trace import realism as module
 from surefoot.scenarios.trace.realism import (
@@ -45,8 +46,9 @@ def measured(robot):
 
 
 @pytest.fixture(autouse=True)
-def one_walk(monkeypatch):
+def one_walk(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "WALKS_EACH", 1)
+    monkeypatch.setattr(kept_walks, "cache_folder", lambda: tmp_path / "cache")
     monkeypatch.setattr(card, "DRAWS", 60)
 
 

@@ -13,13 +13,14 @@ from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.models.residuals.channels import BUNDLED_CHANNELS
 from surefoot.scenarios import tune
 from surefoot.scenarios.cache import Product
+from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.datasets.index import recipe
 from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.tuned import read_tuned
+from surefoot.scenarios.estimate.settings import read_tuned
 from surefoot.scenarios.experiments import products
-from surefoot.scenarios.experiments.file import Learning
+from surefoot.scenarios.experiments.file import Cell, Condition, Learning
 from surefoot.scenarios.experiments.products import LearntFiles
 from surefoot.scenarios.settings import LoopSettings, SimulateSettings, TuneSettings
 from surefoot.scenarios.trace import loop
@@ -156,7 +157,8 @@ def keys(tmp_path, monkeypatch):
     def asked(folder, kind, inputs, code, suffix, make):
         raise Found(json.dumps(inputs))
 
-    monkeypatch.setattr(products, "product", asked)
+    for module in (products, kept_walks):
+        monkeypatch.setattr(module, "product", asked)
 
     def inputs_of(make, *arguments):
         with pytest.raises(Found) as found:
@@ -164,16 +166,17 @@ def keys(tmp_path, monkeypatch):
         return found.value.args[0]
 
     def all_inputs(robot, effect):
-        job = Job(WALK, robot, 0, (effect,))
+        condition = Condition("one", effects=(effect,), declared=True)
+        cell = Cell(WALK, robot, condition, 0)
         made = Product(tmp_path / "walk", "0", {"robot": robot, "declared": [effect.name]})
         other = Product(tmp_path / "other", "1", {})
         filters = LearntFiles({}, {}), ["leg"]
         return {
-            "walk": inputs_of(products.make_walk, job),
+            "walk": inputs_of(products.make_walk, cell),
             "observer": inputs_of(products.make_observer, [("a", made)], Learning(), "mse", 0),
             "bounds": inputs_of(products.make_bounds, other, ("a", made), 0.9, "conformal"),
             "estimate": inputs_of(products.make_estimates, made, "a", *filters, [0.9]),
-            "recording": inputs_of(products.make_recording, made, job, *filters, 0.9),
+            "recording": inputs_of(products.make_recording, made, cell, *filters, 0.9),
         }
 
     return all_inputs

@@ -30,9 +30,8 @@ from surefoot.scenarios.estimate.run import (
     run_filter,
     stepped,
 )
-from surefoot.scenarios.estimate.settings import FilterSettings
+from surefoot.scenarios.estimate.settings import FilterSettings, tuned
 from surefoot.scenarios.estimate.streaming import StreamingEstimator
-from surefoot.scenarios.estimate.tuned import tuned
 from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground, Patch

@@ -11,7 +11,7 @@ from surefoot.scenarios import tune
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import ESTIMATORS, estimator_named, run_filter
-from surefoot.scenarios.estimate.tuned import BUNDLED_PARAMETERS, read_tuned, tuned
+from surefoot.scenarios.estimate.settings import BUNDLED_PARAMETERS, read_tuned, tuned
 from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.tune import PRICE, price_of, search, write_tuned
 from surefoot.sim.common.errors import SurefootError

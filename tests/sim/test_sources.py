@@ -123,7 +123,7 @@ def test_the_files_of_a_script_are_no_sources(tmp_path):
     ("module", "name"),
     [
         ("surefoot.models.realism.card", "surefoot.models.realism/tolerances.toml"),
-        ("surefoot.scenarios.estimate.tuned", "surefoot.scenarios.estimate/tuned.toml"),
+        ("surefoot.scenarios.estimate.settings", "surefoot.scenarios.estimate/tuned.toml"),
         ("surefoot.scenarios.reporting.html", "surefoot.scenarios.reporting/report.css"),
         ("surefoot.scenarios.viewer.recording", "surefoot.scenarios.viewer/about.toml"),
         ("surefoot.sim.importing.guessing.names", "surefoot.sim.importing.guessing/words.toml"),

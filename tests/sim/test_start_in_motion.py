@@ -9,7 +9,7 @@ from synthetic import without
 from surefoot.estimator.initial import MOVING_WINDOW, initial_state, start_of, starts_in_motion
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.contract import samples
-from surefoot.scenarios.estimate.notes import start_note
+from surefoot.scenarios.estimate.inputs import start_note
 from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.sim.ground.terrain import Ground

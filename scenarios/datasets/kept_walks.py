@@ -1,22 +1,23 @@
-"""Walks that are drawn at random, simulated in parallel, and kept in the cache.
+"""Simulated walks that are kept in a cache, where an interrupted run finds them again.
 
-A walk that ends in a fall is drawn again. Finished walks are read from the cache by whoever draws
-them again, such as an interrupted run.
+Those that are drawn at random are simulated in parallel, and one that ends in a fall is drawn
+again.
 """
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from surefoot.scenarios.cache import product
+import numpy as np
+
+from surefoot.scenarios.cache import Product, product
+from surefoot.scenarios.datasets.index import FACTS, determinants, walk_facts
 from surefoot.sim.common.files import cache_folder
-from surefoot.sim.common.sources import code_digest
 from surefoot.sim.effects import Effect
-from surefoot.sim.gait.options import pattern_named
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
@@ -28,24 +29,24 @@ Report = Callable[[float], None]
 
 @dataclass(frozen=True)
 class DrawnWalk:
-    """A walk to simulate, whose effects its log does not declare."""
+    """A walk to simulate; its log lists its effects if they are `declared`."""
 
     scenario: Scenario
     robot: Robot
     seed: int
     effects: Sequence[Effect] = ()
+    declared: bool = False
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """All that determines it, besides the code of the simulation."""
-        return {
-            "scenario": repr(self.scenario),
-            "gait": asdict(pattern_named(self.scenario.gait.pattern)),
-            "robot": [self.robot.name, self.robot.digest, self.robot.q_home.tolist()],
-            "seed": self.seed,
-            "effects": [one.as_dict() for one in self.effects],
-            "code": code_digest(*map(type, self.effects)),
-        }
+        """All that determines its log."""
+        parts = self.scenario, self.robot, self.seed, self.effects
+        return {**determinants(*parts), "declared": self.declared}
+
+    def simulated(self, progress: Report | None = None) -> Log:
+        """Its log. Raises Fallen if the robot falls."""
+        parts = self.scenario, self.robot, self.seed, self.effects
+        return walk(*parts, self.declared, progress)
 
 
 Draw = Callable[[int, int], DrawnWalk]
@@ -89,28 +90,35 @@ def kept_walks(
         progress: called with the share done.
         workers: threads, by default one for each core.
     """
-    work, cores = partial(_kept_walk, draw, attempts), os.cpu_count() or 1
+    work, cores = partial(_attempted, draw, attempts), os.cpu_count() or 1
     made = dict(on_threads(range(count), work, workers or cores, progress))
     return KeptLogs({k: path for k in range(count) if (path := made[k])}, name)
 
 
-def _kept_walk(draw: Draw, attempts: int, number: int, report: Report) -> tuple[int, Path | None]:
+def _attempted(draw: Draw, attempts: int, number: int, report: Report) -> tuple[int, Path | None]:
     for attempt in range(attempts):
-        drawn = draw(number, attempt)
-        make = partial(_simulated, drawn, report)
-        folder = cache_folder() / "training"
-        made = product(folder, "walk", drawn.inputs, "surefoot.sim.walk", ".parquet", make)
-        if not made.facts["fell"]:
+        made = kept_walk(cache_folder() / "training", draw(number, attempt), report)
+        if not made.facts["falls"]:
             return number, made.path
     return number, None
 
 
-def _simulated(drawn: DrawnWalk, report: Report, path: Path) -> dict[str, Any]:
-    """Write the log of a walk; if the robot fell, a text that says so."""
-    try:
-        log = walk(drawn.scenario, drawn.robot, drawn.seed, drawn.effects, False, report)
-    except Fallen as fall:
-        path.write_text(f"{fall}\n", encoding="utf-8")
-        return {"fell": str(fall)}
-    log.write(path, force=True)
-    return {"fell": ""}
+def kept_walk(folder: Path, drawn: DrawnWalk, report: Report | None = None) -> Product:
+    """The log of a walk, with its facts (`walk_facts`); if the robot fell, a text that says so.
+
+    Args:
+        folder: of the cache.
+        drawn: the walk.
+        report: called with the share done.
+    """
+
+    def make(path: Path) -> dict[str, Any]:
+        try:
+            log = drawn.simulated(report)
+        except Fallen as fall:
+            path.write_text(f"{fall}\n", encoding="utf-8")
+            return dict.fromkeys(FACTS, np.nan) | {"falls": 1, "fell_at": fall.time}
+        log.write(path, force=True)
+        return walk_facts([log]) | {"falls": 0, "fell_at": np.nan}
+
+    return product(folder, "walk", drawn.inputs, "surefoot.sim.walk", ".parquet", make)
