@@ -36,12 +36,13 @@ from surefoot.models.attribution.sensor_noise import (
     resample_reference,
 )
 from surefoot.models.attribution.weights import RobustWeights, robust_weights
-from surefoot.models.residuals.binning import inner_bins
+from surefoot.models.residuals.binning import bin_mean, inner_bins
 from surefoot.models.residuals.layout import Layout, layout_for
 from surefoot.models.residuals.motion import with_dead_reckoning
 from surefoot.models.residuals.torques import declared
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.gait.options import MEASURED_GAIT, PLAIN_GAIT, GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.limbs import QUADRUPED
@@ -73,6 +74,11 @@ the first steps after standing.
 """
 _SEED = 20_011
 """Of the first walk, fixed so that the floor depends on the logs alone."""
+ROUGHER = 2.0
+"""Ratio of the roughness of a log to that of walks in the plain gait from which walks are simulated
+in the measured one: 4 to 10 for two robots in that gait and for a real Go1, 1 to 1.6 in the plain
+gait.
+"""
 APPARENT_SIZE_DOUBT = 0.7
 """Relative uncertainty of sizes that effects seem to have: on slippery ground, the contacts
 imitated a delay of the joints four times as long as on the floor's.
@@ -147,6 +153,7 @@ class FloorPlan:
         level: whether the ground of any log counts as level.
         evenness: standard deviation of the ground's height from a plane [m].
         slippery: friction of places in which feet slide; None where there are none.
+        gait: of the walks.
         sampling: sampling and noise of the reference, if measured.
         ground: effects of the ground, which no model can compensate.
         effects: that the robot has, compensated by its model.
@@ -159,6 +166,7 @@ class FloorPlan:
     level: bool
     evenness: float
     slippery: float | None
+    gait: GaitOptions
     sampling: ReferenceSampling | None
     ground: tuple[Effect, ...]
     effects: tuple[Effect, ...]
@@ -231,12 +239,12 @@ def noise_floor(
 ) -> NoiseFloor:
     """Simulate the motion of the logs with the declared robot.
 
-    Each of a few short walks follows a section of the reference's body velocities, on ground as
-    uneven as that of the logs, and one over slippery places. Seeds are fixed, so the floor is a
-    function of the logs. A section on which the robot falls is repeated at lower
-    speed. For a robot that cannot walk at all the floor is the sensors' noise by their data sheets,
-    for a machine on a fixed base the noise of its readings, and for one that is known by its feet
-    alone that noise and POINT_FEET_LEVELS.
+    Each of a few short walks follows a section of the reference's body velocities, in a gait about
+    as rough as that of the logs, on ground as uneven as theirs, and one over slippery places. Seeds
+    are fixed, so the floor is a function of the logs. A section on which the robot falls is
+    repeated at lower speed. For a robot that cannot walk at all the floor is the sensors' noise by
+    their data sheets, for a machine on a fixed base the noise of its readings, and for one that is
+    known by its feet alone that noise and POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.
@@ -253,13 +261,19 @@ def noise_floor(
         level=any(case.motion.level for case in cases),
         evenness=max(ground_evenness(cases), _seen_evenness(cases)),
         slippery=slippery,
+        gait=PLAIN_GAIT,
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
         effects=(),
         catalogue=tuple(known_effects()),
     )
     layout = layout_for(first.robot.limbs)
-    if walks := _floor_walks(plan):
+    walks = _floor_walks(plan)
+    if walks and _roughness(cases) > ROUGHER * _roughness([one.case for one in walks]):
+        rough = replace(plan, gait=MEASURED_GAIT)
+        if in_measured_gait := _floor_walks(rough):
+            plan, walks = rough, in_measured_gait
+    if walks:
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
         return _floor_of_walks(walks, error, plan)
     sigma = layout.noise(first.log.rate, plan.evenness)
@@ -389,6 +403,16 @@ def _seen_evenness(cases: Sequence[LogUnderModel]) -> float:
     return round(max(case.motion.unevenness for case in cases) / SEEN_UNEVENNESS, 3)
 
 
+def _roughness(cases: Sequence[LogUnderModel]) -> float:
+    """Root mean square of the second difference of the gyro's bin means [rad/s]; zero where a log
+    has no IMU. What a bin's mean acceleration misses grows with it.
+    """
+    if not all(case.log.has("imu") for case in cases):
+        return 0.0
+    bends = [np.diff(bin_mean(case.motion)(case.log.gyro), n=2, axis=0) for case in cases]
+    return float(np.sqrt(np.mean(np.concatenate(bends) ** 2)))
+
+
 def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
     """The course of each walk, as the logs went; empty where the robot stands on all feet."""
     if all(c.log.has("contact") and np.mean(c.log.contact) > STANDS for c in cases):
@@ -424,7 +448,8 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         ground = ground_of(
             segments, plan.evenness, FRICTIONS[number], plan.slippery if last else None
         )
-        scenario = Scenario("floor", segments, ground, stand=STAND if course else _SECONDS)
+        stand = STAND if course else _SECONDS
+        scenario = Scenario("floor", segments, ground, stand=stand, gait=plan.gait)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot

@@ -10,7 +10,7 @@ from surefoot.sim.common.errors import errors_in
 from surefoot.sim.common.toml import read_typed, typed
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.carry import BodyScale, carried, scale_of
-from surefoot.sim.gait.options import GaitOptions
+from surefoot.sim.gait.options import MEASURED_GAIT, GaitOptions
 from surefoot.sim.ground.terrain import Strip
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
@@ -43,7 +43,8 @@ class AsWalked:
     Attributes:
         scale: of the robot, by which sizes are carried to others.
         source: of gait and sensors.
-        gait: its options, dimensionless except for the noise of the estimate.
+        gait: its options, dimensionless except for the noise of the estimate; by default those
+            measured of a Go1.
         on_slopes: options that replace those on courses with slopes or steps, where nothing was
             measured.
         on_sheets: the same on courses with slippery sheets.
@@ -53,7 +54,7 @@ class AsWalked:
 
     scale: BodyScale
     source: str
-    gait: GaitOptions = field(default_factory=GaitOptions)
+    gait: GaitOptions = MEASURED_GAIT
     on_slopes: dict[str, float] = field(default_factory=dict)
     on_sheets: dict[str, float] = field(default_factory=dict)
     sensors: dict[str, float] = field(default_factory=dict)

@@ -110,3 +110,22 @@ class GaitOptions:
 
 PLAIN_GAIT = GaitOptions()
 """The default trot."""
+MEASURED_GAIT = GaitOptions(
+    duty=0.60,
+    unloading=0.05,
+    period_jitter=0.03,
+    foothold_jitter=0.004,
+    touchdown_speed=0.15,
+    liftoff_speed=0.3,
+    liftoff_advance=1.0,
+    braking=0.6,
+    level=0.2,
+    slip_care=1.0,
+    stiffness=0.8,
+    velocity_noise=0.05,
+    attitude_noise=0.006,
+    noise_time=0.02,
+)
+"""A trot like a measured one, by the realism card of a Unitree Go1 that trots around a square
+(github mrsp/serow); kp and kd of standing legs are those of Margolis and Agrawal (as above).
+"""
