@@ -151,7 +151,7 @@ def missed_spread(values: np.ndarray) -> float:
     return spread(missed - missed_share(values) * speed)
 
 
-def stance_forces(walk: WalkView) -> Values:
+def forces_of_stances(walk: WalkView) -> Values:
     """Largest force of each stance, that in its last row, and the median of its middle half (K, 3).
 
     Stances too short, or not loaded, are left out.
@@ -169,7 +169,7 @@ def stance_forces(walk: WalkView) -> Values:
 
 
 def over_middle(forces: np.ndarray, column: int) -> float:
-    """Median ratio of a column of `stance_forces` (K, 3) to the middle."""
+    """Median ratio of a column of `forces_of_stances` (K, 3) to the middle."""
     return float(np.median(forces[:, column] / forces[:, 2]))
 
 
@@ -180,7 +180,7 @@ def force_weight(walk: WalkView) -> Values:
     unit cannot be the newton.
     """
     weight = walk.robot.mass * GRAVITY
-    forces, times = stance_forces(walk)
+    forces, times = forces_of_stances(walk)
     total = float(walk.log.force[walk.walks].sum(axis=1).mean() / weight)
     if not WEIGHED[0] < total < WEIGHED[1]:
         raise SurefootError(
@@ -342,9 +342,9 @@ QUANTITIES = (
     ),
     Quantity("speed missed by standing legs", "share", walk_stance_means, missed_share),
     Quantity("the same, stance to stance", "m/s", walk_stance_means, missed_spread),
-    Quantity("foot force, peak to middle", "ratio", stance_forces, _PEAK),
+    Quantity("foot force, peak to middle", "ratio", forces_of_stances, _PEAK),
     Quantity("foot force, peak to weight", "ratio", force_weight, np.median),
-    Quantity("foot force, threshold to middle", "ratio", stance_forces, _LAST),
+    Quantity("foot force, threshold to middle", "ratio", forces_of_stances, _LAST),
     *(
         Quantity(f"joint rate ripple, {name}", "rad/s", partial(joint_ripple, kind=i), root_mean)
         for i, name in _JOINTS

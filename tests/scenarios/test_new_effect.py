@@ -83,19 +83,18 @@ def test_the_form_that_is_left_becomes_an_effect(warmed, catalogue):
 
 
 def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
-    class Nameless(Effect):
+    class Unbounded(Effect):
         unit = "m"
-        bounds = (0.0, 1.0)
         targets = AXES
 
-    refused("Nameless: lacks name", add, Nameless)
+    refused("Unbounded: lacks bounds", add, Unbounded)
     refused("GyroWarming: must be a class, is GyroWarming", add, GyroWarming("x", 0.01))
 
     class Taken(GyroWarming):
         name = "gyro_bias"
 
     refused("gyro_bias: the catalogue has one of that name", add, Taken)
-    assert not any(k.__qualname__.endswith(("Nameless", "Taken")) for k in CATALOGUE.values())
+    assert not any(k.__qualname__.endswith(("Unbounded", "Taken")) for k in CATALOGUE.values())
 
 
 ADDED = """
