@@ -239,12 +239,12 @@ def noise_floor(
 ) -> NoiseFloor:
     """Simulate the motion of the logs with the declared robot.
 
-    Each of a few short walks follows a section of the reference's body velocities, in a gait about
-    as rough as that of the logs, on ground as uneven as theirs, and one over slippery places. Seeds
-    are fixed, so the floor is a function of the logs. A section on which the robot falls is
-    repeated at lower speed. For a robot that cannot walk at all the floor is the sensors' noise by
-    their data sheets, for a machine on a fixed base the noise of its readings, and for one that is
-    known by its feet alone that noise and POINT_FEET_LEVELS.
+    Each of a few short walks follows a section of the reference's body velocities, on ground as
+    uneven as that of the logs, and one over slippery places. Where torques are logged, the gait is
+    about as rough as the logs'. Seeds are fixed, so the floor is a function of the logs. A section
+    on which the robot falls is repeated at lower speed. For a robot that cannot walk at all the
+    floor is the sensors' noise by their data sheets, for a machine on a fixed base the noise of its
+    readings, and for one that is known by its feet alone that noise and POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.
@@ -269,9 +269,11 @@ def noise_floor(
     )
     layout = layout_for(first.robot.limbs)
     walks = _floor_walks(plan)
-    if walks and _roughness(cases) > ROUGHER * _roughness([one.case for one in walks]):
+    # Only torques hang on accelerations.
+    if walks and "tau" in plan.groups:
         rough = replace(plan, gait=MEASURED_GAIT)
-        if in_measured_gait := _floor_walks(rough):
+        rougher = _roughness(cases) > ROUGHER * _roughness([one.case for one in walks])
+        if rougher and (in_measured_gait := _floor_walks(rough)):
             plan, walks = rough, in_measured_gait
     if walks:
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
