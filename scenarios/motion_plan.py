@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from surefoot.models.attribution.design import design
 from surefoot.models.attribution.evidence import Evidence, Key, all_keys, linearise, log_under_model
@@ -115,12 +114,13 @@ def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Ke
     correlations = after[i, : len(keys)] / (deviations[i] * deviations[: len(keys)])
     correlations[i] = 0.0
     rival = int(np.argmax(np.abs(correlations)))
-    share, seconds = float(deviations[i] / allowed), np.inf
-    if share <= SHOWN:
-        found = root_scalar(
-            lambda s: covariance(s)[i, i] ** 0.5 - SHOWN * allowed, bracket=(0.0, LONGEST_S)
-        )
-        seconds = float(found.root)
+    share, low, high = float(deviations[i] / allowed), 0.0, LONGEST_S
+    # By halves, since the information of no time at all has no inverse.
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        enough = np.sqrt(covariance(middle)[i, i]) <= SHOWN * allowed
+        low, high = (low, middle) if enough else (middle, high)
+    seconds = high if share <= SHOWN else np.inf
     near = abs(correlations[rival]) > 0.5
     return Shown(seconds, share, keys[rival] if near else None, float(correlations[rival]))
 
