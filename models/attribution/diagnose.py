@@ -296,8 +296,8 @@ def diagnose(
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if unseen:
-        own, data = _held_out(unseen, effects, lags, floors.last, several, model)
-        held_out = HeldOutRuns(data.sides.levels(data.used), own)
+        fitted, data = _held_out(unseen, effects, lags, floors.last, several, model)
+        held_out = HeldOutRuns(data.sides.levels(data.used), fitted)
     progress(0.95)
     curves = curved_angles(result, problem.cases)
     verdict, reasons = verdict_of(
@@ -446,7 +446,9 @@ def _shown_between_feet(found: Sequence[Found]) -> tuple[str, ...]:
 
 def _still_explains(one: Effect, sides: Residuals, used: np.ndarray) -> bool:
     """Whether an effect surely explains anything of the bins of a mask `used` (M,)."""
-    return not type(one).is_compensated() or bool(sides.gained(one, used)[1][0] > 0.0)
+    return not type(one).is_compensated() or bool(
+        sides.gained(sides.left_without(one), used)[1][0] > 0.0
+    )
 
 
 def logs_under_model(

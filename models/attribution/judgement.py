@@ -279,13 +279,14 @@ class Residuals:
         """Residual (M, W) with the effects but for one."""
         return self.left_by([e for e in self.effects if e != one])
 
-    def gained(self, one: Effect, used: np.ndarray) -> tuple[str, np.ndarray]:
+    def gained(self, without: np.ndarray, used: np.ndarray) -> tuple[str, np.ndarray]:
         """The fitted channel that one of the effects changes most, and the 95 % interval (2,) of
         what it explains there, over the bins of a mask `used` (M,); "" where it changes nothing.
+
+        without (M, W): `left_without` it.
         """
         weight = np.where(used[:, None], self.weights.weight, 0.0)
-        less = self.left_without(one)
-        gains = block_gains(less, self.after, self.evidence, self.weights.sigma, weight)
+        gains = block_gains(without, self.after, self.evidence, self.weights.sigma, weight)
         fitted = [name for name in gains if not channels()[name].evaluation_only]
         most = max(fitted, key=lambda name: abs(gains[name].sum()), default="")
         return most, _interval(gains[most]) if most else np.zeros(2)
@@ -359,22 +360,24 @@ def find_harmful_effect(unseen: Sequence[Unseen]) -> tuple[Effect, str] | None:
     """
     against: list[tuple[float, Effect, str]] = []
     for data in unseen:
-        for one in data.sides.effects:
-            for name, part in data.parts.items() if type(one).is_compensated() else ():
-                channel, (_, highest) = data.sides.gained(one, part)
+        for one in (e for e in data.sides.effects if type(e).is_compensated()):
+            without = data.sides.left_without(one)
+            for name, part in data.parts.items():
+                channel, (_, highest) = data.sides.gained(without, part)
                 if highest < 0.0:
                     against.append((highest, one, f"it makes {channel} worse on {name}"))
     if against:
         return min(against, key=lambda x: x[0])[1:]
-    for data in unseen:
-        for name in data.sides.worse(data.used):
-            columns = data.sides.evidence.layout.of(name)
+    worse = ((data, name) for data in unseen for name in data.sides.worse(data.used))
+    if (first := next(worse, None)) is None:
+        return None
+    data, name = first
+    columns = data.sides.evidence.layout.of(name)
 
-            def square(one: Effect, data: Unseen = data, columns: np.ndarray = columns) -> float:
-                return float(np.nanmean(data.sides.left_without(one)[data.used][:, columns] ** 2))
+    def square(one: Effect) -> float:
+        return float(np.nanmean(data.sides.left_without(one)[data.used][:, columns] ** 2))
 
-            return min(data.sides.effects, key=square), f"it makes {name} worse"
-    return None
+    return min(data.sides.effects, key=square), f"it makes {name} worse"
 
 
 def _interval(blocks: np.ndarray) -> np.ndarray:
