@@ -383,7 +383,8 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "IMU turned by 30 deg": (partial(imu_turned, R=turned("z", 30)), "gyro", "the IMU is turned"),
     "IMU with z down": (partial(imu_turned, R=NED), "gravity", "accel_z"),
     "an axis read twice": (
-        lambda log: log.with_columns({"gyro_y": log.columns["gyro_x"]}), "copied", "gyro_x, gyro_y"),
+        lambda log: log.with_columns({"gyro_y": log.columns["gyro_x"]}),
+        "copied", "gyro_x, gyro_y"),
     "a joint read twice": (
         lambda log: log.with_columns({"q_FR_calf": log.columns["q_FL_calf"]}),
         "copied", "q_FR_calf"),
