@@ -384,21 +384,29 @@ def explain(
     rivals: tuple[tuple[Key, float], ...] = ()
     rejected: tuple[tuple[Effect, str], ...] = ()
     tried = {frozenset(chosen.keys)}
+
+    def settled_anew(better: Chosen | None) -> tuple[_State, Chosen] | None:
+        """The search at better effects, if there are any and it was not there before."""
+        settled = _settled(state, better.effects) if better else None
+        if settled is None or (keys := frozenset(settled[1].keys)) in tried:
+            return None
+        tried.add(keys)
+        return settled
+
     while True:
         progress(min(len(rounds) / (MOST_EFFECTS + 1), 1.0))
         beside = _beside(state, chosen)
         rounds.append(_as_candidates(state, beside))
-        better = None
+        anew = None
         if len(chosen.keys) < MOST_EFFECTS:
             better, rejected = _extended(state, chosen, beside)
-        if better is None:
+            anew = settled_anew(better)
+        if anew is None:
             better, rivals = _replaced(state, chosen)
-        if better is None:
+            anew = settled_anew(better)
+        if anew is None:
             break
-        state, chosen = _settled(state, better.effects)
-        if frozenset(chosen.keys) in tried:
-            break
-        tried.add(frozenset(chosen.keys))
+        state, chosen = anew
     at_fewer, fewer = _not_imitated(state, chosen, left)
     imitated = frozenset(chosen.keys) - frozenset(fewer.keys)
     if len(fewer.effects) < len(chosen.effects) and not needed(
