@@ -46,17 +46,20 @@ def write_report_of(
     drawn = read_toml(plan, "study")
     if drawn["each"]:
         title = "Blind study of trace"
+        limits = Section("Limits of the sizes", "", plan_table(drawn), file="limits")
         sections = [
-            Section("The plan", plan_prose(drawn, len(records)), plan_table(drawn)),
             *(results(of, records) if of["single"] else ()),
+            Section("Method", f"{plan_prose(drawn, len(records))}\n\n{RULES_PROSE}"),
+            limits,
         ]
     else:
         title = "Beyond the blind study of trace"
         sections = beyond(of, len(records) - len(walked))
+    every = Section("Every case", "", [_row(r) for r in records], file="cases")
     if page:
-        write_page(page, title, sections, origin_of(__name__, "make study-trace"))
-    every = Section("Every case", table=[_row(r) for r in records])
-    return write_results(out, title, [*sections, every], {"cases": every.table or []}, force=True)
+        origin = origin_of(__name__, "make study-trace")
+        write_page(page, title, [*sections, every], origin)
+    return write_results(out, title, [*sections, every], force=True)
 
 
 def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
@@ -78,7 +81,7 @@ def plan_prose(plan: Mapping[str, Any], finished: int) -> str:
         f"with one of two effects that cannot be distinguished at rest. {' and '.join(robots)} "
         f"walk on courses {seeds[0]} to {seeds[-1]}; these robots and courses were "
         f"{'' if plan.get('pilot') else 'not '}used in development. Sizes are log-uniform between "
-        "the limits below. "
+        "the limits of the table of sizes. "
         f"Finished so far: {finished} of {len(planned)}."
     )
 
@@ -100,12 +103,21 @@ def plan_table(plan: Mapping[str, Any]) -> Rows:
 
 def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> list[Section]:
     """Sections on the results of the finished cases."""
+    lines = rules(records)
+    found, of_above, _, false_names, outside, *_ = (line["measured"] for line in lines)
+    prose = (
+        f"Trace names the effect that was put in, and its target, first in {found} logs with one "
+        f"effect, and in {of_above} whose effect is larger than the least that the log could show. "
+        f"False names on logs without an effect: {false_names}. An effect that is in no catalogue "
+        f"ends in `none_of_these`, on the right channel, in {outside} logs."
+    )
     return [
-        Section("Rules and results", RULES_PROSE, rules(records)),
+        Section("Findings", prose, lines),
         Section(
             "By effect",
-            table=by_effect(of["single"]),
-            pictures=(
+            "",
+            by_effect(of["single"]),
+            (
                 Picture(
                     confusion(of["single"]),
                     "Rows: the true effect of each log. Columns: the effect that trace named "
@@ -113,11 +125,13 @@ def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> li
                     "verdict is not `confounded`.",
                 ),
             ),
+            file="by_effect",
         ),
         Section(
             "By size over the least that the log could show",
-            table=by_size(of["single"]),
-            pictures=(
+            "",
+            by_size(of["single"]),
+            (
                 Picture(
                     sizes(of["single"]),
                     "One dot for each log whose effect and target were named right first. The band "
@@ -125,8 +139,9 @@ def results(of: Mapping[str, Sequence[Record]], records: Sequence[Record]) -> li
                     "interval contains it. Dots beyond the axis are drawn at its edge.",
                 ),
             ),
+            file="by_size",
         ),
-        *(Section(heading, table=rows) for heading, rows in details(of).items() if rows),
+        *details(of),
     ]
 
 
@@ -140,11 +155,16 @@ def beyond(of: Mapping[str, Sequence[Record]], fell: int) -> list[Section]:
         ("twice the largest size: named first", [named(r)[:1] == truth(r) for r in large]),
         ("late or large: nothing else named", [named(r) == truth(r) for r in (*late, *large)]),
     ]
+    rows = [{"of": a, "measured": share(hits)} for a, hits in lines]
     prose = (
-        "Robots as declared on a slope, on ice, on stairs and on rough ground; joint angles, rates "
-        "and torques that are late by the same time; effects of twice the largest size of the "
-        f"blind study. Falls, which leave no log: {fell}. Shares with their 95 % "
-        "interval (Wilson) in brackets."
+        f"A robot that equals its model ends in `no_residual` in {rows[0]['measured']} walks on a "
+        "slope, on ice, on stairs and on rough ground. Joint readings that are all late are named "
+        f"first in {rows[2]['measured']}, and effects of twice the largest size of the blind study "
+        f"in {rows[3]['measured']}."
+    )
+    method = (
+        "Angles, rates and torques of all joints are late by the same time. Shares with their 95 % "
+        f"interval (Wilson) in brackets. Falls, which leave no log: {fell}."
     )
     grounds = [
         {
@@ -156,10 +176,12 @@ def beyond(of: Mapping[str, Sequence[Record]], fell: int) -> list[Section]:
         }
         for r in exact
     ]
+    large_and_late = [_short(r) for r in (*late, *large)]
     return [
-        Section("Results", prose, [{"of": a, "measured": share(hits)} for a, hits in lines]),
-        Section("Robots as declared", table=grounds),
-        Section("Late joints and large effects", table=[_short(r) for r in (*late, *large)]),
+        Section("Findings", prose, rows),
+        Section("Method", method),
+        Section("Robots as declared", "", grounds, file="as_declared"),
+        Section("Late joints and large effects", "", large_and_late, file="late_and_large"),
     ]
 
 
@@ -365,11 +387,11 @@ def by_size(single: Sequence[Record]) -> Rows:
     return rows
 
 
-def details(of: Mapping[str, Sequence[Record]]) -> dict[str, Rows]:
+def details(of: Mapping[str, Sequence[Record]]) -> list[Section]:
     """A table for each kind of case, with one row per log; of the logs with one effect, only those
     that were missed.
     """
-    return {
+    tables = {
         "Every miss": [
             _short(r) | {"size over floor": r["over_floor"][0]}
             for r in of["single"]
@@ -385,6 +407,11 @@ def details(of: Mapping[str, Sequence[Record]]) -> dict[str, Rows]:
             _short(r) | {"its twin": r["twin"], "right": names_both_twins(r)} for r in of["twins"]
         ],
     }
+    return [
+        Section(heading, "", rows, file=heading.lower().replace(" ", "_"))
+        for heading, rows in tables.items()
+        if rows
+    ]
 
 
 def confusion(single: Sequence[Record]) -> Figure:
