@@ -4,7 +4,7 @@ BIN := .venv/bin
 # As for the commands (`scenarios/cli/start.py`): the matrices are small, and more threads only wait.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check size docs readme nightly yardstick mutants study study-observer study-trace study-loads study-hardware study-bounds \
+.PHONY: setup demo test check lint types size docs readme nightly yardstick mutants study study-observer study-trace study-loads study-hardware study-bounds \
 	study-montecarlo study-walking study-bench study-realism study-loop suites tune tune-vision60 tune-spot lock clean
 
 setup: .venv/.ready
@@ -24,10 +24,14 @@ demo: setup
 test: setup
 	$(BIN)/pytest -n 2 --dist loadfile
 
-check: setup
+check: lint types
+
+lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo --no-cache
+
+types: setup
 	$(BIN)/pyright
 
 # Lines, classes and constants by room; fails above the limits of tests/size.py.

@@ -14,7 +14,6 @@ sys.path.insert(0, str(DOCS))
 import guide as guides  # noqa: E402
 
 PAGES = sorted(guides.GUIDES.glob("*.md"))
-SLOW = "<!-- slow -->"
 
 
 @pytest.fixture(scope="session")
@@ -35,12 +34,8 @@ def folders(tmp_path_factory):
     return folder_of
 
 
-def _marked(page: Path):
-    slow = SLOW in page.read_text(encoding="utf-8")
-    return pytest.param(page, id=page.stem, marks=pytest.mark.slow if slow else ())
-
-
-@pytest.mark.parametrize("page", [_marked(page) for page in PAGES])
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [pytest.param(page, id=page.stem) for page in PAGES])
 def test_a_guide_runs_from_top_to_bottom(page, folders):
     folders(page)
 

@@ -25,6 +25,7 @@ def test_it_is_short():
     assert len(README.encode()) <= 10_000
 
 
+@pytest.mark.slow
 def test_its_python_runs(tmp_path):
     python = [b.text for b in guide.blocks(ROOT / "README.md") if b.language == "python"]
     assert len(python) == 2

@@ -182,7 +182,9 @@ def test_a_simulated_reference_is_that_of_the_imu(log):
 
 
 @pytest.mark.skipif(not SCALER.is_dir(), reason="the measured logs are not here")
-@pytest.mark.parametrize("name", ["10", "12", "17"])
+@pytest.mark.parametrize(
+    "name", ["10", *(pytest.param(name, marks=pytest.mark.long) for name in ("12", "17"))]
+)
 def test_clocks_that_were_started_apart_are_found(name):
     """Of three recording days, one with poses that are turned about for some frames."""
     recording = read_recording(SCALER / "logs" / f"scaler_{name}.csv", "scaler_trot")
@@ -193,6 +195,7 @@ def test_clocks_that_were_started_apart_are_found(name):
     assert found.faults == ()
 
 
+@pytest.mark.long
 def test_a_gap_of_weeks_takes_no_memory(log):
     """Each half of the walk has its poses; the second is said to be weeks later."""
     poses = tracked(log, 3.7)

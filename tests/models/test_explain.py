@@ -79,7 +79,8 @@ def test_of_two_streams_the_lagging_one_is_named(floor, name, delay):
     assert not found.rivals
 
 
-@pytest.mark.parametrize("time", [pytest.param(0.0016, marks=pytest.mark.long), 0.004])
+@pytest.mark.long
+@pytest.mark.parametrize("time", [0.0016, 0.004])
 def test_a_filtered_imu_is_no_late_one(floor, time):
     """Filtered rates are late in the legs' velocities too, which know of the filter."""
     found = explained(case_with(effect("imu_lowpass", "all", time)), floor)

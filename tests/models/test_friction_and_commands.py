@@ -71,6 +71,7 @@ def test_friction_of_a_robot_that_logs_its_commands_is_measured(log):
     assert size_of(case, evidence) == pytest.approx(STIFF.value, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_share_of_the_torque_that_a_gear_loses_is_measured_on_a_walk():
     lost = effect("load_friction", "FR_calf", 0.15)
     case = log_under_model(walk(COURSE, ROBOT, 2, [lost], declared=False), ROBOT)
@@ -78,7 +79,7 @@ def test_a_share_of_the_torque_that_a_gear_loses_is_measured_on_a_walk():
     assert size_of(case, evidence) == pytest.approx(lost.value, rel=0.1)
 
 
-@pytest.mark.parametrize("late", [3e-4, 3.1e-3])
+@pytest.mark.parametrize("late", [3e-4, pytest.param(3.1e-3, marks=pytest.mark.long)])
 def test_a_command_delay_is_measured_below_a_row_too(late):
     walked = walk(COURSE, ROBOT, 2, [effect("command_delay", "all", late)], declared=False)
     case, key = log_under_model(walked, ROBOT), ("command_delay", "all")

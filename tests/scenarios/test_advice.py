@@ -217,6 +217,7 @@ def is_best(row: dict[str, Any]) -> bool:
     return row["over best"] < (1.5 if row["source"] == AS_LOGGED else 1.25)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("fault", "lacks"), list(zip(FAULTS, [(), ("force_",), ()], strict=False)))
 def test_wrong_contacts_are_noticed_and_mended(walks, fault, lacks):
     wrong = wrong_contacts(walks["spot_class"], fault, np.random.default_rng(1))
@@ -225,6 +226,7 @@ def test_wrong_contacts_are_noticed_and_mended(walks, fault, lacks):
     assert row["over true"] < 1.5 < 3.0 < row["as logged"]
 
 
+@pytest.mark.long
 def test_true_contacts_are_left_as_they_are(walks):
     for log in (walks["v60_class"], without(walks["v60_class"], "ref_")):
         found = compare_contacts(log, Robot.for_log(log))

@@ -165,6 +165,7 @@ def run(folder, *arguments: str):
     return python(*arguments, cwd=folder, env={"PYTHONPATH": path})
 
 
+@pytest.mark.long
 def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
     pytest_ = ("-m", "pytest", "-q", "-p", "no:cacheprovider")
     passed = run(folder, *pytest_)
@@ -174,6 +175,7 @@ def test_its_own_test_passes_and_fails_for_a_wrong_sign(folder):
     assert "failed" in run(folder, *pytest_).stdout
 
 
+@pytest.mark.long
 def test_it_runs_as_a_plugin_and_its_package_offers_the_same(log, folder):
     log.write(folder / "log.parquet")
     line = ("-m", "surefoot", "estimate", "log.parquet", "--filter", "two_feet")

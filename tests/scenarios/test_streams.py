@@ -172,6 +172,7 @@ def standing(seconds: float, rate: float = 500.0) -> Log:
     return Log(pd.DataFrame(columns), Meta(rate=rate, robot="spot_class"), "standing")
 
 
+@pytest.mark.long
 def test_a_long_log_is_estimated_in_the_memory_of_a_piece(tmp_path, monkeypatch, robot, capsys):
     """Four times the log takes no more memory; file and metrics are those of the whole."""
     monkeypatch.setattr(file, "LOG_PIECE", 10.0)

@@ -10,6 +10,7 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.sim.log import Log
 
+pytestmark = pytest.mark.long
 WITHOUT_TORCH = """
 import sys
 from importlib.machinery import PathFinder

@@ -110,6 +110,7 @@ def test_a_heavier_link_is_found_and_not_refuted():
     )
 
 
+@pytest.mark.long
 def test_a_load_is_traced_against_unchanged_runs(monkeypatch):
     monkeypatch.setattr(runs, "SECONDS", 8.0)
     load = TiedLoad("lower", 0.2, (0.01, 0.02, -0.25))
