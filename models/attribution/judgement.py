@@ -119,23 +119,22 @@ def channel_levels(
     for name, columns in known.layout.channels.items():
         if not np.isfinite(before[:, columns]).any():
             continue
-        channel = channels()[name]
+        channel, kinds = channels()[name], [one.kind for one in known.layout.columns[columns]]
+
+        def rms(values: np.ndarray, channel: Channel = channel, kinds: list[str] = kinds) -> float:
+            return trimmed_rms(values, channel, kinds)
+
         least = channel.least_noise if channel.on_level_ground else 0.0
-        level = [
-            max(trimmed_rms(part[:, columns], channel), least)
-            for part in floors
-            if np.isfinite(part[:, columns]).any()
-        ]
+        shown = [part[:, columns] for part in floors if np.isfinite(part[:, columns]).any()]
+        level = [max(rms(part), least) for part in shown]
         own = float(np.sqrt(np.mean(np.square(level)))) if level else None
         most = 2.0 * max(level) - min(level) if level else np.inf
         if level:
-            square = np.concatenate([part[:, columns].ravel() for part in floors]) ** 2
+            square = _bulk(np.concatenate(shown) ** 2, channel, kinds)
             count = np.isfinite(after[:, columns]).sum()
             # A log has few changes of contact, and some are far outliers.
-            if channel.of_events:
-                most *= 1.0 + 2.0 * scatter_of_rms(_bulk(square, channel), count)
-            else:
-                most *= 1.0 + scatter_of_rms(_bulk(square, channel), count)
+            deviations = 2.0 if channel.of_events else 1.0
+            most *= 1.0 + deviations * scatter_of_rms(square[np.isfinite(square)], count)
         if own is None and not floor.walks:
             own = float(np.sqrt(np.mean(floor.sigma[columns] ** 2)))
             # Noise of neighbouring bins is correlated, so n bins determine the RMS to about
@@ -144,21 +143,18 @@ def channel_levels(
             most = own * (1.0 + 2.0 / float(np.sqrt(max(count, 1))))
         most = max(most, floor.levels.get(name, 0.0))
         both = np.isfinite(before[:, columns]) & np.isfinite(after[:, columns])
-        same = (
-            [trimmed_rms(part[:, columns][both], channel) for part in (before, after)]
-            if both.any()
-            else [0, 0]
-        )
+        on_both = [np.where(both, part[:, columns], np.nan) for part in (before, after)]
+        same = [rms(part) for part in on_both] if both.any() else [0.0, 0.0]
         levels[name] = ChannelLevel(
-            before=trimmed_rms(before[:, columns], channel),
-            after=trimmed_rms(after[:, columns], channel),
+            before=rms(before[:, columns]),
+            after=rms(after[:, columns]),
             noise_floor=own,
             unit=" and ".join(dict.fromkeys(c.unit for c in known.layout.columns[columns])),
             highest=most,
             evaluation_only=channel.evaluation_only,
             same_bins=(same[0], same[1]),
             by_chance=channel.of_events and _by_chance(before[:, columns], after[:, columns]),
-            low_share=_low_share(after[:, columns], channel, known),
+            low_share=_low_share(_bulk(after[:, columns] ** 2, channel, kinds), known),
             of_noise=max(np.inf if own is None else NOISE_RATIO * own, floor.levels.get(name, 0.0)),
             on_like_ground=on_like_ground,
         )
@@ -209,35 +205,49 @@ def scatter_of_rms(square: np.ndarray, count: int) -> float:
     return float(np.sqrt(max(kurtosis - 1.0, 0.0) / (4.0 * max(count, 1))))
 
 
-def trimmed_rms(values: np.ndarray, channel: Channel) -> float:
-    """Root mean square of the finite values without the largest (`_bulk`); NaN without any."""
-    return float(np.sqrt(_bulk(values**2, channel).mean()))
+def trimmed_rms(values: np.ndarray, channel: Channel, kinds: Sequence[str]) -> float:
+    """Root mean square of the finite values (M, n) of columns of these kinds (n,), without the
+    largest of each kind (`_bulk`); NaN without any.
+
+    Kinds count alike, though one may have fewer values: feet that slide show no touchdown.
+    """
+    square, of = _bulk(values**2, channel, kinds), np.array(kinds)
+    parts = [square[:, of == kind] for kind in dict.fromkeys(kinds)]
+    means = [np.nanmean(part) for part in parts if np.isfinite(part).any()]
+    return float(np.sqrt(np.mean(means))) if means else np.nan
 
 
-def _bulk(square: np.ndarray, channel: Channel) -> np.ndarray:
-    """The finite squares without the largest 1 %, of events 10 %.
+def _bulk(square: np.ndarray, channel: Channel, kinds: Sequence[str]) -> np.ndarray:
+    """The squares (M, n), and NaN in place of the largest 1 % of each kind of column, of events
+    10 %.
 
     A few bins with an impact between two samples would otherwise dominate a torque's RMS, and feet
     that hit an edge or bounce that of contacts.
     """
-    square = np.sort(square[np.isfinite(square)])
-    return square[: max(1, round((0.9 if channel.of_events else 0.99) * len(square)))]
+    share, of, bulk = 0.9 if channel.of_events else 0.99, np.array(kinds), square.copy()
+    for kind in dict.fromkeys(kinds):
+        values = np.sort(square[:, of == kind], axis=None)
+        count = np.count_nonzero(np.isfinite(values))
+        if count:
+            most = values[max(1, round(share * count)) - 1]
+            bulk[:, of == kind] = np.where(
+                square[:, of == kind] <= most, square[:, of == kind], np.nan
+            )
+    return bulk
 
 
-def _low_share(values: np.ndarray, channel: Channel, known: Evidence) -> float:
-    """Lower end of the 95 % interval of the trimmed RMS of values (M, n), by blocks, as a share of
-    it.
+def _low_share(bulk: np.ndarray, known: Evidence) -> float:
+    """Lower end of the 95 % interval of the root mean square of a channel, as a share of it, by
+    blocks of its squares (M, n) without the largest.
     """
-    square = values**2
-    there = np.isfinite(square)
+    there = np.isfinite(bulk)
     if not there.any():
         return 1.0
-    there &= square <= _bulk(square, channel)[-1]
     block = known.log * 1_000_000 + np.floor(known.t / BLOCK_SECONDS).astype(int)
     rows, block = there.any(axis=1), np.unique(block, return_inverse=True)[1]
     total, count = (
         np.bincount(block[rows], np.where(there, one, 0.0).sum(axis=1)[rows])
-        for one in (square, np.ones_like(square))
+        for one in (bulk, np.ones_like(bulk))
     )
     drawn = block_bootstrap_counts(int(np.count_nonzero(count)), np.random.default_rng(0))
     mean = (drawn @ total[count > 0]) / np.maximum(drawn @ count[count > 0], 1.0)

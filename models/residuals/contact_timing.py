@@ -2,7 +2,7 @@
 
 The motion is that of the foot's contact point, from the leg's kinematics and the reference. A
 landing foot stops within a millisecond; a lifting foot is unloaded for a while before it moves, and
-is sensed as lifted in that time.
+is sensed as lifted in that time. A foot that slides as it lands does not show when.
 """
 
 from collections.abc import Sequence
@@ -20,10 +20,16 @@ from surefoot.sim.sensors.stances import SHORTEST_FLIGHT, changes, inside_stance
 
 STANDING_SPEED = 0.2
 """Speed over the ground from which a foot does not stand [m/s]: a tenth of its speed in swing."""
+NEARING_SPEED = 0.1
+"""Mean speed towards the ground below which a landing foot slides along it, even if it bounces
+[m/s]: a fifth of that with which feet land.
+"""
 LEAST_SHIFT = 0.01
 """Delay of contacts that exceeds the duration of landing and lifting [s]: half a bin, and ten times
 the variation on simulated walks.
 """
+FEWEST_ROWS = 3
+"""Rows that a foot slides for at least, at a low rate."""
 FEWEST_CHANGES = 8
 """Contact changes needed for a median delay."""
 NEARLY_ALL = 95.0
@@ -105,17 +111,23 @@ def _all_motion_changes(
     Most feet stop and start close to the change of contact, so the search goes on into the stance
     only for those that do not.
     """
-    rows, close, bounce = (
-        round(time * log.rate) for time in (CHANGE_WINDOW, CLOSE_WINDOW, SHORTEST_FLIGHT)
+    rows, close, bounce, slide = (
+        round(time * log.rate)
+        for time in (CHANGE_WINDOW, CLOSE_WINDOW, SHORTEST_FLIGHT, LEAST_SHIFT)
     )
-    rows, close, contact = max(1, rows), max(1, close), log.contact
+    rows, close, slide, contact = max(1, rows), max(1, close), max(FEWEST_ROWS, slide), log.contact
     turns = [changes(stands) for stands in contact.T]
     where = near_changes(turns, contact, rows, close) & motion.ok[:, None]
-    speed = speed_over_ground(log, feet, motion, where)
+    speeds = speeds_over_ground(log, feet, motion, where)
 
     def search() -> list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
         return [
-            (turn, motion_changes(log.t, contact[:, leg], speed[:, leg], turn, rows, bounce))
+            (
+                turn,
+                motion_changes(
+                    log.t, contact[:, leg], *speeds[:, :, leg], turn, rows, bounce, slide
+                ),
+            )
             for leg, turn in enumerate(turns)
         ]
 
@@ -124,7 +136,7 @@ def _all_motion_changes(
     more = near_changes(left, contact, rows, rows) & motion.ok[:, None] & ~where
     if not more.any():
         return moves
-    speed = np.where(more, speed_over_ground(log, feet, motion, more), speed)
+    speeds = np.where(more, speeds_over_ground(log, feet, motion, more), speeds)
     return search()
 
 
@@ -146,20 +158,22 @@ def near_changes(
     return near
 
 
-def speed_over_ground(
+def speeds_over_ground(
     log: Log, feet: Feet, motion: ReferenceMotion, where: np.ndarray
 ) -> np.ndarray:
-    """Speed (N, L) [m/s] of the feet's contact points over the ground, where `where` (N, L); NaN
-    elsewhere.
+    """Speeds (2, N, L) [m/s] of the feet's contact points over the ground, and along its normal
+    (positive towards it), where `where` (N, L); NaN elsewhere.
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
     v = feet.imu_velocity(*feet.readings(log), omega, motion.normal_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
-    return np.sqrt(x * x + y * y + z * z)  # unlike a norm over the last axis, fast
+    a, b, c = motion.normal_I.T[:, :, None]
+    # Unlike a norm over the last axis, fast.
+    return np.stack([np.sqrt(x * x + y * y + z * z), a * x + b * y + c * z])
 
 
 @kernel
-def motion_changes(t, stands, speed, changes, rows, bounce):
+def motion_changes(t, stands, speed, nearing, changes, rows, bounce, slide):
     """Find when the foot stopped or started to move at each of K contact changes.
 
     The search starts in the middle of the swing, or as far into it as `rows` reach, and goes
@@ -169,13 +183,16 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
         t: (N,) [s].
         stands: (N,) bool.
         speed: (N,) [m/s], of the foot.
+        nearing: (N,) [m/s], along the normal of the ground.
         changes: (K,), rows at which `stands` changes.
         rows: to search on either side.
         bounce: rows up to which a foot in the air has only bounced; it has then landed before.
+        slide: rows before a landing foot stops, in which it comes no nearer to the ground if it
+            slides.
 
     Returns:
-        The row and the time [s] of each, NaN where not seen within `rows` or where the foot
-        bounced, and whether the foot lifts, (K,) each. Where the search ended at a row without a
+        The row and the time [s] of each, NaN where not seen within `rows` or where the foot bounced
+        or slid, and whether the foot lifts, (K,) each. Where the search ended at a row without a
         speed, that row, and NaN for the time.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
@@ -199,6 +216,8 @@ def motion_changes(t, stands, speed, changes, rows, bounce):
                 break
             if speed[row] > STANDING_SPEED:
                 continue
+            if not lifts[k] and abs(np.mean(nearing[max(0, row - slide) : row])) < NEARING_SPEED:
+                break
             at[k] = row
             if np.isfinite(speed[row]):
                 share = (STANDING_SPEED - speed[row]) / (speed[row - step] - speed[row])

@@ -91,15 +91,15 @@ def test_a_foot_that_stops_late_is_searched_for_further_into_its_stance(monkeypa
 
     def speeds(log, robot, motion, where):
         asked.append(int(where.sum()))
-        return np.where(where, speed, np.nan)
+        return np.stack(2 * [np.where(where, speed, np.nan)])
 
-    monkeypatch.setattr(contact_timing, "speed_over_ground", speeds)
+    monkeypatch.setattr(contact_timing, "speeds_over_ground", speeds)
     log: Any = SimpleNamespace(t=np.arange(600) / 500.0, contact=stands, rate=500.0)
     motion: Any = SimpleNamespace(ok=ok)
     turn = changes_of(stands[:, 0])
     ((_, found),) = contact_timing._all_motion_changes(log, log, motion)
     every = np.where(ok[:, None], speed, np.nan)[:, 0]
-    direct = contact_timing.motion_changes(log.t, stands[:, 0], every, turn, 40, 5)
+    direct = contact_timing.motion_changes(log.t, stands[:, 0], every, every, turn, 40, 5, 5)
     for own, other in zip(found, direct, strict=True):
         np.testing.assert_array_equal(own, other)
     assert found[1][3] == pytest.approx((350 + 30) / 500.0, abs=2e-3)

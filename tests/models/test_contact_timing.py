@@ -20,7 +20,7 @@ from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
-from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import JOINTS, LEGS
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
@@ -52,16 +52,40 @@ def test_moments_are_those_at_which_a_foot_stops_and_starts():
     speed = np.clip(ramp, 0.0, 1.0) + 0.05
     stands = (t < 0.12) | (t > 0.41)
     changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
-    at, when, lifts = motion_changes(t, stands, speed, changes, 40, 25)
+    at, when, lifts = motion_changes(t, stands, speed, speed, changes, 40, 25, 5)
     assert lifts.tolist() == [True, False]
     early = (STANDING_SPEED - 0.05) / 20.0
     assert_allclose(when, [0.103 + early, 0.397 - early], atol=1e-9)
     assert (np.abs(t[at] - when) <= 0.002).all()
     # Too slow ever to be seen to move, and one whose reference has a hole.
-    assert np.isnan(
-        motion_changes(t, stands, 0.5 * STANDING_SPEED + 0 * t, changes, 40, 25)[1]
-    ).all()
-    assert np.isnan(motion_changes(t, stands, np.full(400, np.nan), changes, 40, 25)[1]).all()
+    for unseen in (np.full(400, 0.5 * STANDING_SPEED), np.full(400, np.nan)):
+        _, when, _ = motion_changes(t, stands, unseen, unseen, changes, 40, 25, 5)
+        assert np.isnan(when).all()
+
+
+def test_a_foot_that_slides_as_it_lands_does_not_show_when():
+    """It touches the ground at 0.2 s, bounces, and slides until 0.22 s; one that lifts may begin
+    with a slide."""
+    t = 0.002 * np.arange(200)
+    moves, in_air = (t > 0.1) & (t < 0.22), (t > 0.12) & (t < 0.2)
+    bounces = 0.2 * (-1.0) ** np.arange(200)
+    speed, nearing = np.where(moves, 1.0, 0.0), np.where(in_air, 0.6, np.where(moves, bounces, 0.0))
+    stands = (t < 0.1) | (t >= 0.2)
+    changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
+    _, when, lifts = motion_changes(t, stands, speed, nearing, changes, 40, 25, 5)
+    assert np.isfinite(when).tolist() == lifts.tolist() == [True, False]
+    _, when, _ = motion_changes(t, stands, speed, np.where(moves, 0.6, 0.0), changes, 40, 25, 5)
+    assert np.isfinite(when).all(), "else this tests nothing"
+
+
+def test_on_ice_touchdowns_are_as_punctual_as_elsewhere():
+    ice = Ground(0.7, (Patch(1.5, 0.0, 1.5, 2.0, 0.1),))
+    log = walk(Scenario("ice", (Segment(6.0, 0.5),), ice), ROBOT, 4)
+    late = contact_timing(log, ROBOT.feet, reference_motion(log, ROBOT.limbs), ROBOT.extras)[:, :4]
+    assert np.sqrt(np.nanmean(late**2)) < 1e-3
+    on_ice = np.column_stack([log.frame[f"mu_{leg}"] for leg in LEGS]) < 0.3
+    assert on_ice.mean() > 0.05
+    assert np.isfinite(late).sum() > 20
 
 
 def timing_of_two_steps(before: float) -> np.ndarray:
@@ -74,9 +98,9 @@ def timing_of_two_steps(before: float) -> np.ndarray:
         ramp = STANDING_SPEED + 20.0 * np.minimum(log.t - start, stop - log.t)
         speed += np.clip(ramp, 0.0, 1.0)
         stands &= (log.t < start - before) | (log.t > stop)
-    thigh, q = JOINTS.index("FL_thigh"), np.tile(robot.q_home, (len(log.t), 1))
-    dq = np.outer(speed, np.eye(12)[thigh])
-    dq /= np.linalg.norm(robot.feet_jacobian_I(q[:1])[0, 0], axis=0)[1]
+    calf, q = JOINTS.index("FL_calf"), np.tile(robot.q_home, (len(log.t), 1))
+    dq = np.outer(speed, np.eye(12)[calf])
+    dq /= np.linalg.norm(robot.feet_jacobian_I(q[:1])[0, 0], axis=0)[2]
     columns = {f"q_{joint}": q[:, i] for i, joint in enumerate(JOINTS)}
     columns |= {f"dq_{joint}": dq[:, i] for i, joint in enumerate(JOINTS)}
     columns |= {f"contact_{leg}": np.where(leg == "FL", stands, 1.0) for leg in LEGS}
@@ -160,11 +184,11 @@ def test_a_foot_that_bounces_has_landed_once():
     speed = np.where((t > 0.1) & (t < 0.2), 1.0, 0.0)
     stands = (t < 0.095) | ((t > 0.189) & (t < 0.193)) | (t > 0.201)
     changes = 1 + np.flatnonzero(stands[1:] != stands[:-1])
-    _, when, lifts = motion_changes(t, stands, speed, changes, 40, 25)
+    _, when, lifts = motion_changes(t, stands, speed, speed, changes, 40, 25, 5)
     assert np.isfinite(when[~lifts]).tolist() == [True, False]
     behind = t[changes[~lifts]][0] - when[~lifts][0]
     assert behind == pytest.approx(-0.01, abs=2e-3)
-    _, when, lifts = motion_changes(t, stands, speed, changes, 40, 0)
+    _, when, lifts = motion_changes(t, stands, speed, speed, changes, 40, 0, 5)
     assert np.isfinite(when[~lifts]).all(), "else this tests nothing"
 
 

@@ -77,6 +77,18 @@ def test_a_walk_as_declared_lacks_nothing(slippery):
     assert abs(delay.size) < 2e-4
 
 
+@pytest.mark.long
+def test_ice_on_which_feet_slide_only_as_they_land_is_no_effect():
+    """Their touchdowns seem late, by the time for which they slide."""
+    ice = Patch(2.5, 0.0, 1.5, 2.0, 0.1), Patch(4.5, 2.0, 2.0, 2.0, 0.15)
+    laps = (Segment(8.0, 0.5), Segment(4.0, 0.3, turn=0.5)) * 2
+    log = walk(Scenario("ice", laps, Ground(0.7, ice)), ROBOT, 2, declared=False)
+    found = trace_logs([log], ROBOT)
+    assert found.friction is not None
+    assert found.friction.slides == 0, "else the floor's walks cross slippery places, too"
+    assert found.verdict == "no_residual"
+
+
 def stripped(log):
     """What a stranger would send: no scenario, seed, effects, versions or truth, another name."""
     names = [n for n in log.frame if not str(n).startswith(("slip_", "mu_"))]
