@@ -467,7 +467,8 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
 
 def _above(c: ChannelLevel) -> str:
     if not c.at_floor:
-        return f"{c.after:.3g} {c.unit} is left, above its noise floor of {c.noise_floor:.3g}"
+        left = f"{c.after:.3g} {c.unit} is left on the parts of the logs that no fit has seen"
+        return f"{left}, above its noise floor of {c.noise_floor:.3g}"
     return f"worse with the effects found, {c.before:.3g} -> {c.after:.3g} {c.unit}"
 
 

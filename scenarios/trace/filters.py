@@ -1,6 +1,6 @@
 """Influence of the effects found on each filter: its errors without and with them in the model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -36,6 +36,10 @@ REPORTED = {
 """Metrics of a filter and their headings."""
 _FIELDS = [name for name in REPORTED if name != "drift"]
 """Those that are fields of `estimator.metrics.Metrics`."""
+OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
+"""Errors of the position: the metrics of dead reckoning, which takes its attitude from the
+reference and has no covariance.
+"""
 HARM = 1.05
 """Ratio of a filter's error, after to before, from which compensation makes it worse."""
 LOG_PARTS = 4
@@ -305,6 +309,16 @@ def harmful_to_filters(
             if (excess := float(np.mean(more) - doubt)) > 0.0:
                 worst = max(worst or (0.0, one, name), (excess, one, name), key=lambda x: x[0])
     return worst and (worst[1], f"it makes {worst[2]} worse")
+
+
+def change_of_errors(sides: Mapping[str, Mapping[str, float]]) -> str:
+    """ "better", "worse", "mixed" or "same": how a filter's errors of position change from `before`
+    to `after`, each by more than `HARM`.
+    """
+    before, after = sides["before"], sides["after"]
+    ratios = [after[key] / before[key] for key in OF_POSITION if before[key] > 0.0]
+    grew, fell = any(x > HARM for x in ratios), any(x < 1.0 / HARM for x in ratios)
+    return {(1, 0): "worse", (0, 1): "better", (1, 1): "mixed"}.get((grew, fell), "same")
 
 
 def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[str, float]]]:

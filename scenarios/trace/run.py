@@ -19,17 +19,17 @@ from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.settings import TraceSettings
 from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.trace.filters import (
-    HARM,
     BeforeAfter,
     before_and_after,
     causes_of_drift,
+    change_of_errors,
     harmful_to_filters,
     mean_metrics,
 )
 from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks, read_in_blocks
 from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import write_outputs
-from surefoot.scenarios.trace.result import Filters, Trace
+from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.words import motion_to_distinguish
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect, refuse_overwrite, whole_folder
@@ -53,11 +53,14 @@ class TraceOptions(DiagnosisOptions):
     Attributes:
         learnt: observers and bounds for the filters that need them.
         warnings: about the logs, such as implausible values, which come first among the notes.
+        contacts: better contacts for the logs; noted unless contacts are as punctual as the
+            model's with the effects found, which other contacts may only stand in for.
         files: of logs and results, for the commands that the report says to run next.
     """
 
     learnt: Learnt = field(default_factory=Learnt)
     warnings: tuple[str, ...] = ()
+    contacts: tuple[str, ...] = ()
     files: TraceSettings | None = None
 
 
@@ -76,28 +79,31 @@ def trace_files(settings: TraceSettings) -> Trace:
     robot, *_ = [machine_for_log(log, settings.robot) for log in first]
     # The first block of a long log is checked, as `estimate` checks its first minutes.
     warnings = not_plausible(first, settings.robot, settings.strict)
-    for k, log in enumerate(first):
+    contacts: list[tuple[str, ...]] = []
+    for log in first:
         with percent_bar("contacts") as progress:
             named = of_robot(log, settings.robot)
             said, changes = contact_lines(named, progress, only_better=True)
-        if said:
-            warnings[k] += (f"{'; '.join(said)}: {advice_words(changes)}",)
-    # A trace must not depend on the names of its logs, so its notes number them.
-    notes = tuple(
-        f"log {k + 1}: {line}" if len(first) > 1 else line
-        for k, lines in enumerate(warnings)
-        for line in lines
-    )
+        contacts.append((f"{'; '.join(said)}: {advice_words(changes)}",) if said else ())
     options = TraceOptions(
         seed=settings.seed,
         declared=declared,
         since=unchanged_beside(settings.declared, declared or ()) if settings.declared else None,
         holdout=list(chain(*held_out)),
-        warnings=(*notes, *note_on_blocks([*fitted, *held_out])),
+        warnings=(*_numbered(warnings), *note_on_blocks([*fitted, *held_out])),
+        contacts=_numbered(contacts),
         files=settings,
     )
     with percent_bar("trace") as progress:
         return trace(list(chain(*fitted)), robot, settings.out, options, progress, settings.force)
+
+
+def _numbered(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Lines on each log, with its number: a trace must not depend on the names of its logs."""
+    many = len(lines) > 1
+    return tuple(
+        f"log {k}: {line}" if many else line for k, of_log in enumerate(lines, 1) for line in of_log
+    )
 
 
 def trace(
@@ -167,13 +173,17 @@ def trace_logs(
     held_out = [run.case for run in found.held_out.runs] if found.held_out else []
     unseen = _filtered(held_out, found.effects, learnt, 1.0)
     filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
-    harm = (
-        *_harm(filters),
-        *(f"held out: {one}" for one in _harm(unseen_filters)),
+    harm = tuple(
+        f"{name} filter: larger error with the effects found"
+        for name, sides in (unseen_filters or filters).items()
+        if change_of_errors(sides) == "worse"
     )
     report(1.0)
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log)))
-    known = vars(replace(found, notes=(*options.warnings, *found.notes, *harm)))
+    timing = found.channels.get("contact_timing")
+    punctual = timing is not None and timing.within_floor
+    warnings = (*options.warnings, *(() if punctual else options.contacts))
+    known = vars(replace(found, notes=(*warnings, *found.notes, *harm)))
     return Trace(
         **known,
         filters=filters,
@@ -181,18 +191,9 @@ def trace_logs(
         unseen_filters=unseen_filters,
         worse=(*(name for name, c in found.channels.items() if c.worse), *harm),
         causes=causes_of_drift(held_out or cases, found.effects),
-        warnings=(*options.warnings, *dead),
+        warnings=(*warnings, *dead),
         motion=motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else "",
         limbs=robot.limbs,
-    )
-
-
-def _harm(filters: Filters) -> tuple[str, ...]:
-    """A sentence for each filter whose APE_trans grew by more than HARM."""
-    return tuple(
-        f"{name} filter: larger error with the effects found"
-        for name, m in filters.items()
-        if m["after"]["ape_trans"] > HARM * m["before"]["ape_trans"]
     )
 
 

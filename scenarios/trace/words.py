@@ -9,7 +9,12 @@ from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.reporting.tables import cell
-from surefoot.scenarios.trace.filters import DEAD_RECKONING, HARM, REPORTED
+from surefoot.scenarios.trace.filters import (
+    DEAD_RECKONING,
+    OF_POSITION,
+    REPORTED,
+    change_of_errors,
+)
 from surefoot.scenarios.trace.result import Filters, Trace
 from surefoot.sim.effects import Effect, known_effects
 
@@ -25,7 +30,9 @@ VERDICTS = {
 _PLURALS = {"joint": "joints", "link": "links", "leg": "legs", "leg_link": "links"}
 """Kind of target that has groups (`Effect.targets`) -> plural noun."""
 _MUCH = 0.1
-"""Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
+"""Share of the squared residual that an effect outside its bounds must explain to be mentioned, and
+of the leg filter's drift that an effect found must add.
+"""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 DRIFT_PARTS = {
     "RPE [mm]": 1e3,
@@ -36,8 +43,6 @@ DRIFT_PARTS = {
 """Parts of a drift (`filters.drift_parts`) as they are shown, and their factors."""
 FIRST = ("drift", "ape_trans", "rpe_trans", "nees_position")
 """Metrics of a filter that are shown first."""
-_OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
-"""Metrics of dead reckoning, which takes its attitude from the reference and has no covariance."""
 _SAME = 0.02
 """Relative change of a residual up to which the screen does not give it a line of its own."""
 
@@ -176,7 +181,7 @@ def summary(found: Trace) -> str:
     for one in found.stretches:
         sides = zip(("before", "after"), one.lost, strict=True)
         lines += [f"  {one.log.name} {side}: {why}" for side, why in sides if why]
-    if found.causes:
+    if found.causes and found.causes.added[0][1][0] > _MUCH * found.causes.declared[0]:
         one, drift = found.causes.added[0]
         parts = zip(DRIFT_PARTS.items(), drift, strict=True)
         added = ", ".join(f"{name} {factor * x:+.2g}" for (name, factor), x in parts)
@@ -235,12 +240,9 @@ def filter_rows(filters: Filters, metrics: Collection[str]) -> list[dict[str, st
         row = {
             REPORTED[key]: f"{cell(before[key], 4)} → {cell(after[key], 4)}"
             for key in metrics
-            if key in _OF_POSITION or name != DEAD_RECKONING
+            if key in OF_POSITION or name != DEAD_RECKONING
         }
-        ratios = [after[key] / before[key] for key in _OF_POSITION if before[key] > 0.0]
-        grew, fell = any(x > HARM for x in ratios), any(x < 1.0 / HARM for x in ratios)
-        effect = {(1, 0): "worse", (0, 1): "better", (1, 1): "mixed"}.get((grew, fell), "same")
-        rows.append({"filter": name, **row, "": effect})
+        rows.append({"filter": name, **row, "": change_of_errors(sides)})
     return rows
 
 

@@ -69,9 +69,10 @@ def test_an_undeclared_effect_is_named_with_its_size(one, gain):
 
 @pytest.mark.parametrize("slippery", [pytest.param(True, marks=pytest.mark.long), False])
 def test_a_walk_as_declared_lacks_nothing(slippery):
-    found = trace_logs([log_with(slippery=slippery)], ROBOT)
+    found = trace_logs([log_with(slippery=slippery)], ROBOT, TraceOptions(contacts=("others",)))
     assert found.verdict == "no_residual"
     assert found.effects == ()
+    assert "others" not in found.notes, "its contacts are as punctual as the model's"
     assert found.attribution is not None
     delay = next(c for c in found.attribution.rounds[0] if c.key == ("joint_delay", "all"))
     assert abs(delay.size) < 2e-4

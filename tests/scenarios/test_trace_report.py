@@ -14,7 +14,12 @@ from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.cli.main import _parsed
 from surefoot.scenarios.reporting.tables import as_frame
 from surefoot.scenarios.settings import TraceSettings
-from surefoot.scenarios.trace.filters import DEAD_RECKONING, REPORTED, DriftCauses
+from surefoot.scenarios.trace.filters import (
+    DEAD_RECKONING,
+    REPORTED,
+    DriftCauses,
+    change_of_errors,
+)
 from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import _sizes, sections
 from surefoot.scenarios.trace.result import Trace
@@ -162,3 +167,13 @@ def test_the_page_and_the_screen_say_the_same_in_the_same_order(robot):
 def test_a_filter_that_errs_more_with_the_effects_is_marked():
     rows = table_of(result("attributed"), "Filters before and after").set_index("filter")[""]
     assert dict(rows) == {"leg": "better", "imu": "worse"}
+
+
+@pytest.mark.parametrize(
+    ("ape", "rpe", "change"),
+    [(2.0, 2.0, "worse"), (0.5, 1.0, "better"), (2.0, 0.5, "mixed"), (1.04, 0.96, "same")],
+)
+def test_a_filter_changes_by_all_its_errors_of_position(ape, rpe, change):
+    before = {"ape_trans": 1.0, "rpe_trans": 1.0, "drift": 1.0, "velocity": 0.0}
+    after = before | {"ape_trans": ape, "rpe_trans": rpe}
+    assert change_of_errors({"before": before, "after": after}) == change
