@@ -16,9 +16,9 @@ SLIPPERY = 0.4
 STEEP = 0.05
 """Slope of the reference path, over a second before and after."""
 TURNING = 0.3
-"""rad/s, about the vertical."""
+"""Rate about the vertical from which a robot turns [rad/s]."""
 STILL = 0.05
-"""m/s, over the same two seconds."""
+"""Mean speed below which a robot stands [m/s], over the two seconds of STEEP."""
 QUARTERS = ("first", "second", "third", "last")
 
 ConditionRows = tuple[str, str, np.ndarray]

@@ -91,7 +91,7 @@ class Region:
 
     @property
     def volume(self) -> float:
-        """(m/s)^3."""
+        """Volume of the region [(m/s)^3]."""
         if self.shape is None:
             return float(np.prod(2 * self.epsilon))
         return float(4 / 3 * np.pi * np.sqrt(np.linalg.det(self.shape)))

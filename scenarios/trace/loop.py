@@ -103,7 +103,7 @@ def loop(
         "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],
         "holdout": [contents_digest(one) for one in holdout],
-        "lesson": asdict(plan),
+        "training": asdict(plan),
     }
     if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)

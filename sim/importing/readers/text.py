@@ -29,7 +29,7 @@ _NO_TEXT = {
     "a bag; if its recorder was killed, try rosbag reindex, and name it .bag": b"#ROSBAG",
     "binary: name it .mcap, .h5, .db3, .parquet": (b"\x89MCAP", b"\x89HDF", b"SQLite", b"PAR1\x15"),
 }
-"""What files are that are no text, and what to do; and how they begin."""
+"""What a file that is no text is, with what to do -> how it begins."""
 SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
