@@ -32,7 +32,7 @@ SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
 _MOST_OTHER = 10
-"""Rows of another length that are a table of their own; fewer above one are parameters."""
+"""Rows of another length with which a text is no single table; fewer above it are parameters."""
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
