@@ -21,6 +21,8 @@ MATCH = 1e-3
 """Largest difference between two stamps of the same sample [s]."""
 SEGMENT, SEGMENT_TOLERANCE = 1.0, 0.1
 """Length of the segments of the relative error, and tolerance of a pair [m]."""
+PATH_STEP = 0.5
+"""Time between the positions whose distances are the length of a path [s]."""
 CONSISTENT = 3.0
 """NEES of three axes if a filter's covariance is that of its error."""
 ONE_WALK = tuple(float(edge) for edge in chi2.ppf((0.025, 0.975), CONSISTENT))
@@ -226,11 +228,11 @@ def vector_jacobian(x: np.ndarray, at: int) -> np.ndarray:
     return J
 
 
-def path_length(t: np.ndarray, p: np.ndarray, every: float = 0.5) -> float:
-    """Length [m] of a path p (N, 3) at t (N,), sampled every 0.5 s so that a gait's bobbing does
+def path_length(t: np.ndarray, p: np.ndarray) -> float:
+    """Length [m] of a path p (N, 3) at t (N,), sampled every PATH_STEP: a gait's bobbing does
     not count.
     """
-    rows = np.append(rows_every(t, every), len(t) - 1)
+    rows = np.append(rows_every(t, PATH_STEP), len(t) - 1)
     return float(np.linalg.norm(np.diff(p[rows], axis=0), axis=1).sum())
 
 

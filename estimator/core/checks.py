@@ -37,7 +37,9 @@ rad/s] beyond which a filter has diverged. Integration of an IMU alone stays bel
 and double precision can represent covariances over this range.
 """
 MOST_MEAN = np.array([1.1, 1.1, 1.1, 1e7, 1e11, 1e4, 1e3])
-"""The same for the rows of the packed mean: rotation, velocity, position and biases."""
+"""Magnitudes (7,) of the rows of the packed mean (rotation, velocity, position and biases) beyond
+which a filter has diverged, in the same units.
+"""
 
 
 class SampleError(SurefootError):

@@ -51,7 +51,9 @@ _MERGED = {
     "push_claimed": np.maximum,
     "definite": np.logical_and,
 }
-"""How what two pieces of a run say of one window is combined; of its biases the last are kept."""
+"""How the values of a window that lies in two pieces of a run are combined. The biases of the later
+piece are kept.
+"""
 RUN_ALARM = 1e-4
 """Probability that one of the tests fails on a run of a filter whose model is correct."""
 TOLERATED = 3.0

@@ -1,7 +1,7 @@
-"""What changed of a machine on a fixed base since runs that its model was calibrated on.
+"""What changed of a machine since the runs that its model was calibrated on.
 
 Explanations are compared by the evidence of the new runs for each: the marginal likelihood of their
-torque balance, relative to that of the unchanged machine, whose covariance is that of the model's
+residuals, relative to that of the unchanged machine, whose covariance is that of the model's
 error, of zeros and of noise (`model_error`). An explanation is an effect alone, all that a load
 changes of a link, or an error of the sensor of a joint's angle. No change of the machine is named
 where an error of a sensor explains the runs about as well.
@@ -41,7 +41,7 @@ from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 
 AS_LIKELY = 2.0 * np.log(20.0)
-"""The same up to which another explanation is as good: twenty to one."""
+"""Twice the logarithm of the odds up to which another explanation is as good: twenty to one."""
 SURE = 1.645
 """Standard deviations above the limit at which a change is named in 95 of 100 runs."""
 LOAD = ("link_mass", "link_com", "link_inertia")
@@ -164,17 +164,17 @@ class _NewRuns:
 
     @property
     def machine(self) -> Machine:
-        """With what is declared of it."""
+        """The declared model of the first log, to which all belong."""
         return self.cases[0].robot
 
     @property
     def limbs(self) -> Limbs:
-        """Of the machine."""
+        """Limbs of the machine."""
         return self.machine.limbs
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The candidates."""
+        """Name and target of each candidate (C,)."""
         return self.metric.known.keys
 
     def sizes(self, found: Sequence[Found]) -> np.ndarray:

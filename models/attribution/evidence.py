@@ -319,7 +319,7 @@ def _reading_scale(layout: Layout, chosen: Sequence[Effect]) -> np.ndarray:
 
 
 _UNIT_OF = {"tau": ("torque", "command"), "gyro": ("gyro",), "accel": ("accel",)}
-"""Reading -> columns of the residual that have its unit, by its parts."""
+"""Reading -> names of the columns of the residual that its scale multiplies, without their part."""
 
 
 class _Linear:

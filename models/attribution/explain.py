@@ -49,11 +49,11 @@ NAMED = 2.0 * np.log(1e3)
 explains the logs as well: a thousand to one.
 """
 CHANCE = 0.005
-"""Probability by which Student's t of as many runs, less one, exceeds the least excess on one side:
-how runs differ is known no better than that.
+"""Probability that Student's t, with one degree of freedom less than there are runs, exceeds the
+least excess on one side: how runs differ is known from these runs alone.
 """
 LEAST_EXCESS = 6.0
-"""The same where nothing but the noise of readings is known."""
+"""Least excess [standard deviations] where nothing but the noise of readings is known."""
 BLOCKS_AGREE = 2.0
 """Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
 TWIN_OVERLAP = 0.95
@@ -81,7 +81,7 @@ LINEAR = ("gyro_bias", "accel_bias")
 ZERO_MOVED = 4.0
 """Standard deviations from which a zero of a log is compensated, and again if it moves by more."""
 ZERO_SETTLED = 0.5
-"""The same once the effects are found."""
+"""Standard deviations from which a zero is compensated again once the effects are found."""
 ZERO_ROUNDS = 4
 """Most times that the zeros of the logs are fitted beside the same effects."""
 
@@ -207,7 +207,7 @@ class Problem:
     @property
     def by_windows(self) -> bool:
         """Whether torques are averaged over windows, as for the error of the model: with several
-        runs of a machine on a fixed base. Rows whose torques jump tell no accelerations.
+        runs of a machine on a fixed base. Single rows in which torques jump give no acceleration.
         """
         return self.several and all(c.fixed and c.log.has("tau") for c in self.cases)
 
@@ -245,12 +245,12 @@ class Chosen:
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """Their names and targets."""
+        """Names and targets of the effects (k,)."""
         return tuple((one.name, one.target) for one in self.effects)
 
     @property
     def sizes(self) -> np.ndarray:
-        """Their sizes (k,)."""
+        """Sizes of the effects (k,), each in its unit."""
         return np.array([one.value for one in self.effects])
 
     @cached_property
@@ -260,7 +260,7 @@ class Chosen:
 
     @cached_property
     def of_noise(self) -> np.ndarray:
-        """The same by noise alone."""
+        """Covariance of the sizes (k, k) by noise alone."""
         return self._covariance(None)
 
     def at(self, keys: Sequence[Key]) -> list[int]:
@@ -311,7 +311,7 @@ def problem_of(
     per_run = per_run_effects() if several else frozenset()
     keys = tuple(dict.fromkeys(key for case in cases for key in all_keys(case)))
     if several:
-        # Clocks of each log are told relative to the IMU's: all of them together show in nothing.
+        # Each clock is compared with the IMU's; a scale of all clocks shows in no residual.
         keys = tuple(key for key in keys if key != ("clock_scale", "imu"))
     certain = np.array(
         [not machine.fixed and kinds[name].is_always_present(at, machine) for name, at in keys]

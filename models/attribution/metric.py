@@ -49,7 +49,7 @@ class Metric:
 
     @property
     def known(self) -> Evidence:
-        """The evidence that it is of."""
+        """The evidence from which the metric is computed."""
         return self.data.evidence
 
     @cached_property

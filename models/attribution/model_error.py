@@ -58,7 +58,9 @@ EXACT = frozenset(
         *("gyro_scale", "accel_scale", "gyro_bias", "accel_bias"),
     }
 )
-"""The same for simulated walks, whose sensors and clocks are as declared."""
+"""Effects that are no error of the model in simulated walks, whose sensors and clocks are as
+declared.
+"""
 ANGLE_ERROR = "angle_error"
 """Name of what a sensor may add to its joint's angle (`angle_errors`)."""
 FEWEST_RUNS = 3
@@ -66,15 +68,17 @@ FEWEST_RUNS = 3
 LEAST_NOISE = 0.3
 """Share of the noise by data sheets that a bin has at least."""
 NOTHING = 1e-9
-"""Mean square of the relative residual per unit up to which a size shows in nothing but rounding:
-the mass of a link that turns about a vertical axis.
+"""Mean square of the relative residual per unit up to which a size changes nothing but rounding,
+such as the mass of a link that turns about a vertical axis.
 """
 _START = (1.0, 0.02, 0.3)
 """Initial a, b, and noise relative to the residual."""
 _ROUNDS = 100
 """Most rounds of the expectation maximisation."""
 _NEARLY = 0.02
-"""The same for simulated walks, which hardly differ: b is then too large rather than too small."""
+"""Change at convergence for simulated walks, in place of _SETTLED. They hardly differ, so that b
+converges slowly, and from above: stopped early, it is too large rather than too small.
+"""
 _FEWEST = 4
 """Fewest rounds: the noise settles first."""
 _AHEAD = 3.0
@@ -116,7 +120,7 @@ class RunSums:
         return [] if self.simulated else [key for key in self.keys if key[0] in PER_RUN]
 
     def of_groups(self, groups: Sequence[tuple[str, str]]) -> "RunSums":
-        """The sums of these groups alone."""
+        """The sums restricted to these groups."""
         at = [self.groups.index(group) for group in groups]
         least = np.broadcast_to(self.least, len(self.groups))[at]
         return replace(

@@ -73,7 +73,7 @@ SETTLING = 4.0
 the first steps after standing.
 """
 _SEED = 20_011
-"""Of the first walk, fixed so that the floor depends on the logs alone."""
+"""Seed of the first walk, fixed so that the floor depends on the logs alone."""
 ROUGHER = 2.0
 """Ratio of the roughness of a log to that of walks in the plain gait from which walks are simulated
 in the measured one: 4 to 10 for two robots in that gait and for a real Go1, 1 to 1.6 in the plain
@@ -117,7 +117,7 @@ class FloorWalk:
     weights: RobustWeights
 
     def sums(self) -> RunSums:
-        """Of its residual and all candidates."""
+        """Sums of the residual and of all candidates."""
         keys = all_keys(self.case)
         known = linearise([self.case], self.effects, keys, evaluation_channels=False)
         weights = robust_weights(known, known.layout.least_noise)

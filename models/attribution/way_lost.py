@@ -1,4 +1,4 @@
-"""Way that standing feet lose: how far the body of a machine known by its feet goes less far.
+"""Way that standing feet lose: by how much the body goes less far than its legs say.
 
 The displacement by the legs within about a second less that of the reference is proportional to the
 former (`foot_creep`), or to the angle by which the standing feet turn over the ground

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.calibration.regions import BoundsError
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import write_whole
+from surefoot.sim.common.files import json_digest, write_whole
 from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.common.quaternion import check_rotation
 
@@ -97,7 +96,7 @@ class Bounds:
         if self.persistent is not None:
             values["persistent"] = self.persistent.plain()
         text = json.dumps(values, indent=1, default=lambda array: array.tolist(), allow_nan=False)
-        text = json.dumps({"digest": _digest(json.loads(text))} | json.loads(text), indent=1)
+        text = json.dumps({"digest": json_digest(json.loads(text))} | json.loads(text), indent=1)
         write_whole(path, text + "\n", force)
 
     @classmethod
@@ -112,18 +111,13 @@ class Bounds:
         schema, digest = values.get("schema"), values.pop("digest", None)
         if schema not in (1, BOUNDS_SCHEMA):
             raise BoundsError(f"{path}: schema {schema}, this surefoot reads {BOUNDS_SCHEMA}")
-        if (schema > 1 or digest is not None) and digest != _digest(values):
+        if (schema > 1 or digest is not None) and digest != json_digest(values):
             raise BoundsError(f"{path}: were changed since they were calibrated; calibrate again")
         del values["format"], values["schema"]
         try:
             return _checked(values)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise BoundsError(f"{path}: not whole surefoot bounds ({error})") from error
-
-
-def _digest(values: dict[str, Any]) -> str:
-    """SHA-256 of the content of bounds, independent of the order of keys."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def _checked(values: dict[str, Any]) -> Bounds:

@@ -16,9 +16,13 @@ SLIPPERY = 0.4
 STEEP = 0.05
 """Slope of the reference path, over a second before and after."""
 TURNING = 0.3
-"""rad/s, about the vertical."""
+"""Rate about the vertical from which a robot turns [rad/s]."""
 STILL = 0.05
-"""m/s, over the same two seconds."""
+"""Mean speed below which a robot stands [m/s], over the two seconds of STEEP."""
+SHORTEST_STRIDE = 0.2
+"""Least time from a touchdown of a foot to its next [s]."""
+FEWEST_ERRORS = 5
+"""Least number of independent errors of a case that may be the worst."""
 QUARTERS = ("first", "second", "third", "last")
 
 ConditionRows = tuple[str, str, np.ndarray]
@@ -64,16 +68,16 @@ def _path(log: Log, rows: np.ndarray) -> Iterator[ConditionRows]:
     yield "motion", "turning", turning
 
 
-def stride_phase(t: np.ndarray, contact: np.ndarray, shortest: float = 0.2) -> np.ndarray:
+def stride_phase(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
     """Phase (N,) in [0, 1) from one touchdown of a foot to its next; NaN where there is none.
 
-    contact (N,) bool. A touchdown within `shortest` seconds of the last is a bounce; strides of
-    more than two seconds are rests.
+    contact (N,) bool. A touchdown within SHORTEST_STRIDE of the last is a bounce; strides of more
+    than two seconds are rests.
     """
     touchdowns = np.flatnonzero(contact[1:] & ~contact[:-1]) + 1
     kept: list[int] = []
     for row in touchdowns.tolist():
-        if not kept or t[row] - t[kept[-1]] >= shortest:
+        if not kept or t[row] - t[kept[-1]] >= SHORTEST_STRIDE:
             kept.append(row)
     phase = np.full(len(t), np.nan)
     for begin, end in pairwise(kept):
@@ -143,18 +147,18 @@ def coverage_by(
     return found
 
 
-def worst_case(cases: list[CaseCoverage], least: int = 5) -> CaseCoverage | None:
-    """The case covered least, of those with `least` independent errors; None where none has."""
-    counted = [case for case in cases if case.n >= least]
+def worst_case(cases: list[CaseCoverage]) -> CaseCoverage | None:
+    """The case covered least, of those with at least FEWEST_ERRORS independent errors, if any."""
+    counted = [case for case in cases if case.n >= FEWEST_ERRORS]
     return min(counted, key=lambda case: case.joint, default=None)
 
 
-def binomial_interval(share: float, n: int, confidence: float = 0.95) -> np.ndarray:
-    """Clopper-Pearson interval (2,) of a probability, from a share of n trials.
+def binomial_interval(share: float, n: int) -> np.ndarray:
+    """95 % Clopper-Pearson interval (2,) of a probability, from a share of n trials.
 
     (Biometrika 26, 1934); share * n need not be an integer, as the bounds are beta quantiles.
     """
-    tail, hits = 0.5 * (1 - confidence), share * n
+    tail, hits = 0.025, share * n
     lower = beta.ppf(tail, hits, n - hits + 1) if hits > 0 else 0.0
     upper = beta.ppf(1 - tail, hits + 1, n - hits) if hits < n else 1.0
     return np.array([lower, upper])

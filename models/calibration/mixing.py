@@ -25,6 +25,8 @@ THRESHOLD = 0.05
 """Threshold of the paper: K is chosen where beta falls to about this."""
 LONGEST_LAG = 200
 """Longest lag considered, in samples of 10 ms."""
+FLOOR_LAGS = 64
+"""Lags at which the dependence of errors that are far apart is averaged."""
 
 
 @dataclass(frozen=True)
@@ -58,21 +60,18 @@ class Mixing:
         return np.sqrt(np.maximum(self.beta**2 - self.floor**2, 0.0))
 
 
-def mixing(
-    errors: np.ndarray, farthest: int = LONGEST_LAG, walk: np.ndarray | None = None
-) -> Mixing:
+def mixing(errors: np.ndarray, walk: np.ndarray | None = None) -> Mixing:
     """Mixing curve of errors (n, D), each axis by itself, and the resulting spacing K.
 
     K is the first lag at which the dependence of every axis is at most THRESHOLD. Lags extend to
-    `farthest` or a tenth of the record.
+    LONGEST_LAG or a tenth of the record.
 
     Args:
         errors: of one walk after another.
-        farthest: longest lag.
         walk: (n,), number of the walk of each error; only errors of one walk are compared.
     """
     n, D = errors.shape
-    lags = np.arange(1, max(2, min(farthest, n // 10) + 1))
+    lags = np.arange(1, max(2, min(LONGEST_LAG, n // 10) + 1))
     states = [discretise(errors[:, axis]) for axis in range(D)]
     beta = np.array([[beta_coefficient(s, lag, walk) for s in states] for lag in lags.tolist()])
     floor = np.array([independence_floor(s) for s in states])
@@ -106,10 +105,10 @@ def beta_coefficient(states: np.ndarray, lag: int, walk: np.ndarray | None = Non
     return _distance(first, second, int(states.max()) + 1)
 
 
-def independence_floor(states: np.ndarray, shifts: int = 64) -> float:
-    """Mean beta^1 at `shifts` lags of a quarter to three quarters of the record, wrapped around."""
+def independence_floor(states: np.ndarray) -> float:
+    """Mean beta^1 at FLOOR_LAGS lags, from a quarter to three quarters of the wrapped record."""
     n = len(states)
-    far = np.linspace(n // 4, 3 * n // 4, shifts).astype(int)
+    far = np.linspace(n // 4, 3 * n // 4, FLOOR_LAGS).astype(int)
     base = int(states.max()) + 1
     return float(np.mean([_distance(states, np.roll(states, -s), base) for s in far]))
 

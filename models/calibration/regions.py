@@ -91,7 +91,7 @@ class Region:
 
     @property
     def volume(self) -> float:
-        """(m/s)^3."""
+        """Volume of the region [(m/s)^3]."""
         if self.shape is None:
             return float(np.prod(2 * self.epsilon))
         return float(4 / 3 * np.pi * np.sqrt(np.linalg.det(self.shape)))
@@ -214,10 +214,10 @@ def errors_needed(how: Calibrator) -> int:
     return next(m for m in count(least) if m - int(how.fit_share * m) >= least)
 
 
-def walk_enough(gamma: float = 0.8, method: str = "conformal") -> float:
-    """Seconds of walk with a reference that suffice for the slowest mixing.
+def walk_enough(gamma: float = 0.8) -> float:
+    """Seconds of walk with a reference that suffice for conformal bounds and the slowest mixing.
 
     That is with K = LONGEST_LAG; a walk that mixes faster needs less. Raises BoundsError like
     `calibrator`.
     """
-    return errors_needed(calibrator(method, gamma)) * LONGEST_LAG * ERROR_STEP
+    return errors_needed(calibrator("conformal", gamma)) * LONGEST_LAG * ERROR_STEP

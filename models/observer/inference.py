@@ -19,7 +19,7 @@ from surefoot.sim.common.kernels import kernel
 Features = Callable[[np.ndarray], np.ndarray]
 """x (T, inputs), from a log's first sample or the one after the last call -> (T, features)."""
 Weights = Mapping[str, np.ndarray]
-"""Of a whole network, float32, by the names of torch's state dict."""
+"""Name in torch's state dict -> weights (float32), of a whole network."""
 LOSS_OUTPUTS = {"mse": 3, "gml": 9}
 """Number of the head's outputs, by loss."""
 SMALLEST = 1e-3

@@ -43,7 +43,7 @@ OBSERVER_FORMAT = "surefoot observer"
 METADATA = "surefoot"
 """Key of the JSON in the metadata."""
 OBSERVER_SCHEMA, TORCH_SCHEMA = 3, 2
-"""Of the safetensors format, and of the files of torch that surefoot 0.1.0 wrote."""
+"""Versions of the safetensors format, and of the files of torch that surefoot 0.1.0 wrote."""
 WIDEST = 4096
 """Widest layer that a checkpoint may request memory for."""
 INPUTS = ("q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet")

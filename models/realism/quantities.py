@@ -10,9 +10,11 @@ from functools import partial
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
+from scipy.stats import median_abs_deviation
 
 from surefoot.models.calibration.mixing import mixing
 from surefoot.models.realism.walk_view import WalkView
+from surefoot.models.residuals.binning import interpolate_rows
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
 
@@ -267,7 +269,7 @@ def mixing_time(walk: WalkView) -> Values:
     error = np.nanmean(walk.standing_velocity[rows], axis=1)
     t = walk.log.t[rows]
     every = np.arange(t[0], t[-1], SPACING)
-    error = np.column_stack([np.interp(every, t, e) for e in error.T])
+    error = interpolate_rows(every, t, error)
     n = round(MEAN_PIECE / SPACING)
     starts = range(0, len(every) - n + 1, n // 2)
     if not starts:
@@ -277,8 +279,8 @@ def mixing_time(walk: WalkView) -> Values:
 
 
 def spread(values: np.ndarray) -> float:
-    """Robust standard deviation: 1.4826 times the median absolute deviation."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    """Robust standard deviation, by the median absolute deviation."""
+    return float(median_abs_deviation(values, scale="normal"))  # pyright: ignore[reportArgumentType]
 
 
 def change_spread(values: np.ndarray) -> float:

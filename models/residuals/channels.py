@@ -42,7 +42,7 @@ from surefoot.sim.sensors.streams import Sensors
 LEVER_ARM = 0.5
 """Lever arm from a joint to the foot [m], to propagate its noise where only data sheets give it."""
 STANCE_BINS = 10
-"""Bins of a stance, for the same purpose."""
+"""Bins of a stance, to propagate noise over a stance where only data sheets give it."""
 
 
 class ImuGyro(Channel):

@@ -45,7 +45,7 @@ DRY = 0.5  # friction coefficient from which ground counts as dry
 
 
 FACTS = ("duration", "length", "slip_share", "creep")
-"""Of a walk (`walk_facts`)."""
+"""Columns of the facts about a walk (`walk_facts`)."""
 
 
 @dataclass(frozen=True)

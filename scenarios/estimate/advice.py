@@ -17,12 +17,13 @@ from surefoot.estimator.evaluation.health import Health
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics
-from surefoot.scenarios.estimate.contact_sources import DELAYS, TRIED, earlier, least, rules_of
+from surefoot.scenarios.estimate.contact_sources import DELAYS, TRIED, least, rules_of
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.estimate.run import Result, parameters_of, run_filter
 from surefoot.scenarios.estimate.settings import FilterSettings, StartSettings, StateSettings
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects.resampling import log_at
 from surefoot.sim.importing.advice import advice_words
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -202,7 +203,7 @@ def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
         f"{' and '.join(kinds)} seem {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}; "
         f"in the import map: [even] late = {{ {entries} }}"
     )
-    return replace(plain, words=words, log=earlier(plain.log, kinds, delay))
+    return replace(plain, words=words, log=log_at(plain.log, kinds, plain.log.t + delay))
 
 
 def _mends(before: Trial, after: Trial) -> bool:

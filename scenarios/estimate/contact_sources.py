@@ -18,8 +18,10 @@ import pandas as pd
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import matched, relative_errors, segments
+from surefoot.models.residuals.binning import interpolate_rows
 from surefoot.scenarios.estimate.run import robot_of, run_filter
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.effects.resampling import log_at
 from surefoot.sim.importing.advice import Changes
 from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, foot_speeds
 from surefoot.sim.importing.sections import ContactTable, Quantity
@@ -128,9 +130,7 @@ class ContactComparison:
         if self.logged is None or self.better is None:
             return
         log = self.logged.contacts.log
-        v_I = np.column_stack(
-            [np.interp(log.t, best.trajectory.t, x) for x in best.trajectory.v_I.T]
-        )
+        v_I = interpolate_rows(log.t, best.trajectory.t, best.trajectory.v_I)
         with suppress(SurefootError):
             begin, end = moving_in_contact(log.t, foot_speeds(log, v_I), log.contact)
             yield (
@@ -191,19 +191,11 @@ def rules_of(
             yield _by_rule(log, of, contact_loads(log, of, robot), shares)
 
 
-def earlier(log: Log, kinds: tuple[str, ...], delay: float) -> Log:
-    """The log with the columns of these kinds earlier by a delay [s], or later if negative."""
-    shift = round(delay * log.rate)
-    at = np.clip(np.arange(len(log.t)) + shift, 0, len(log.t) - 1)
-    names = [n for n in log.columns if n.startswith(tuple(f"{one}_" for one in kinds))]
-    return log.with_columns({name: log.columns[name][at] for name in names})
-
-
 def _moved(log: Log, sign: float) -> Iterator[Contacts]:
     when = "earlier" if sign > 0 else "later"
     for delay in DELAYS:
         changes = {"even": {"late": {"contact": sign * delay}}}
-        moved = earlier(log, ("contact",), sign * delay)
+        moved = log_at(log, ("contact",), log.t + sign * delay)
         yield Contacts(f"{AS_LOGGED} but {1e3 * delay:.0f} ms {when}", changes, moved)
 
 

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import bundled, is_file
+from surefoot.sim.common.files import bundled, named_file
 
 SUITES_FOLDER = bundled("surefoot.scenarios.experiments", "suites")
-SUITES = ("spot", "vision60")
+SUITES = {name: SUITES_FOLDER / f"{name}.toml" for name in ("spot", "vision60")}
 
 
 def experiment_file(name_or_path: str | Path) -> Path:
@@ -14,9 +13,4 @@ def experiment_file(name_or_path: str | Path) -> Path:
 
     Raises SurefootError, listing the names, where it is neither.
     """
-    if str(name_or_path) in SUITES:
-        return SUITES_FOLDER / f"{name_or_path}.toml"
-    path = Path(name_or_path)
-    if not is_file(path):
-        raise SurefootError(f"experiment {path}: no such file; bundled are {', '.join(SUITES)}")
-    return path
+    return named_file("experiment", Path(name_or_path), str(name_or_path), SUITES)

@@ -103,13 +103,13 @@ def loop(
         "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],
         "holdout": [contents_digest(one) for one in holdout],
-        "lesson": asdict(plan),
+        "training": asdict(plan),
     }
     if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)
         _write(out / RECIPE, recipe)
-        own = "trace/trace.json", "gait.json", "style.json", "measured.json"
-        stale = *own, *(f"{world}/done" for world in WORLDS)
+        steps = "trace/trace.json", "gait.json", "style.json", "measured.json"
+        stale = *steps, *(f"{world}/done" for world in WORLDS)
         for name in stale:
             (out / name).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))

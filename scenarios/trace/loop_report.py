@@ -99,8 +99,8 @@ def write_loop(
     summary = {
         "trace": found,
         "gait": gait.words,
-        "taught": trained_on_measured,
-        "sides": {s.name: _summary(s) for s in worlds},
+        "trained_on_measured": trained_on_measured,
+        "worlds": {world.name: _summary(world) for world in worlds},
     }
     write_whole(out / "loop.json", json.dumps(summary, indent=2) + "\n", force=True)
     drawn = _trajectories(worlds)

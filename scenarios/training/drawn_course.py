@@ -24,7 +24,7 @@ COMMANDS = {
 either sign [rad/s].
 """
 DURATION = (1.5, 5.0)
-"""Of a segment [s]."""
+"""Duration of a segment [s]."""
 RANGES = Ranges(
     mu=(0.6, 1.2),
     speed=(0.9, 1.1),
@@ -39,9 +39,9 @@ SLIPPERY = (0.12, 0.35)
 RISE = (0.25, 0.8)
 """Height of what is climbed [m]."""
 RISER, TREAD = (0.06, 0.11), (0.32, 0.5)
-"""Of stairs [m]. A trotting robot falls on risers above about 12 cm."""
+"""Height and depth of steps [m]. A trotting robot falls on risers above about 12 cm."""
 SLOPE = (0.05, 0.15)
-"""Of ramps."""
+"""Slope of ramps, rise over run."""
 BUMPS, STRETCH = (0.01, 0.035), (4, 8)
 """Height of bumps, and length of the rough stretch [m]."""
 CLIMBING, LANE = (0.4, 0.6), (0.5, 1.0)

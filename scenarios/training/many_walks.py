@@ -40,7 +40,7 @@ ATTEMPTS = 4
 SIZES = (0.5, 1.5)
 """Factor on the size of each effect, which is that of one robot."""
 ROLES = ("train", "held_out", "test")
-"""Of walks; those of different roles are drawn independently."""
+"""Roles of walks; those of different roles are drawn independently."""
 HELD_OUT = 4, 1 / 6
 """Walks held out to stop by: at least, and as a share of those to train on."""
 CAPTION = (

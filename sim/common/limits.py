@@ -43,7 +43,9 @@ class Limits:
     thousandfold, sensor readings only several times.
     """
     piece: float = 1e9
-    """Bytes of a row group, which is decoded at once; surefoot writes 32 768 rows, some 25 MB."""
+    """Bytes of a row group, or of a message of a bag, which is decoded at once; surefoot writes row
+    groups of 32 768 rows, some 25 MB.
+    """
     rows: float = 4e8
     """Rows of a log: four days at 1 kHz."""
     columns: float = 4096

@@ -115,7 +115,9 @@ Kind = TypeVar("Kind", bound=Any)
 
 
 _ESTIMATED = 1.25
-"""What a machine may lose of a declared size, as a multiple: the size is an estimate too."""
+"""Largest decrease of a declared size, as a multiple of it: above 1, since the declared size is an
+estimate too.
+"""
 
 
 ON_SLIDES = {
@@ -149,7 +151,7 @@ class Effect:
     bounds: ClassVar[tuple[float, float]]
     may_lessen: ClassVar[bool] = False
     """Whether sizes below zero are valid as well, down to minus the upper bound: the machine may
-    have less than what was declared before. The bounds are then those of what it may have more.
+    have less of the effect than its model declares. The bounds are then those of an increase.
     """
     targets: ClassVar[Part | tuple[str, ...]]
     """Kind of part that the effect is on, or the names of its targets if they are no parts."""
@@ -302,7 +304,7 @@ class Effect:
 
     @classmethod
     def most_taken(cls, target: str, machine: Machine) -> float:
-        """How much a machine has of what a size below zero takes, by its model."""
+        """Largest decrease [unit] that the machine's model allows: of a mass, the mass itself."""
         return np.inf
 
     @classmethod

@@ -216,8 +216,8 @@ NOISE_WIDTH = 3.0
 
 
 SLOW_SHARE = 0.01
-"""The same as a share of the rate's RMS, for rates without noise: presliding of gears and guides,
-and the soft friction of simulators, have a width of their own.
+"""Rate below which dry friction is smoothed, as a share of its RMS, where rates have no noise:
+presliding of gears and guides, and the soft friction of simulators, have a width of their own.
 """
 
 

@@ -43,7 +43,7 @@ _JUMP_ACCEL = 150.0
 it; a jump of 15 mm between samples at 100 Hz has as much.
 """
 _JUMP_TURN = 500.0
-"""The same for the angular rate [rad/s^2]: 3 degrees between samples at 100 Hz."""
+"""Angular acceleration that is a jump [rad/s^2]: 3 degrees between samples at 100 Hz."""
 _LEAST_JUMP, _LEAST_TURN = 0.005, 0.02
 """Least size of a jump, m and rad, at any rate: a shin that hits a stair's edge changes a body's
 velocity by 1 m/s, or 5 rad/s, within a millisecond.

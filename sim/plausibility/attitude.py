@@ -28,7 +28,7 @@ _CLEARLY = 0.02
 TILT = 45.0
 """Angle between gravity and the reference's vertical that no mounting error explains [deg]."""
 _UPRIGHT = 30.0
-"""The same for an interpretation that corrects it [deg]."""
+"""Largest such angle that an interpretation which corrects the reference leaves [deg]."""
 REF_Q = tuple(f"ref_q_{a}" for a in "wxyz")
 _LAST_IS_W = {f"ref_q_{a}": f"ref_q_{b}" for a, b in zip("wxyz", "zwxy", strict=True)}
 """Column -> that which was taken for it, where w is the last number and was read as the first."""

@@ -64,8 +64,9 @@ SUM_OFF = 0.7
 velocity: 0.1 in simulated walks of any rate, 0.3 on a measured Go1, 0.6 on an iCub.
 """
 IMPLIED = (0.55, 1.25)
-"""That error relative to what independent samples of what is between rows would cause: 0.6 to 1 in
-walks of 5 to 100 Hz, 0.4 at most of averages.
+"""Range of the error of the sum, relative to the error that independent samples at the rows would
+cause, in which rows are samples: 0.6 to 1 in walks sampled at 5 to 100 Hz, at most 0.4 where rows
+are averages.
 """
 QUIET = 0.35
 """Least size of an accelerometer's signal relative to the motion's: 0.6 in clean walks."""

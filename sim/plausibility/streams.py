@@ -45,9 +45,9 @@ _WHOLE_TURN = 2.0 * np.pi
 _MOST_HOLDS = 50
 """Number of constant sections examined, longest first; a log with rests has thousands."""
 _FEWEST_ALIKE = 4
-"""Rows that do not change by chance no more, of coarse readings at a low rate."""
+"""Least number of equal rows that is no coincidence, for coarse readings at a low rate."""
 LIMITED = 0.5
-"""The same as FROZEN for torques, which drives hold at their limit for a while [s]."""
+"""Time without a change of torques [s], which drives hold at their limit for a while."""
 _SENSORS = ("gyro", "accel", "q", "dq", "tau", "ref_p", "ref_q", "ref_v", "foot")
 _ALIVE = 0.25
 """Share of its usual spread from which a related stream moves."""

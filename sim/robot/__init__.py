@@ -1,6 +1,6 @@
-"""Robot models from MJCF: legs, kinematics, home pose and catalog.
+"""Robot models from MJCF: legs, kinematics, home pose and catalogue.
 
-Imported on first use, since the catalog needs neither MuJoCo nor the kernels.
+Imported on first use, since the catalogue needs neither MuJoCo nor the kernels.
 """
 
 # ruff: noqa: F401

@@ -203,7 +203,7 @@ class Robot:
 
     @property
     def legged(self) -> "Robot":
-        """As of `Machine`: itself."""
+        """The robot itself, as its legs are known (see `Machine`)."""
         return self
 
     def spec(self) -> mujoco.MjSpec:

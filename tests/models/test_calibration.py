@@ -33,6 +33,7 @@ from surefoot.models.calibration.regions import (
     BoundsError,
     calibrator,
     conformal_quantile,
+    errors_needed,
     level_per_axis,
     rank,
     walk_enough,
@@ -47,11 +48,13 @@ def test_what_is_said_to_suffice_does_however_slowly_errors_forget():
     """At the longest lag that the mixing curve looks at, and with no error less."""
     for gamma, method in ((0.8, "conformal"), (0.8, "maxnorm"), (0.95, "outer")):
         how = calibrator(method, gamma)
-        enough = round(walk_enough(gamma, method) * RATE)
+        enough = errors_needed(how) * LONGEST_LAG
         require_samples(how, enough, LONGEST_LAG)
         with pytest.raises(BoundsError, match="independent samples"):
             require_samples(how, enough - 1, LONGEST_LAG)
     assert ERROR_STEP == 1.0 / RATE
+    enough = errors_needed(calibrator("conformal", 0.8)) * LONGEST_LAG
+    assert walk_enough(0.8) == pytest.approx(enough / RATE)
 
 
 def test_the_counts_of_the_paper():

@@ -1,6 +1,6 @@
-"""Observers and bounds that surefoot 0.1.0 wrote load, and say what they said then.
+"""Observers and bounds that earlier versions of surefoot wrote load, and say what they said then.
 
-Made by 0.1.0: observers of four units, trained for 60 steps on `synthetic_walk(0, 20, noise=0.1)`,
+Those of 0.1.0: observers of four units, trained for 60 steps on `synthetic_walk(0, 20, noise=0.1)`,
 one of q and dq with a covariance, one of leg odometry; bounds of the first; and what each predicted
 at every 50th row of `synthetic_walk(2, 12, noise=0.1)`.
 """
@@ -14,6 +14,7 @@ import pytest
 from synthetic import Body, synthetic_walk
 
 from surefoot.models.calibration.bounds import Bounds
+from surefoot.models.calibration.regions import BoundsError
 from surefoot.models.observer.observer import Observer, ObserverError, observer_of_torch
 from surefoot.models.observer.predict import predict
 from surefoot.scenarios.export import export
@@ -74,3 +75,30 @@ def test_bounds_say_what_they_said(tmp_path):
     bounds.save(tmp_path / "again.json")
     again = Bounds.load(tmp_path / "again.json")
     assert replace(again.persistent_at(np.eye(3))).plain() == part.plain()
+
+
+def test_a_file_with_a_digest_stays_valid(tmp_path):
+    values = {
+        "format": "surefoot bounds",
+        "schema": 2,
+        "epsilon": [0.03333333333333333, 1e-07, 125000.0],
+        "gamma": 0.8,
+        "level_per_axis": 0.9283177667225558,
+        "method": "conformal",
+        "K": 20,
+        "n": 334,
+        "observer": "0f" * 32,
+        "R_BI": np.eye(3).tolist(),
+        "log": "a/\u00fc walk.parquet",
+        "mixing": None,
+        "confidence": None,
+        "persistent": None,
+        "warnings": [],
+    }
+    digest = "7587f2d91efed66c089df27a5c1931ce68f390ab7cca430ebe730ed005381dbe"
+    path = tmp_path / "bounds.json"
+    path.write_text(json.dumps({"digest": digest} | values))
+    assert Bounds.load(path).epsilon.tolist() == values["epsilon"]
+    path.write_text(json.dumps({"digest": digest} | values | {"K": 21}))
+    with pytest.raises(BoundsError, match="were changed"):
+        Bounds.load(path)

@@ -69,7 +69,7 @@ def test_independent_samples_stay_at_the_floor():
 
 def test_what_never_mixes_is_said():
     x = np.repeat([0.0, 1.0], 2000)[:, None] + 0.01 * np.random.default_rng(5).random((4000, 1))
-    assert not mixing(x, farthest=100).mixed
+    assert not mixing(x).mixed
 
 
 def test_monotone_maps_do_not_matter():

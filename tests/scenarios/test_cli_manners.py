@@ -77,7 +77,7 @@ ABSENT = {
     "plan --robot spot_class gyro_scal": "; did you mean 'gyro_scale'?",
     "noise here.csv": "here.csv: not a log, which is a Parquet file; `surefoot import`",
     "trace here.csv -o new": "here.csv: not a log, which is a Parquet file",
-    "experiment gone.toml -o new": "experiment gone.toml: no such file",
+    "experiment gone.toml -o new": "experiment gone.toml: No such file",
 }
 ONE_BY_ONE = """
 import json, sys

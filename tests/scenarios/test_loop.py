@@ -58,26 +58,26 @@ def log(robot):
 
 
 def test_the_simulated_robot_has_the_files_feet_and_the_declared_mounting(robot):
-    told = replace(robot, foot_radius=np.zeros(4), p_BI=np.array([0.1, 0.0, 0.02]))
-    simulated = simulated_robot(told)
+    declared = replace(robot, foot_radius=np.zeros(4), p_BI=np.array([0.1, 0.0, 0.02]))
+    simulated = simulated_robot(declared)
     np.testing.assert_array_equal(simulated.foot_radius, robot.foot_radius)
-    np.testing.assert_array_equal(simulated.p_BI, told.p_BI)
+    np.testing.assert_array_equal(simulated.p_BI, declared.p_BI)
     # Point feet of which 30 mm were found lacking roll at 30 mm, whatever the file's radius is.
-    (added,) = beyond_simulated([effect("foot_rolling", "all", 0.03)], told, simulated)
+    (added,) = beyond_simulated([effect("foot_rolling", "all", 0.03)], declared, simulated)
     assert added.value == pytest.approx(0.03 - robot.foot_radius.mean())
     same = [effect("link_length", "FL_calf", 0.01)]
-    assert beyond_simulated(same, told, simulated) == tuple(same)
+    assert beyond_simulated(same, declared, simulated) == tuple(same)
 
 
 def test_training_walks_have_the_effects_and_are_seen_by_a_model_that_knows_them(robot, log):
     shown = walking_style(log, robot)
     plain = simulate_training(TrainingWalks(shown, robot), 0, SHORT)
     offset = effect("encoder_offset", "FR_thigh", 0.05)
-    told = simulate_training(TrainingWalks(shown, robot, [offset]), 0, SHORT)
-    assert [len(told[0]), len(plain[0])] == [1, 1]
+    with_offset = simulate_training(TrainingWalks(shown, robot, [offset]), 0, SHORT)
+    assert [len(with_offset[0]), len(plain[0])] == [1, 1]
     # An encoder's offset changes readings alone; undone, the walk is the one without it but for the
     # encoder's step.
-    np.testing.assert_allclose(told[1].q, plain[1].q, atol=5e-4)
+    np.testing.assert_allclose(with_offset[1].q, plain[1].q, atol=5e-4)
     stretched = TrainingWalks(shown, robot, [effect("link_length", "FR_thigh", 0.03)])
     longer = simulate_training(stretched, 0, SHORT)
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
@@ -182,13 +182,13 @@ def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
 
 
 def test_training_walks_say_how_the_imu_is_mounted_that_their_observer_learns_with(robot, log):
-    told = replace(robot, p_BI=np.array([0.1, 0.0, 0.02]))
+    declared = replace(robot, p_BI=np.array([0.1, 0.0, 0.02]))
     turned = effect("mounting_rotation", "x", 0.05)
-    walks = TrainingWalks(walking_style(log, robot), told, [turned])
+    walks = TrainingWalks(walking_style(log, robot), declared, [turned])
     _, calibration = simulate_training(walks, 0, SHORT)
     known = Robot.for_log(calibration)
-    np.testing.assert_allclose(known.p_BI, told.p_BI)
-    np.testing.assert_allclose(known.R_BI, turned.compensate(log, told)[1].R_BI, atol=1e-12)
+    np.testing.assert_allclose(known.p_BI, declared.p_BI)
+    np.testing.assert_allclose(known.R_BI, turned.compensate(log, declared)[1].R_BI, atol=1e-12)
 
 
 def test_rates_are_those_that_a_filter_has_of_the_measured_log(log):
@@ -280,16 +280,17 @@ def test_the_loop_recovers_most_of_what_knowing_the_effect_would_gain(
     measured = walk(course, robot, 11, [hidden], declared=False)
     out = tmp_path / "loop"
     loop(measured, robot, LoopSettings(out))
-    sides = json.loads((out / "loop.json").read_text())["sides"]
+    worlds = json.loads((out / "loop.json").read_text())["worlds"]
     rmse = {
-        side: np.linalg.norm(sides[side]["observer_errors"]["measured"]["all"]) for side in sides
+        world_name: np.linalg.norm(world["observer_errors"]["measured"]["all"])
+        for world_name, world in worlds.items()
     }
     training, _ = simulate_training(
         TrainingWalks(walking_style(measured, robot), robot, [hidden]), 0
     )
-    told = replace(measured, meta=replace(measured.meta, effects=(hidden.as_dict(),)))
-    taught = train(training, settings=TrainSettings(inputs=inputs_of(measured)))
-    errors = prediction_errors(taught, *declared_model(told, robot))[1]
+    declared = replace(measured, meta=replace(measured.meta, effects=(hidden.as_dict(),)))
+    trained = train(training, settings=TrainSettings(inputs=inputs_of(measured)))
+    errors = prediction_errors(trained, *declared_model(declared, robot))[1]
     known = np.linalg.norm(np.sqrt((errors**2).mean(axis=0)))
     gain = rmse["before"] - known
     print(

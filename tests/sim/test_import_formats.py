@@ -15,6 +15,7 @@ from written import written
 
 import surefoot.sim.importing.readers.file as file_module
 from studies.measured import measured_folder
+from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.guessing.recorded_file import recorded_files
 from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_npz, rows_first
 from surefoot.sim.importing.readers.file import read_file
@@ -409,13 +410,13 @@ def test_lists_are_found_within_twenty_records(tmp_path, deep):
         assert read_json(tmp_path / "run.json").cells[".".join(names)].tolist() == [0.0, 1.0]
 
 
-def test_objects_of_matlab_are_named_and_not_read(tmp_path):
+def test_objects_of_matlab_are_not_read(tmp_path):
     """A timeseries is six numbers that point to where MATLAB hides its arrays."""
     with h5py.File(tmp_path / "run.mat", "w") as file:
         kept = file.create_dataset("position", data=np.ones((1, 6), dtype=np.uint32))
         kept.attrs["MATLAB_class"] = np.bytes_("timeseries")
         kept.attrs["MATLAB_object_decode"] = np.int32(3)
-    refused(r"position is a MATLAB timeseries.* position\.Data", read_mat, tmp_path / "run.mat")
+    refused(r"run\.mat: no columns of numbers", guess_map, [tmp_path / "run.mat"])
     with h5py.File(tmp_path / "run.mat", "a") as file:
         file.create_dataset("t", data=np.arange(9.0)).attrs["MATLAB_class"] = np.bytes_("double")
     assert list(read_mat(tmp_path / "run.mat").cells) == ["t"]

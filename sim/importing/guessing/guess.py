@@ -20,6 +20,7 @@ from surefoot.sim.importing.guessing.names import Named, lists_of, read_name, wo
 from surefoot.sim.importing.guessing.recorded_file import (
     RecordedFile,
     recorded_files,
+    refuse_texts,
     times_of_topic,
 )
 from surefoot.sim.importing.guessing.units import unit_of_angles
@@ -60,7 +61,7 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
     machine = load_machine(robot) if robot else None
     read = [one for path in paths for one in recorded_files(path, machine)]
     if not read:
-        raise SurefootError(f"{paths[0]}: no columns of numbers in it")
+        refuse_texts(paths[0])
     main = max(read, key=_richness)
     others = [one for one in read if one is not main]
     poses = [one for one in others if _reference(one) and _richness(one) == 0]

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from surefoot.sim.importing.guessing.names import (
 from surefoot.sim.importing.readers.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.readers.bag import RECEIVED, UNREADABLE
 from surefoot.sim.importing.readers.file import detected_layout, read_file
-from surefoot.sim.importing.readers.table import RecordedTable, columns_of
+from surefoot.sim.importing.readers.table import RecordedTable, column_readings, columns_of
 from surefoot.sim.importing.readers.text import is_number
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.robot.machine import Machine
@@ -81,6 +81,14 @@ class RecordedFile:
         counts = (name for name, values in self.columns.items() if name and counts_rows(values))
         doubt = "counts rows: gain = 1 / rate [Hz]?"
         return next((Entry("t", name, gain=0.01, doubt=doubt) for name in counts), None)
+
+
+def refuse_texts(path: Path) -> NoReturn:
+    """Raise SurefootError for a file without columns of numbers, with the first text in it."""
+    table = read_file(path, Source(**detected_layout(path)))
+    for name in table.cells:
+        column_readings(table, name, Source(sparse=True))
+    raise SurefootError(f"{path}: no columns of numbers in it")
 
 
 def recorded_files(path: Path, machine: Machine | None) -> list[RecordedFile]:

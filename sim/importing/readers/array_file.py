@@ -57,8 +57,8 @@ def read_mat(path: Path) -> RecordedTable:
 def read_hdf5(path: Path) -> RecordedTable:
     """Read the datasets of an HDF5 file by their path; MATLAB's are transposed to have rows first.
 
-    Links, groups nested deeper than 20 and MATLAB's objects are ignored. Raises SurefootError where
-    there is nothing but objects, whose numbers MATLAB stores in a form that it does not publish.
+    Links, groups nested deeper than 20 and MATLAB's objects, such as a timeseries, are ignored.
+    Raises SurefootError for a file that declares itself too large, or lies in several files.
     """
     arrays: dict[str, np.ndarray] = {}
     with h5py.File(path, "r") as file:
@@ -68,17 +68,11 @@ def read_hdf5(path: Path) -> RecordedTable:
                 raise SurefootError(f"{path}: {name} lies in another file, which is not read")
             every[name] = node
             check_limit("columns", len(every), f"{path}: datasets")
-        found = {n: d for n, d in every.items() if d.size and not n.startswith("#")}
-        objects = {n: d for n, d in found.items() if "MATLAB_object_decode" in d.attrs}
-        found = {n: d for n, d in found.items() if n not in objects}
-        if objects and not found:
-            name, node = next(iter(objects.items()))
-            kind = np.bytes_(node.attrs.get("MATLAB_class", b"object")).decode(errors="replace")
-            remedy = f": t = {name}.Time; data = {name}.Data; save('arrays.mat', 't', 'data')"
-            raise SurefootError(
-                f"{path}: {name} is a MATLAB {kind}, which only MATLAB can read; there, save its "
-                f"arrays{remedy if kind == 'timeseries' else ''}"
-            )
+        found = {
+            name: node
+            for name, node in every.items()
+            if node.size and not name.startswith("#") and "MATLAB_object_decode" not in node.attrs
+        }
         # A chunk is unpacked as a whole, however little of it the array has.
         held = [(np.prod(np.maximum(d.shape, d.chunks or 0)), d) for d in every.values() if d.shape]
         _bounded(path, sum(float(size) * one.dtype.itemsize for size, one in held))

@@ -20,8 +20,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from surefoot.sim.common.errors import SurefootError, parsed_as
-from surefoot.sim.common.limits import admitted, bounded_text, check_limit
-from surefoot.sim.importing.readers.bag_limits import Adds, decoder, within_limits
+from surefoot.sim.common.limits import admitted, bounded_text, check_limit, check_unpacked
 from surefoot.sim.importing.readers.table import RecordedTable, topic_of
 
 RECEIVED = "received"
@@ -91,10 +90,9 @@ def _useful(
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[AnyReader, Adds]]:
+def _opened(path: Path) -> Iterator[AnyReader]:
     files = _storage(path) if path.is_dir() else [path]
-    beside = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else files
-    for one in beside:  # any of which the metadata may name
+    for one in _files(path):
         admitted(one, "recording")
     described = _is_described(path) or not files
     if not described and len({_PART_OF_BAG.sub("", one.stem) for one in files}) > 1:
@@ -104,13 +102,12 @@ def _opened(path: Path) -> Iterator[tuple[AnyReader, Adds]]:
         raise SurefootError(f"{path}: rename it, rosbags opens no database with # ? % in its path")
     with (
         parsed_as("a readable bag", path, _remedy(files)),
-        within_limits(sum(one.stat().st_size for one in beside), str(path)) as add,
         AnyReader(
             [path] if described else files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as bag,
     ):
         check_limit("columns", len(bag.connections), f"{path}: connections")
-        yield bag, add
+        yield bag
 
 
 def is_bag(path: Path) -> bool:
@@ -128,6 +125,11 @@ def _is_described(path: Path) -> bool:
     if about.is_file():  # YAML takes rosbags five times as long as TOML
         check_limit("text", 5.0 * about.stat().st_size, f"{about}: five times its bytes")
     return about.is_file() and "relative_file_paths" in bounded_text(about)
+
+
+def _files(path: Path) -> list[Path]:
+    """The file of a bag, or all in its folder, any of which its metadata may name."""
+    return [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else [path]
 
 
 def _storage(path: Path) -> list[Path]:
@@ -181,26 +183,31 @@ def _read(
     """
     getters: dict[str, dict[str, Callable[[Any, int, int], float]]] = {}
     values: dict[str, array] = defaultdict(lambda: array("d"))
-    with _opened(path) as (bag, add):
+    with _opened(path) as bag:
+        taken, size = 0.0, sum(one.stat().st_size for one in _files(path))
         for topic in topics or ():
             if topic not in bag.topics:
                 known = ", ".join(sorted(bag.topics)) or "none"
                 raise SurefootError(f"{path}: no topic {topic!r} (there are {known})")
-        decode, begin = decoder(bag, add), bag.start_time
+        begin = bag.start_time
         chosen = [c for c in bag.connections if topics is None or c.topic in topics]
         for connection, received, raw in bag.messages(chosen):
-            for topic, message in _messages(connection.topic, decode(raw, connection.msgtype)):
+            check_limit("piece", len(raw), f"{path}: bytes of a message of {connection.topic}")
+            taken += len(raw)
+            message = bag.deserialize(raw, connection.msgtype)
+            for topic, part in _messages(connection.topic, message):
                 if topic not in getters:
-                    getters[topic] = {c: _getter(c, path) for c in columns_of(topic, message)}
+                    getters[topic] = {c: _getter(c, path) for c in columns_of(topic, part)}
                     count = sum(1 + len(one) for one in getters.values())
                     check_limit("columns", count, f"{path}: topics, frames and fields")
-                stamp = _nanoseconds(getattr(getattr(message, "header", None), "stamp", None))
+                stamp = _nanoseconds(getattr(getattr(part, "header", None), "stamp", None))
                 # Relative to the start of the bag in integer nanoseconds: an epoch in float64
                 # resolves 0.2 us.
                 values[topic].append(1e-9 * ((received if stamp is None else stamp) - begin))
                 for column, get in getters[topic].items():
-                    values[column].append(get(message, received, begin))
-                add(_READING * (1 + len(getters[topic])))
+                    values[column].append(get(part, received, begin))
+                taken += _READING * (1 + len(getters[topic]))
+            check_unpacked(size, taken, f"{path}: bytes of its messages", at_once=False)
     silent = {connection.topic: np.zeros(0) for connection in chosen}
     stamps = silent | {topic: np.array(values[topic]) for topic in getters}
     return stamps, {c: np.array(values[c]) for topic in getters for c in getters[topic]}

@@ -6,10 +6,8 @@ import codecs
 import csv
 import re
 import warnings
-from collections import Counter
 from contextlib import suppress
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -29,32 +27,18 @@ _NO_TEXT = {
     "a bag; if its recorder was killed, try rosbag reindex, and name it .bag": b"#ROSBAG",
     "binary: name it .mcap, .h5, .db3, .parquet": (b"\x89MCAP", b"\x89HDF", b"SQLite", b"PAR1\x15"),
 }
-"""What files are that are no text, and what to do; and how they begin."""
+"""What a file that is no text is, with what to do -> how it begins."""
 SPACES = r"\s+"
 COMMENTS = ("#", "%", "//")
 """Prefixes of a line that is a comment, or contains the column names."""
-_WORDS = re.compile(r"[^\s,;|]+")
-_MOST_KINDS = 20
-"""Largest number of kinds of lines in a text."""
-_SEARCHED = 1_000_000
-"""Lines among which another table is looked for."""
-_TABLE = 10
-"""Rows of numbers that are a table; fewer are parameters above one."""
-_ROW = re.compile(r'[\s"]*[-+.]?\d')
-"""The beginning of a row of numbers."""
-_PAIR = re.compile(r"(?<![^\s,;])([a-zA-Z_][\w./\[\]-]*) ?[:=] *[^\s,;]+")
-"""A value after its name."""
-_JSON = re.compile(r'\s*(\{".*\}|\[-?\d\S*, *-?\d.*\])\s*')
-_WITHOUT_NAMES = "sed -E 's/[[:alpha:]_][^ ,;:=]*[:=] *//g'"
-_YAML = re.compile(r"---|\s*(- )*[\w/]+:(\s|$)|\s*- ")
+_MOST_OTHER = 10
+"""Rows of another length with which a text is no single table; fewer above it are parameters."""
 _COMMA = re.compile(r"\s*-?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
 def read_text(path: Path, source: Source) -> RecordedTable:
     """Read the table of a text file. Raises SurefootError in one line with file and line."""
     encoding = encoding_of(path)
-    if source.long is None and (why := _no_table(path, source.skip)):
-        raise SurefootError(f"{path}: {why}")
     header, separator, units = _first_lines(path, source, encoding)
     with path.open("rb") as stream:
         pieces = iter(lambda: stream.read(1 << 20), b"")
@@ -130,9 +114,8 @@ def _beginning(path: Path) -> list[str]:
 def layout_of(path: Path) -> dict[str, Any]:
     """Keys of a map's [source] for this text where the defaults do not fit.
 
-    Raises SurefootError, with the next step, for two tables in one text.
+    Raises SurefootError, with the line, for rows of several lengths, as of two tables.
     """
-    _check_alone(path)
     lines = _beginning(path)
     if len(lines) < 2:
         return {}
@@ -148,6 +131,13 @@ def layout_of(path: Path) -> dict[str, Any]:
     named = [k for k in range(after) if len(rows[k]) == width and width > 1]
     found: dict[str, Any] = {}
     begin = named[-1] if named else max(after, first)
+    rows_above = (k for k in range(begin) if rows[k] and are_numbers(rows[k][:1]))
+    other = [k for k in (*rows_above, *range(begin, len(rows))) if len(rows[k]) not in (0, width)]
+    if len(other) >= _MOST_OTHER:
+        raise SurefootError(
+            f"{path}: line {other[0] + 1}: {len(rows[other[0]])} cells, {width} in other rows; "
+            "make a file of each table"
+        )
     if begin:
         found["skip"] = begin
     numbers = [k for k, cell in enumerate(rows[-1]) if are_numbers([cell])]
@@ -184,64 +174,6 @@ def _separator_of_header(line: str) -> str:
     if line.count(most):
         return most
     return SPACES if " " in line.strip() else ","
-
-
-def _no_table(path: Path, skip: int) -> str:
-    """Why a text has lines but no table, and what helps; "" where it may have one.
-
-    Lines of several kinds begin with a word for theirs, or have it after their time.
-    """
-    lines = _beginning(path)[skip:]
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
-    if lines and all(map(_JSON.fullmatch, lines)):
-        return "has JSON on each line: name it .jsonl"
-    keyed = [_PAIR.sub(r"\1", line) for line in lines]
-    alike = keyed.count(keyed[0]) if keyed and keyed[0] != lines[0] else 0
-    if alike > max(2, 0.9 * len(lines)) and "<" not in keyed[0]:
-        table = f"echo {quote(keyed[0])}; {_WITHOUT_NAMES} {quote(path.name)}"
-        return f"has a name before each value; make a table: ({table}) > table.csv"
-    if "---" in lines and sum(map(bool, map(_YAML.match, lines))) > 0.9 * len(lines):
-        return "is YAML, as of a topic's echo; record a bag, or use ros2 topic echo --csv"
-    rows = [_WORDS.findall(line) for line in lines]
-    for place in (0, 1):
-        if kinds := _kinds(rows, place):
-            what = f"lines of several kinds, by their word {place + 1}: {', '.join(kinds)}"
-            start = ("^" if place == 0 else "^[^ ,]*[ ,]") + kinds[0] + "[ ,]"
-            # Quoted, as "$" is of the shell.
-            return f"has {what}; make a file of each: grep '{start}' {path.name} > '{kinds[0]}.txt'"
-    return ""
-
-
-def _check_alone(path: Path) -> None:
-    """Raise SurefootError, with the next step, where another table follows a text's first one."""
-    rows = last = begin = 0
-    with path.open(encoding=encoding_of(path), errors="replace", newline="") as stream:
-        for number, line in zip(range(1, _SEARCHED), stream, strict=False):
-            if _ROW.match(line):
-                rows, last = rows + 1, number
-            elif _names_columns(line):
-                begin, rows = last if rows >= _TABLE else begin, 0
-            if not begin or rows != _TABLE:
-                continue
-            name = quote(path.name)
-            cut = f"head -n {begin} {name} > first.csv; tail -n +{begin + 1} {name} > second.csv"
-            raise SurefootError(f"{path}: has two tables; make a file of each: {cut}")
-
-
-def _names_columns(line: str) -> bool:
-    words = [] if line.lstrip().startswith(COMMENTS) else _WORDS.findall(line[:_LOOKED_AT])
-    return bool(words) and not any(map(is_number, words))
-
-
-def _kinds(rows: list[list[str]], place: int) -> list[str]:
-    """Words at a place of rows that tell their kinds: nearly every row has one of a few, and the
-    rows differ in length. Empty if there are none.
-    """
-    labelled = [row for row in rows if len(row) > place and not is_number(row[place])]
-    kinds = [word for word, n in Counter(row[place] for row in labelled).items() if n > 1]
-    differ = len({len(row) for row in labelled if row[place] in kinds}) > 1
-    few = 1 < len(kinds) <= _MOST_KINDS and len(labelled) > 0.9 * len(rows)
-    return kinds if few and differ else []
 
 
 def _separator(line: str) -> str:
