@@ -7,14 +7,10 @@ import pandas as pd
 import pytest
 
 from studies.bounds import Ellipsoid
-from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.settings import CalibrateSettings
-from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.cli.estimate import Calibrate
-from surefoot.scenarios.reporting.calibration_report import evaluate_walk, sequence_table
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
@@ -71,21 +67,13 @@ def test_it_says_where_the_bounds_hold(files, tmp_path, capsys, monkeypatch):
     assert roles == ["calibration", "training", "test", "test", "test"]
     assert walks["alike"]["coverage [%]"] > walks["loaded"]["coverage [%]"] + 5
     assert walks["bare"]["95 % interval"] == "no reference"
-    assert walks["bare"]["health test"] == walks["alike"]["health test"]
+    assert walks["bare"]["alarm"] == walks["alike"]["alarm"]
     assert "Coverage is lost" in page
     methods = read(tmp_path / "report" / "methods.csv", "method")
     volume = {name: row["volume [(cm/s)^3]"] for name, row in methods.items()}
     assert volume["mine"] < volume["mine, its box"]
     cases = read(tmp_path / "report" / "cases.csv", "case").values()
     assert {"terrain", "motion", "slip", "stride"} <= {row["split"] for row in cases}
-
-
-def test_a_drifting_accelerometer_fails_the_health_test(files):
-    observer, log = Observer.load(files["observer"]), Log.read(files["alike"])
-    bounds = calibrate(observer, [Log.read(files["calibrate"])], CalibrateSettings(K=20))
-    drifting = log.with_columns({"accel_x": log.accel[:, 0] + 3.0 * (log.t > 8.0)})
-    walks = [evaluate_walk(observer, bounds, one) for one in (log, drifting)]
-    assert list(sequence_table(walks)["health test"]) == ["passes", "fails at 8 s"]
 
 
 def read(path: Path, key: str) -> dict[str, dict]:
