@@ -68,6 +68,7 @@ from surefoot.models.attribution.way_lost import way_lost
 from surefoot.models.attribution.weights import FAR_ABOVE
 from surefoot.models.residuals.binning import BIN, inner_bins
 from surefoot.sim.common.errors import check_seed
+from surefoot.sim.common.files import plain_json
 from surefoot.sim.effects import Effect, in_order
 from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
@@ -166,7 +167,7 @@ class Diagnosis:
             out["rivals"] = list(self.rivals)
         if self.rejected:
             out["rejected"] = [{**one.as_dict(), "because": why} for one, why in self.rejected]
-        return plain(out)
+        return plain_json(out)
 
 
 @dataclass(frozen=True)
@@ -540,16 +541,3 @@ def _candidate(c: Candidate) -> dict[str, Any]:
         "gain": c.share,
         "earned": c.earned,
     }
-
-
-def plain(value: Any) -> Any:
-    """Convert to plain JSON types; values that are not finite become None."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    if isinstance(value, np.generic):
-        return value.item()
-    return value

@@ -18,6 +18,8 @@ SHORTEST_CONTACT = 0.1
 """Shortest contact that counts as a step [s]."""
 NEAR_FOOTHOLDS = 0.4
 """Distance at which footholds still tell the ground's slope [m], as a standard deviation."""
+LEVEL = 0.006
+"""Standard deviation of the heights of feet on level ground, at most [m]."""
 HALFWAY = 0.5
 """Height of the contact point above the sole of a foot in soft ground, as a share of its depth."""
 
@@ -137,10 +139,10 @@ def _plane_at(place: np.ndarray, holds: np.ndarray, use: np.ndarray) -> np.ndarr
     return above + np.array([place[2], 0.0, 0.0])
 
 
-def level_ground(bins: Bins, feet: Feet, within: float = 0.006) -> bool:
+def level_ground(bins: Bins, feet: Feet) -> bool:
     """Whether the feet stand on one plane.
 
-    True if heights vary by less than `within` [m] about a plane through all feet plus a constant
+    True if heights vary by less than LEVEL about a plane through all feet plus a constant
     for each leg.
     """
     z = foot_heights(bins, feet)
@@ -154,7 +156,7 @@ def level_ground(bins: Bins, feet: Feet, within: float = 0.006) -> bool:
         left = np.abs(z[rows, legs] - A @ fit)
         keep = left <= 4 * np.median(left) + 1e-4
         rows, legs, A = rows[keep], legs[keep], A[keep]
-    return bool(1.4826 * np.median(left) < within)
+    return bool(1.4826 * np.median(left) < LEVEL)
 
 
 def stance_means(t: np.ndarray, values: np.ndarray, there: np.ndarray) -> np.ndarray:

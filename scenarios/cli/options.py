@@ -1,9 +1,8 @@
 """How options and their values are shown, and options that commands share."""
 
 import json
-import math
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from collections.abc import Iterable
+from dataclasses import MISSING, Field, dataclass, fields
 from types import NoneType
 from typing import (
     Annotated,
@@ -18,6 +17,8 @@ from typing import (
 from tyro.conf import Positional, UseAppendAction, arg
 from tyro.constructors import PrimitiveConstructorSpec
 from tyro.extras import literal_type_from_choices
+
+from surefoot.sim.common.files import plain_json
 
 C = TypeVar("C")
 
@@ -116,18 +117,4 @@ def one_of(names: Iterable[str]) -> Any:
 
 def print_json(value: Any) -> None:
     """Print as JSON: non-finite values as null, arrays as lists, files as names."""
-    print(json.dumps(_plain(value), indent=2))
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        value = {field.name: getattr(value, field.name) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if isinstance(value, str | int | None) else str(value)
+    print(json.dumps(plain_json(value), indent=2))

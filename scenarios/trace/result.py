@@ -3,11 +3,12 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from surefoot.models.attribution.diagnose import Diagnosis, plain
+from surefoot.models.attribution.diagnose import Diagnosis
 from surefoot.models.attribution.explain import Candidate
 from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.reporting.html import Step
 from surefoot.scenarios.trace.filters import BeforeAfter, DriftCauses
+from surefoot.sim.common.files import plain_json
 from surefoot.sim.effects import known_effects
 from surefoot.sim.robot.limbs import Limbs
 
@@ -63,7 +64,7 @@ class Trace(Diagnosis):
 
     def as_dict(self) -> dict[str, Any]:
         """The content of trace.json."""
-        out = super().as_dict() | plain({"filters": self.filters, "worse": self.worse})
+        out = super().as_dict() | plain_json({"filters": self.filters, "worse": self.worse})
         runs = (*out["runs"], *out.get("holdout", {"runs": ()})["runs"])
         for one in (
             *out["effects"],
@@ -79,5 +80,5 @@ class Trace(Diagnosis):
             ends = {side: getattr(self.causes, side).tolist() for side in ("declared", "left")}
             out["drift"] = ends | {"added": added}
         if self.held_out:
-            out["holdout"]["filters"] = plain(self.unseen_filters)
+            out["holdout"]["filters"] = plain_json(self.unseen_filters)
         return out | {"motion": self.motion} if self.rivals else out

@@ -7,12 +7,13 @@ a command are never overwritten.
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from glob import escape
 from importlib.resources import files
 from pathlib import Path
@@ -49,7 +50,7 @@ def private_folder(folder: Path) -> None:
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
         found = folder.stat()
     except OSError:
-        return  # nothing can be kept there, which who wants to says
+        return  # whoever writes to it finds that it cannot be used
     if os.name == "posix" and (found.st_mode & 0o022 or found.st_uid not in (0, os.geteuid())):
         raise SurefootError(
             f"{folder}: others can write to this cache, which holds code; chmod go-w it, or name "
@@ -327,6 +328,23 @@ def json_digest(values: Any) -> str:
     """SHA-256 of plain JSON."""
     text = json.dumps(values, sort_keys=True, default=float)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def plain_json(value: Any) -> Any:
+    """A value as plain JSON: numbers that are not finite as null, arrays as lists, dataclasses as
+    their fields, files as names.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(one) for key, one in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain_json(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, str | int | None) else str(value)
 
 
 def check_space(path: Path, needed: float) -> None:

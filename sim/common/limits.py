@@ -20,7 +20,6 @@ from surefoot.sim.common.errors import SurefootError
 VARIABLE = "SUREFOOT_LIMITS"
 SMALL = 256e6
 """Bytes in memory that are allowed for packed data of any size."""
-_PIECE = 1 << 20
 _POINTER, _LONGEST_POINTER = b"version https://git-lfs.github.com/spec/", 1024
 """Beginning and largest size of a file that stands for one in Git LFS (its specification)."""
 _DOTTED = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){65}")
@@ -172,24 +171,6 @@ def check_unpacked(packed: float, size: float, what: str, at_once: bool = True) 
         check_limit("memory", size, what)
     if size > SMALL + limits().unpacked * packed:
         check_limit("unpacked", size / max(packed, 1), f"{what}, times its size")
-
-
-def unpacked(unpacker: Any, packed: bytes, what: str) -> bytes:
-    """Unpack bytes of unknown origin, checking what there is so far with `check_unpacked`.
-
-    unpacker: a decompressor of bz2, lz4 or zstd.
-
-    Raises SurefootError that begins with `what`, or the unpacker's error.
-    """
-    pieces, size = list[bytes](), 0
-    for begin in range(0, len(packed), _PIECE):
-        given = packed[begin : begin + _PIECE]
-        read = begin + len(given)
-        while given or not (unpacker.needs_input or unpacker.eof):
-            pieces.append(unpacker.decompress(given, _PIECE))
-            given, size = b"", size + len(pieces[-1])
-            check_unpacked(read, size, what)
-    return b"".join(pieces)
 
 
 def check_toml_keys(text: str) -> None:

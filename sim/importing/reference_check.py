@@ -48,6 +48,8 @@ _LEAST_JUMP, _LEAST_TURN = 0.005, 0.02
 """Least size of a jump, m and rad, at any rate: a shin that hits a stair's edge changes a body's
 velocity by 1 m/s, or 5 rad/s, within a millisecond.
 """
+LONGEST_JUMP = 0.5
+"""Longest time after which a tracker that has jumped is back [s]."""
 _FEW_DOUBTFUL = 0.03
 """Share of doubtful stamps up to which chance and gait explain them."""
 _SHOWN_DOUBTFUL = 5e-4
@@ -224,8 +226,8 @@ def jumps(poses: Poses) -> np.ndarray:
     return found
 
 
-def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
-    """Remove the poses between a jump and one back, at most `longest` [s] later.
+def without_jumps(poses: Poses) -> Poses:
+    """Remove the poses between a jump and one back, at most LONGEST_JUMP later.
 
     In these frames the tracker confused the body with another, or flipped its attitude.
     """
@@ -234,7 +236,7 @@ def without_jumps(poses: Poses, longest: float = 0.5) -> Poses:
         for first, last in pairwise(np.flatnonzero(jumps(poses))):
             # What follows a jump back is good, unless it still jumps once the poses before it are
             # removed.
-            if first != back and poses.t[last] - poses.t[first] < longest:
+            if first != back and poses.t[last] - poses.t[first] < LONGEST_JUMP:
                 keep[first + 1 : last + 1], back = False, last
         if keep.all():
             return poses

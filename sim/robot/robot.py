@@ -37,8 +37,8 @@ class DeclaredExtras:
     com_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m, of the base's own, in B
     imu_lowpass: float = 0.0  # s, time constant
     softness: float = 0.0  # s, what the ground takes longer to push back than hard ground
-    touchdown_late: float = 0.0  # s, of a contact's delay what is not undone in a log
-    liftoff_late: float = 0.0  # s, the same where it ends
+    touchdown_late: float = 0.0  # s, part of a contact's delay that a log still has
+    liftoff_late: float = 0.0  # s, the same of the end of a contact
     links: tuple[LinkChange, ...] = ()  # masses and inertias of links
     command_late: float = 0.0  # s, of torques behind their commands
     declared: tuple[tuple[tuple[str, str], float], ...] = ()  # as of `Limbs`
