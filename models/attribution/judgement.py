@@ -366,7 +366,8 @@ def find_harmful_effect(unseen: Sequence[Unseen]) -> tuple[Effect, str] | None:
     """An effect that harms on data that no fit has seen, and why; None where none does.
 
     Either it makes the channel that it changes most surely worse (95 % of a block bootstrap). Or a
-    channel is worse with all of the effects (`ChannelLevel.worse`), and best without this one.
+    channel is worse with all of the effects (`ChannelLevel.worse`), and best without this one. Or
+    all of them together reduce no channel that they show in, and this one least.
     """
     against: list[tuple[float, Effect, str]] = []
     for data in unseen:
@@ -380,7 +381,14 @@ def find_harmful_effect(unseen: Sequence[Unseen]) -> tuple[Effect, str] | None:
         return min(against, key=lambda x: x[0])[1:]
     worse = ((data, name) for data in unseen for name in data.sides.worse(data.used))
     if (first := next(worse, None)) is None:
-        return None
+        if any(_gains(one.sides.effects, one.sides.levels(one.used)) for one in unseen):
+            return None
+        sides, used = unseen[0].sides, unseen[0].used
+
+        def explained(one: Effect) -> float:
+            return float(sides.gained(sides.left_without(one), used)[1][0])
+
+        return min(sides.effects, key=explained), "it reduces no residual that no fit has seen"
     data, name = first
     columns = data.sides.evidence.layout.of(name)
 
@@ -454,7 +462,7 @@ def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
         return "not_identifiable", (*explained, *(one.in_words() for one in pushes))
     if not found:
         return "no_residual", ()
-    if not _gains(found, channels):
+    if not _gains([one.effect for one in found], channels):
         why = "the effects found do not reduce the residual on unseen data"
         return "not_identifiable", (why,)
     imitated = [
@@ -479,14 +487,13 @@ def _at_bound(one: Effect, limbs: Limbs | None) -> bool:
     return not low < one.value < high
 
 
-def _gains(found: Sequence[Found], channels: dict[str, ChannelLevel]) -> bool:
+def _gains(effects: Sequence[Effect], channels: dict[str, ChannelLevel]) -> bool:
     """Whether the effects reduce a channel that they show in on unseen data.
 
     True if one of them has an estimate of its own, as sliding feet have, and not from channels.
     """
-    ones = [one.effect for one in found]
-    if not all(one.is_compensated() and one.traced.by_search for one in ones):
+    if not all(one.is_compensated() and one.traced.by_search for one in effects):
         return True
-    shown = {name for one in ones for name in one.traced_at(one.target).channels}
+    shown = {name for one in effects for name in one.traced_at(one.target).channels}
     own = [channels[name] for name in shown if name in channels]
     return not own or any(c.after < c.before for c in own)

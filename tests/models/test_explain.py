@@ -248,6 +248,15 @@ def test_what_is_not_there_is_left_out_and_the_truth_is_kept(case, floor_harm):
     assert "worse" in why
 
 
+def test_what_reduces_nothing_that_no_fit_has_seen_is_left_out(case, floor_harm):
+    """Not even a size of zero, which makes nothing worse."""
+    nothing = effect("encoder_offset", "FL_thigh", 0.0)
+    harm = found_harm(case, floor_harm, nothing)
+    assert harm is not None
+    assert harm[0] == nothing
+    assert found_harm(case, floor_harm, TRUTH, nothing) is None
+
+
 def test_a_channel_is_worse_without_what_is_there_and_not_without_what_is_not(case, floor_harm):
     def worse(effects, instead):
         residuals, report = sides(case, floor_harm, *effects)
