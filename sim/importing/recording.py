@@ -99,12 +99,12 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
 
 
 def _with_robots_file(rules: ImportMap, main: Path) -> ImportMap:
-    """The map with the full path of the robot's file, where it names one, and its metadata."""
+    """The map with its robot's name, and the metadata of its file, where it names a file."""
     for folder in (rules.path.parent, main.parent, Path.cwd()):
         file = folder / (rules.robot or "")
         if file.suffix in SUFFIXES and is_file(file):
             model = rules.model | model_metadata(file.stem, file.resolve())
-            return replace(rules, robot=str(file.resolve()), model=model)
+            return replace(rules, robot=file.stem, model=model)
     return rules
 
 
