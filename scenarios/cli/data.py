@@ -121,7 +121,7 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
         from surefoot.sim.common.files import write_whole
         from surefoot.sim.importing.guessing.guess import guess_map
 
-        text = guess_map(files, self.robot).text
+        text = guess_map(files, self.robot, self.out and self.out.parent).text
         if self.out is None:
             print(text, end="")
             return

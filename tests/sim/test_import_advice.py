@@ -204,7 +204,7 @@ def test_advice_is_added_to_what_the_map_says(tmp_path):
         "q_ankle = { column = 'c', unit = 'deg' }\n"
         "accel_x = 'ax'\naccel_y = { column = 'ay', unit = 'g' }\n"
         "[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
-        "[robot]\nname = 'hopper'\njoint_sign = { knee = -1 }\n"
+        "[robot]\nname = 'ak80_pendulum'\njoint_sign = { knee = -1 }\n"
     )
     advice = (
         {"columns": {"q_knee": {"unit": "deg"}, "dq_knee": {"unit": "deg/s"}}},

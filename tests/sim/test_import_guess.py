@@ -395,6 +395,21 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
             main(words)
 
 
+def test_a_draft_names_the_robots_file_from_its_own_folder(tmp_path, monkeypatch, capsys):
+    t = 0.01 * np.arange(200)
+    for place in ("maps", "bot", "run"):
+        (tmp_path / place).mkdir()
+    csv(tmp_path / "run", {"time": t, "q_FL_hip": np.sin(t)})
+    (tmp_path / "bot" / "mine.xml").write_text(robot_file("spot_class").read_text())
+    monkeypatch.chdir(tmp_path)
+    ask = ["import", "--guess", "run/run.csv", "--robot", "bot/mine.xml"]
+    main([*ask, "-o", "maps/map.toml"])
+    assert ImportMap.read("maps/map.toml").robot == "../bot/mine.xml"
+    capsys.readouterr()
+    main(ask)  # wherever the text will be saved
+    assert f'name = "{(tmp_path / "bot" / "mine.xml").as_posix()}"' in capsys.readouterr().out
+
+
 def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):
     """As PlotJuggler writes topics into one table: a row for each stamp of any of them."""
     topics = {
