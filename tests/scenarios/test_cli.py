@@ -203,7 +203,9 @@ def test_an_imported_log_is_of_the_robot_in_the_file_that_its_map_names(log, tmp
     assert robot.file == tmp_path / "mine.xml"
     assert notes_on(imported, robot, Learnt(), FilterSettings()) == ()
     other = Robot.load("v60_class")
-    assert any("v60_class" in line for line in notes_on(imported, other, Learnt(), FilterSettings()))
+    assert any(
+        "v60_class" in line for line in notes_on(imported, other, Learnt(), FilterSettings())
+    )
     # As 0.1.0 named it.
     by_file = replace(imported, meta=replace(imported.meta, robot=str(robot.file)))
     assert notes_on(by_file, robot, Learnt(), FilterSettings()) == ()
