@@ -109,7 +109,7 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
             (warnings,) = warned([(log.name, findings)], self.strict)
         finally:
             if lines:
-                print("for the import map, in place of its own, what these advise:")
+                print("for the import map, in place of these keys of its own:")
                 print("\n".join((*lines, "")))
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
