@@ -35,7 +35,8 @@ def walked():
 
 
 def map_text(offset: str, **entries: str) -> str:
-    names = ("t", *SENSORS, *JOINT_COLUMNS, *(f"contact_{leg}" for leg in LEGS))
+    feet = "force" if "force_FL" in entries else "contact"
+    names = ("t", *SENSORS, *JOINT_COLUMNS, *(f"{feet}_{leg}" for leg in LEGS))
     lines = [f"{name} = {entries.get(name, repr(name))}" for name in names]
     lines += ["[reference]", "file = 'mocap.csv'", offset, "[reference.columns]"]
     lines += [f"{name} = {entries.get(name, repr(name))}" for name in ("t", *POSE)]
@@ -133,6 +134,13 @@ WRONG = {
     ),
     "a base that is turned": Wrong(
         mocap=rotated(right=QUARTER), keys="frame = 'base'", robot="imu_position = [0.0, 0.0, 0.0]"
+    ),
+    "two feet whose contacts are swapped": Wrong(
+        entries={"contact_FL": "'contact_RL'", "contact_RL": "'contact_FL'"}
+    ),
+    "two feet whose forces are swapped": Wrong(
+        entries={"force_FL": "'force_RL'", "force_RL": "'force_FL'"},
+        robot="[contact]\non = 40\noff = 30",
     ),
     "a quaternion whose last number is w": Wrong(mocap=renamed(XYZW)),
     "a quaternion whose first number is w": Wrong(mocap=renamed({w: x for x, w in XYZW.items()})),
