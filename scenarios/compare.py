@@ -131,6 +131,7 @@ def compare_log(
         notes = (*notes_on(known, model, learnt, settings or FilterSettings()), *notes)
     prediction, bounds = None, None
     held: dict[str, EmpiricalCoverage] = {}
+    missed: dict[str, list[str]] = {}
     for name in reversed([result.filter for result in results]):  # the first one's are drawn
         bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
         if bounded_by is None:
@@ -139,7 +140,19 @@ def compare_log(
         prediction = predict(observer, known, model)
         if log.has("reference"):
             held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
+            if words := _not_held(held[name], bounds.gamma):
+                missed.setdefault(words, []).append(name)
+    notes = (*notes, *(f"bounds: {words} ({', '.join(names)})" for words, names in missed.items()))
     return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held, notes=notes)
+
+
+def _not_held(found: EmpiricalCoverage, gamma: float) -> str:
+    """A line where the interval of an empirical coverage excludes the level gamma of its bounds."""
+    low, high = 100 * found.joint_interval
+    if low <= 100 * gamma <= high:
+        return ""
+    share = f"{100 * found.joint:.0f} ({low:.0f}–{high:.0f}) % of the errors are inside"
+    return f"{share}, not {100 * gamma:.0f} % as on the calibration's walks"
 
 
 def _identical(results: Sequence[Result]) -> tuple[str, ...]:

@@ -120,8 +120,8 @@ class Learnt:
         pairs = [(o, b) for o in wanted for b in self.bounds if b.observer == o.hash]
         if not pairs:
             raise SurefootError(
-                f"needs bounds of its observer (loss {loss or 'any'}): those given belong to "
-                "another observer; calibrate this one"
+                f"needs bounds of its observer{f' (loss {loss})' if loss else ''}: those given "
+                "belong to another observer; calibrate this one"
             )
         return min(pairs, key=lambda pair: pair[0].loss != "mse")
 
