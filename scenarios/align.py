@@ -54,7 +54,17 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     if at:
         x, y, z = 1e3 * (at.p_BI + at.R_BI @ found.p_IM)
         said.insert(2, f"       at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base of {robot}")
-    return found, (*said, "", "for the import map, in place of its own:", *found.map_lines)
+    return found, (*said, "", *_map_lines(found, recording))
+
+
+def _map_lines(found: Alignment, recording: RawRecording | None) -> tuple[str, ...]:
+    """The whole [reference] of the recording's map with the alignment, or the keys to replace."""
+    reference = None if recording is None else recording.rules.sections.reference
+    if recording is None or reference is None:
+        said = "for the import map, in place of these keys of its [reference]"
+        return (f"{said}; if it has p_IM or q_IM already, align with --map:", *found.map_lines())
+    said = "for the import map, in place of its [reference], before [reference.columns]:"
+    return (said, *found.map_lines(reference, recording.name))
 
 
 def figure(log: Log, poses: Poses, found: Alignment) -> Figure:

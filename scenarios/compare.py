@@ -126,11 +126,14 @@ def compare_log(
     """
     results, left_out = run_all(log, robot, learnt, names, settings, progress)
     known, model = declared_model(log, robot)  # as the filters see it
-    notes = _identical(results)
+    notes = tuple(
+        f"identical: {' and '.join(names)} give the same estimates" for names in _identical(results)
+    )
     if results:
         notes = (*notes_on(known, model, learnt, settings or FilterSettings()), *notes)
     prediction, bounds = None, None
     held: dict[str, EmpiricalCoverage] = {}
+    missed: dict[str, list[str]] = {}
     for name in reversed([result.filter for result in results]):  # the first one's are drawn
         bounded_by: Any = getattr(estimator_named(name), "bounded_by", None)
         if bounded_by is None:
@@ -139,17 +142,28 @@ def compare_log(
         prediction = predict(observer, known, model)
         if log.has("reference"):
             held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
+            if words := _not_held(held[name], bounds.gamma):
+                missed.setdefault(words, []).append(name)
+    notes = (*notes, *(f"bounds: {words} ({', '.join(names)})" for words, names in missed.items()))
     return Comparison(log, robot, tuple(results), left_out, prediction, bounds, held, notes=notes)
 
 
-def _identical(results: Sequence[Result]) -> tuple[str, ...]:
-    """Lines on filters with the same estimates and covariances."""
+def _not_held(found: EmpiricalCoverage, gamma: float) -> str:
+    """A line where the interval of an empirical coverage excludes the level gamma of its bounds."""
+    low, high = 100 * found.joint_interval
+    if low <= 100 * gamma <= high:
+        return ""
+    share = f"{100 * found.joint:.0f} ({low:.0f}–{high:.0f}) % of the errors are inside"
+    return f"{share}, not {100 * gamma:.0f} % as on the calibration's walks"
+
+
+def _identical(results: Sequence[Result]) -> list[list[str]]:
+    """Groups of filters with the same estimates and covariances."""
     same: dict[bytes, list[str]] = {}
     for one in results:
         each = one.trajectory.p_GI, one.trajectory.R_GI, one.trajectory.covariance
         same.setdefault(b"".join(x.tobytes() for x in each if x is not None), []).append(one.filter)
-    groups = [names for names in same.values() if len(names) > 1]
-    return tuple(f"identical: {' and '.join(names)} give the same estimates" for names in groups)
+    return [names for names in same.values() if len(names) > 1]
 
 
 def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Comparison]]:
@@ -297,6 +311,9 @@ def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") 
         return []
     truth = reference(comparison.log)
     shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
+    hidden = {name: first for first, *others in _identical(shown) for name in others}
+    shown = [result for result in shown if result.filter not in hidden]
+    same = "".join(f" {name} is the same as {first}." for name, first in hidden.items())
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
@@ -305,17 +322,17 @@ def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") 
     pictures = [
         Picture(
             trajectories(comparison.log, errors, patches, fields),
-            "The walk from above: truth and every estimate, aligned at the start.",
+            f"The walk from above: reference and every estimate, aligned at the start.{same}",
             f"{files}_trajectories.{kind}",
         ),
         Picture(
             height_figure(comparison.log, errors),
-            "Height over time: no sensor on board measures it, so every filter drifts.",
+            f"Height over time: no sensor on board measures it, so every filter drifts.{same}",
             f"{files}_height.{kind}",
         ),
         Picture(
             position_error(errors),
-            "Distance from the truth, and the three sigma each filter claims for itself.",
+            f"Position error, and the three sigma each filter claims for itself.{same}",
             f"{files}_position_error.{kind}",
         ),
     ]

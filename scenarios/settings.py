@@ -99,6 +99,10 @@ class EstimateSettings(FilterFiles):
     """File for the trajectory with covariances (.parquet); its poses are also written beside it as
     a .tum file.
     """
+    no_advice: bool = False
+    """Do not try what would mend an estimate that is not to be trusted, which may take several
+    times as long as the estimate.
+    """
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from surefoot.sim.effects.timing import Delay
     from surefoot.sim.gait.options import Pattern
     from surefoot.sim.ground.terrain import Ground, HeightField, Patch, Strip
-    from surefoot.sim.log import Log, joint_velocity, reference_velocity
+    from surefoot.sim.log import Log, joint_velocity, reference_velocity, with_velocities
     from surefoot.sim.log.derived import JOINT_WINDOW, derivative
     from surefoot.sim.physics.loads import STICTION_RATE
     from surefoot.sim.robot import Robot

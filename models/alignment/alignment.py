@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
+import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -27,6 +28,7 @@ from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_fr
 from surefoot.sim.importing.columns import map_line
 from surefoot.sim.importing.reference import REFERENCE_OFFSET, in_world, mounted, with_reference
 from surefoot.sim.importing.reference_check import without_jumps
+from surefoot.sim.importing.sections import ReferenceTable
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
 from surefoot.sim.log.schema import LOG_NAME
@@ -125,10 +127,20 @@ class Alignment(Placement):
             *(f"doubtful: {fault}" for fault in self.faults),
         )
 
-    @property
-    def map_lines(self) -> tuple[str, ...]:
-        """Lines of an import map that apply the same alignment, in place of its own."""
-        lines = (f"{map_line(*one)}{_COMMENTS.get(one[0], '')}" for one in self.map_values.items())
+    def map_lines(self, reference: ReferenceTable | None = None, name: str = "") -> tuple[str, ...]:
+        """Lines of [reference] in an import map that apply the same alignment.
+
+        They have all that is in `reference`, that of the recording's map, but its columns; or only
+        the keys to replace, where it is not given. name: of the recording.
+        """
+        values = self.map_values
+        if reference is not None:
+            blank = vars(ReferenceTable(columns={}))
+            own = {k: x for k, x in vars(reference).items() if k != "columns" and x != blank[k]}
+            if isinstance(reference.offset, dict):
+                values["offset"] = reference.offset | {name: values["offset"]}
+            values = msgspec.to_builtins(own) | values
+        lines = (f"{map_line(key, x)}{_COMMENTS.get(key, '')}" for key, x in values.items())
         return ("[reference]", *lines)
 
     @property

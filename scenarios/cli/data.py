@@ -109,7 +109,7 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
             (warnings,) = warned([(log.name, findings)], self.strict)
         finally:
             if lines:
-                print("for the import map, in place of its own, what these advise:")
+                print("for the import map, in place of these keys of its own:")
                 print("\n".join((*lines, "")))
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
@@ -121,7 +121,7 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
         from surefoot.sim.common.files import write_whole
         from surefoot.sim.importing.guessing.guess import guess_map
 
-        text = guess_map(files, self.robot).text
+        text = guess_map(files, self.robot, self.out and self.out.parent).text
         if self.out is None:
             print(text, end="")
             return
@@ -217,12 +217,14 @@ def _compared_contacts(
     log: "Log", findings: "Sequence[Finding]", asked: bool
 ) -> tuple[tuple[str, ...], "Changes"]:
     """What to say on the contacts of a log, and changes of its map: where asked for, or where they
-    are in doubt.
+    are in doubt and no finding corrects them.
     """
     from surefoot.scenarios.estimate.contact_sources import contact_lines
     from surefoot.scenarios.stages import percent_bar
 
-    doubted = any(name.startswith("contact_") for one in findings for name in one.streams)
+    doubted = [one for one in findings if any(x.startswith("contact_") for x in one.streams)]
+    if any(one.changes for one in doubted):
+        return ("contacts: to be compared with the lines for the map followed",) * asked, {}
     if not (asked or doubted):
         return (), {}
     with percent_bar("contacts") as progress:

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
+from dataclasses import fields
 from io import StringIO
 from itertools import takewhile
 from typing import Annotated, Any, Union
@@ -93,7 +94,12 @@ def _command(kind: Any, prog: str, arguments: Sequence[str], about: str | None =
             said = [line for line in lines if line.strip("─-")][1:]  # below the title
             about_help = ("Argument helptext", "Available subcommands", "For full helptext")
             message = " ".join(takewhile(lambda line: not line.startswith(about_help), said))
-            print(f"surefoot: {message.rstrip('.')}; see `{prog} --help`", file=sys.stderr)
+            missing, unknown, options = message.partition("Unrecognized options: ")
+            if missing and unknown:  # what is missing may be what was mistyped
+                known = [f"--{one.name.replace('_', '-')}" for one in fields(kind)]
+                message = f"{unknown}{options}{did_you_mean(options.split()[0], known)}"
+            message = message.rstrip(".") + ";" * (not message.endswith("?"))
+            print(f"surefoot: {message} see `{prog} --help`", file=sys.stderr)
         raise
 
 

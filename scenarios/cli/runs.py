@@ -145,5 +145,5 @@ def how_to_go_on(name: str, written: Sequence[Path], own: Sequence[Path]) -> str
         done = ", ".join(map(str, written))
         return f"interrupted; {done} was already written, --force replaces it"
     if name in GOES_ON:
-        return "interrupted; run the same command to continue"
+        return "interrupted; the same command continues from what is finished"
     return "interrupted; nothing was written, the same command starts again"

@@ -99,7 +99,7 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     made = [row for job in jobs if (row := journal.find(job))]
     fallen = [(job, row) for job in jobs if (row := journal.find(job)) and row.falls]
     earlier = len(jobs) - len(todo)
-    kept = f" ({earlier} walks are from an earlier run)" if earlier else ""
+    kept = f" ({_counted(earlier, 'walk')} of an earlier run kept)" if earlier else ""
     logs, falls = _counted(len(made) - len(fallen), "log"), _counted(len(fallen), "fall")
     print(f"{logs} in {out}{kept}; {falls}; index: {index}")
     for job, row in fallen:

@@ -10,6 +10,7 @@ where there is a reference, has no larger error.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 
@@ -38,6 +39,10 @@ FAR = 0.1
 """Share of the path from which a position error is a reason for advice."""
 NO_WORSE = 1.1
 """Largest factor of the position error with a remedy, compared with that without."""
+PATIENCE, AT_LEAST = 4.0, 20.0
+"""Largest time that is spent on trying, relative to that of a single run; and the time [s] that is
+always granted, in which all is tried with a filter whose stream runs over a log at once.
+"""
 
 
 @dataclass(frozen=True)
@@ -111,7 +116,11 @@ def advice(
             "it is the baseline of the filters that have legs or an observer"
         )
 
+    begun, until = perf_counter(), np.inf
+
     def tried(remedy: Remedy) -> Trial | None:
+        if perf_counter() > until:
+            return None
         try:
             result = run_filter(remedy.filter, remedy.log, robot, learnt, remedy.settings)
         except SurefootError:
@@ -122,19 +131,21 @@ def advice(
     before = tried(plain)
     if before is None:
         return ""
+    until = begun + max(AT_LEAST, PATIENCE * (perf_counter() - begun))
     contact = parameters_of(estimator_named(name), robot, settings).get("contact")
     mending = [one for one in _trials(before, contact, tried) if one and _mends(before, one)]
     best = min(mending, key=lambda one: one.cost, default=None)
     # Contacts are replaced only where else another filter would be.
     if contact is not None and (best is None or best.remedy.filter != name):
         mending += [one for one in _by_rules(plain, robot, tried) if one and _mends(before, one)]
+    left = "; not all changes were tried, as this filter is slow" * (perf_counter() > until)
     if not mending:
         return (
             "no single change of contact noise, source of contacts, times of joints and contacts "
-            "or start mends it"
+            f"or start mends it{left}"
         )
     best = min(mending, key=lambda one: one.cost)
-    return f"{best.remedy.words}; tried on this log: {_effect(before, best)}"
+    return f"{best.remedy.words}; tried on this log: {_effect(before, best)}{left}"
 
 
 def likelihood(trajectory: Trajectory) -> float:

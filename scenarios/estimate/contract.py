@@ -80,6 +80,9 @@ class Needs:
 
     def check(self, log: Log, robot: Robot | None) -> None:
         """Raise SurefootError where the log lacks a column, or a needed robot is unknown."""
+        if "dq" in self.log and log.has("q") and not log.has("dq"):
+            remedy = "surefoot.extend.with_velocities(log, causal=True) derives them from q"
+            raise SurefootError(f"{log.name}: the log lacks dq (dq_<joint>): {remedy}")
         log.require(*self.log)
         by_joints = self.feet and not log.has("foot")
         if by_joints and not log.has("q"):
@@ -117,8 +120,8 @@ class Learnt:
         pairs = [(o, b) for o in wanted for b in self.bounds if b.observer == o.hash]
         if not pairs:
             raise SurefootError(
-                f"needs bounds of its observer (loss {loss or 'any'}): those given belong to "
-                "another observer; calibrate this one"
+                f"needs bounds of its observer{f' (loss {loss})' if loss else ''}: those given "
+                "belong to another observer; calibrate this one"
             )
         return min(pairs, key=lambda pair: pair[0].loss != "mse")
 

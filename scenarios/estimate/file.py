@@ -114,10 +114,10 @@ def estimate_file(settings: EstimateSettings) -> EstimateOfFile:
             judge.add(log, part)
         metrics = None if parts[-1].diverged else judge.metrics()
     found = health_of(parts, estimator, model, first, chosen)
-    advised = whole and needs_advice(settings.filter, metrics, found)
+    advised = whole and not settings.no_advice and needs_advice(settings.filter, metrics, found)
     words = ""
     if advised:
-        print("trying what would mend the estimate", file=sys.stderr)
+        print("trying what would mend the estimate (--no-advice skips this)", file=sys.stderr)
         words = advice(settings.filter, read, robot, learnt, chosen)
     return EstimateOfFile(metrics, found, words)
 

@@ -142,7 +142,8 @@ def start_note(log: Log) -> str:
 
 def _other_robot(log: Log, robot: Robot | None) -> str:
     named = log.meta.robot
-    if robot is None or not named or named == robot.name:
+    # Imported logs of 0.1.0 name the robot's file.
+    if robot is None or not named or Path(named).name in (robot.name, robot.file.name):
         return ""
     return f"robot: the log is of {named}, but estimated as {robot.name}; filters trust its legs"
 

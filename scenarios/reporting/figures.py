@@ -65,7 +65,7 @@ def trajectories(
     for patch in patches:
         _draw_patch(ax, patch, low, high)
     x, y, _ = log.ref_p.T
-    ax.plot(x, y, color=TRUTH, linewidth=3.5, label="Truth", solid_capstyle="round")
+    ax.plot(x, y, color=TRUTH, linewidth=3.5, label=_known(log), solid_capstyle="round")
     for name, error in errors.items():
         look = estimator_look(name, f"{error.distance[-1]:.2f} m off at the end")
         there_x, there_y, _ = error.p_GI.T
@@ -73,7 +73,7 @@ def trajectories(
         ends = ax.plot(there_x[-1], there_y[-1], "X", color=look["color"])
         ends[0].set(markersize=8, markeredgecolor="white")
     ax.plot(x[0], y[0], "o", color=INK, markersize=8, label="Start")
-    ax.plot(x[-1], y[-1], "s", color=INK, markersize=7, label="True end")
+    ax.plot(x[-1], y[-1], "s", color=INK, markersize=7, label=f"{_known(log)}'s end")
     ax.plot([], [], "X", color=INK, markersize=7, label="Estimated end")
     ax.set(xlabel="x [m]", ylabel="y [m]")
     show_to_scale(ax, low, high)
@@ -86,7 +86,7 @@ def height_figure(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
     """Height of truth and estimates over time, whose drift is unobservable."""
     figure, ax = single_axes(7.5, 3.6)
     t, z = log.t, log.ref_p[:, 2]
-    ax.plot(t, z, color=TRUTH, linewidth=3.0, label="Truth")
+    ax.plot(t, z, color=TRUTH, linewidth=3.0, label=_known(log))
     for name, error in errors.items():
         look = estimator_look(name, f"{error.position[-1, 2]:+.3f} m at the end")
         ax.plot(error.t, error.p_GI[:, 2], **look)
@@ -95,6 +95,11 @@ def height_figure(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
     set_title(ax, "Height of the IMU over time")
     legend_below(figure, ax, columns=2)
     return figure
+
+
+def _known(log: Log) -> str:
+    """What a log's reference is: the truth only where it is simulated."""
+    return "Reference" if log.meta.seed is None else "Truth"
 
 
 def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> Figure:
@@ -113,11 +118,12 @@ def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> 
     truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
     predicted = np.asarray(prediction.v_I)
     half = np.broadcast_to(epsilon, predicted.shape)
-    first, last = t[0], t[-1]
+    first, last, when = t[0], t[-1], ""
     if last - first > 15.0:
         first, last = 0.5 * (first + last) - 5.0, 0.5 * (first + last) + 5.0
+        when = f", {first:.0f} to {last:.0f} s"
     shown = (t >= first) & (t <= last)
-    title = "Body velocity: truth, observer and its bounds"
+    title = f"Body velocity: {_known(log).lower()}, observer and its bounds{when}"
     figure, axes = new_figure(3, 1, size=(7.5, 6.2), share_x=True, title=title)
     for k, (axis, word) in enumerate(NAMED_AXES):
         ax = axes[k, 0]
@@ -126,10 +132,10 @@ def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> 
         band.set(alpha=0.25, label="Observer ± ε (the bounds)")
         ax.plot(t[shown], predicted[shown, k], color=OBSERVER, linewidth=1.2, label="Observer")
         measured = np.where(ok, truth[:, k], np.nan)
-        ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label="Truth")
+        ax.plot(t[shown], measured[shown], color=TRUTH, linewidth=2.0, label=_known(log))
         outside = ok & (np.abs(truth[:, k] - predicted[:, k]) > half[:, k])
         missed = t[shown & outside], truth[shown & outside, k]
-        ax.plot(*missed, ".", color=OUTSIDE, markersize=4, label="Truth outside")
+        ax.plot(*missed, ".", color=OUTSIDE, markersize=4, label=f"{_known(log)} outside")
         inside = f"{100.0 * (1.0 - outside[ok].mean()):.1f} % of the walk inside"
         set_title(ax, f"{axis} of the IMU ({word}): {inside} ± {half[0, k]:.3g} m/s", 9.5)
         ax.set_ylabel("m/s")
@@ -154,7 +160,7 @@ def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     show_time(ax, *_span(errors))
     ax.set_ylabel("position error [m]")
     limit_to_errors(ax, top)
-    set_title(ax, "Distance between estimate and truth, and each filter's own 3σ (dashed)")
+    set_title(ax, "Position error, and each filter's own 3σ (dashed)")
     legend_below(figure, ax, columns=2)
     return figure
 
@@ -171,7 +177,7 @@ def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:
     """Errors of position in G, attitude about the heading's axes, and velocity in I, one panel for
     each axis, with the filter's own 3 sigma as a band.
     """
-    title = "Errors by axis, and each filter's own 3σ (dashed)"
+    title = "Errors by axis, and each filter's own 3σ (shaded)"
     figure, axes = new_figure(3, 3, size=(10.0, 6.5), share_x=True, title=title)
     for column, (field, words, names, factor) in enumerate(QUANTITIES):
         for k, axis in enumerate(names):
@@ -185,7 +191,7 @@ def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:
                     shown = ax.fill_between(series.t, -band, band, color=color, zorder=0.5)
                     shown.set(alpha=0.08, linewidth=0)
                     edges = np.stack([-band, band], axis=1)
-                    ax.plot(series.t, edges, color=color, linewidth=0.8, linestyle=(0, (4, 2)))
+                    ax.plot(series.t, edges, color=color, linewidth=0.4)
             ax.set_ylim(*np.clip(ax.get_ylim(), -6.0 * most, 6.0 * most) if most else (-1.0, 1.0))
             set_title(ax, f"{words.partition(' [')[0]}, {axis}", 9.0)
             ax.set_ylabel(words.partition(" ")[2].strip("[]"))

@@ -58,7 +58,7 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
             Step("Check stamps, signs and contacts of the log", _line("info", files.logs[0])),
             *([align] if filters else []),
             *use,
-            Step("Write what remains as an effect of your own (docs/guides/own_effect.md)"),
+            Step("Write what remains as an effect of your own, see the guide 'Your own effect'"),
         )
     if found.verdict == "not_identifiable":
         return Step("Record more", plan), again

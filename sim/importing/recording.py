@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import is_file
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.clock import (
@@ -29,7 +29,7 @@ from surefoot.sim.importing.reference import poses_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses
-from surefoot.sim.robot.catalog import SUFFIXES, model_metadata
+from surefoot.sim.robot.catalog import SUFFIXES, machine_file, model_metadata
 
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
 """Kinds of columns without which a log is complete."""
@@ -99,12 +99,19 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
 
 
 def _with_robots_file(rules: ImportMap, main: Path) -> ImportMap:
-    """The map with the full path of the robot's file, where it names one, and its metadata."""
+    """The map with its robot's name, and the metadata of its file, where it names a file.
+
+    Raises SurefootError where it names a robot that cannot be found.
+    """
+    if rules.robot is None:
+        return rules
     for folder in (rules.path.parent, main.parent, Path.cwd()):
-        file = folder / (rules.robot or "")
+        file = folder / rules.robot
         if file.suffix in SUFFIXES and is_file(file):
             model = rules.model | model_metadata(file.stem, file.resolve())
-            return replace(rules, robot=str(file.resolve()), model=model)
+            return replace(rules, robot=file.stem, model=model)
+    with errors_in(f"{rules.path}: [robot] name"):
+        machine_file(rules.robot)
     return rules
 
 

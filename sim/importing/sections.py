@@ -112,7 +112,9 @@ class RobotTable:
     """[robot]: the robot of the log. Values here override those of its file."""
 
     name: Name
-    """A known name, or an MJCF or URDF file: a path, also relative to the map or the recording."""
+    """A known name, or an MJCF or URDF file: its path, relative to the map's folder. It is also
+    searched for in the recording's folder, then in the current one.
+    """
     imu_position: tuple[float, float, float] | None = None
     """Position of the IMU in the base frame [m]; by default the file's."""
     imu_orientation: tuple[float, float, float, float] | None = None

@@ -5,6 +5,7 @@ from surefoot.sim.log.derived import (
     foot_velocity,
     joint_velocity,
     reference_velocity,
+    with_velocities,
 )
 from surefoot.sim.log.file import LogError, LogReader, LogWriter
 from surefoot.sim.log.log import Log, MemoisedLog

@@ -5,6 +5,7 @@ phase; a window of the past has none for motions of constant acceleration.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -185,3 +186,19 @@ def reference_velocity(log: Log, causal: bool = False) -> np.ndarray:
     return log.once(
         what, ["reference"], lambda: derivative(log.t, log.ref_p, REFERENCE_WINDOW, causal)
     )
+
+
+def with_velocities(log: Log, causal: bool = False) -> Log:
+    """Add missing dq and ref_v where they can be derived, marked as derived."""
+    columns: dict[str, np.ndarray] = {}
+    derived = list(log.meta.derived)
+    kind = "causal" if causal else "zero-phase"
+    if log.has("q") and not log.has("dq"):
+        velocity = joint_velocity(log, causal)
+        columns |= {f"dq_{joint}": velocity[:, i] for i, joint in enumerate(log.joints)}
+        derived.append(f"dq ({kind})")
+    if log.has("reference") and not log.has("ref_v"):
+        velocity = reference_velocity(log, causal)
+        columns |= {f"ref_v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
+        derived.append(f"ref_v ({kind})")
+    return replace(log, meta=replace(log.meta, derived=tuple(derived))).with_columns(columns)

@@ -2,12 +2,13 @@
 delays.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
 
+from surefoot.sim.importing.advice import Changes
 from surefoot.sim.plausibility.comparison import LATE, MENDED
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.loads import leaning
@@ -271,7 +272,16 @@ def _swapped(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
     columns = tuple(f"{kind}{i}" for kind in swapped for i, _ in wrong)
     what = " and ".join({"q_": "joints", "contact_": "contacts"}[kind] for kind in swapped)
     cause = f"swapped legs ({what}): {', '.join(f'{i} is {j}' for i, j in wrong)}"
-    return base / left, [Finding(columns, _less(base / left), cause)]
+    changes = _exchanged_contacts(view, wrong) if swapped == ("contact_",) else {}
+    return base / left, [Finding(columns, _less(base / left), cause, changes)]
+
+
+def _exchanged_contacts(view: LogView, wrong: Sequence[tuple[str, str]]) -> Changes:
+    """The change of a map that gives each leg the contacts of another, or the forces by which these
+    were detected.
+    """
+    kind = "force" if "contact from force" in view.log.meta.derived else "contact"
+    return {"columns": {f"{kind}_{i}": {"of": f"{kind}_{j}"} for i, j in wrong}}
 
 
 def _read_otherwise(

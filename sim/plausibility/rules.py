@@ -41,7 +41,8 @@ RULES: tuple[Rule, ...] = (
     imu.accelerometer, imu.averaged, reference.point, reference.motion,
     imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.late_torques,
     # Symptoms of several causes.
-    joints.stops, joints.zeros, streams.lagging, contacts.inverted, loads.weight_carried,
+    joints.stops, joints.zeros, streams.lagging, contacts.inverted, loads.torque_signs,
+    loads.weight_carried,
 )  # fmt: skip
 _GROUPS = {"gyro": "imu", "accel": "imu", "ref": "reference"}
 """Group of columns of a log by what a rule needs, where it has another name."""

@@ -72,7 +72,7 @@ force_FR = "f"
 force_RL = "f"
 force_RR = "f"
 [robot]
-name = "mine"
+name = "spot_class"
 imu_position = [0.0, 0.0, 0.1]
 imu_orientation = [1.0, 0.0, 0.0, 0.0]
 foot_radius = 0.02

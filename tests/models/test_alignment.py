@@ -53,7 +53,7 @@ def test_what_was_planted_is_found_within_its_interval(log, offset):
     turned = (Rotation.from_matrix(found.R_IM).inv() * R_IM).as_rotvec()
     assert np.all(np.abs(turned) < 1.5 * found.R_IM_half_width)
     assert found.faults == ()
-    assert tomllib.loads("\n".join(found.map_lines))["reference"]["offset"] == pytest.approx(
+    assert tomllib.loads("\n".join(found.map_lines()))["reference"]["offset"] == pytest.approx(
         found.offset, abs=1e-5
     )
 
@@ -92,7 +92,7 @@ def test_gravity_along_another_axis_is_the_world_turned_and_no_offset(log, world
     np.testing.assert_allclose(found.p_IM, P_IM, atol=0.02)
     np.testing.assert_array_equal(found.accel_offset, 0.0)
     assert ["world" in fault for fault in found.faults] == [True]
-    advised = tomllib.loads("\n".join(found.map_lines))["reference"]["q_GW"]
+    advised = tomllib.loads("\n".join(found.map_lines()))["reference"]["q_GW"]
     up = Rotation.from_quat(advised, scalar_first=True).apply(R_WG.apply([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(up, [0.0, 0.0, 1.0], atol=1e-5)
     level = aligned_log(log, found, poses)

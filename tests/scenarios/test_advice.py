@@ -95,6 +95,15 @@ def test_advice_that_mends_nothing_is_not_given(walked):
     assert "no single change" in _advised(lost, robot, FilterSettings())
 
 
+def test_a_slow_filter_is_not_tried_on_and_on(walked, monkeypatch):
+    log, robot = walked
+    lost = log.with_columns({"gyro_x": 0.5 * log.t})
+    assert "not all" not in _advised(lost, robot, FilterSettings())
+    for limit in ("AT_LEAST", "PATIENCE"):
+        monkeypatch.setattr(f"surefoot.scenarios.estimate.advice.{limit}", 0.0)
+    assert "not all changes were tried" in _advised(lost, robot, FilterSettings())
+
+
 def test_estimate_prints_it_and_the_imu_alone_is_not_silent(walked, tmp_path, capsys):
     log, _ = walked
     path = tmp_path / "walk.parquet"

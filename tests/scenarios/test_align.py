@@ -64,14 +64,14 @@ def recording(log, tmp_path):
 
 def by_both_ways(file, map, folder):
     """The log that `align` writes, and the one that is imported with the lines it prints."""
-    found, _ = align_file(AlignSettings(file=file, map=str(map), out=folder / "aligned"))
-    lines = {line.partition(" = ")[0]: line for line in found.map_lines}
+    _, said = align_file(AlignSettings(file=file, map=str(map), out=folder / "aligned"))
+    lines = said[said.index("[reference]") :]
     kept, within = [], False
     for line in map_file(map).read_text().splitlines():
         within = line == "[reference]" if line.startswith("[") else within
         if line == "[reference]":
-            kept += found.map_lines
-        elif not (within and line.partition(" = ")[0] in lines):
+            kept += lines
+        elif not within:
             kept.append(line)
     # The map stays where its files and its robot are looked for.
     written(folder / "pasted.toml", "\n".join(kept))

@@ -15,8 +15,10 @@ from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.inputs import notes_on
 from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.reporting.tables import WIDTH, in_terminal
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walk import walk
 
@@ -189,6 +191,24 @@ def test_a_log_of_another_robot_is_said_to_be(log):
     assert ["spot_class" in line and "v60_class" in line for line in said[1]] == [True]
     unnamed = replace(log, meta=replace(log.meta, robot=""))
     assert notes_on(unnamed, robots[1], Learnt(), FilterSettings()) == ()
+
+
+def test_an_imported_log_is_of_the_robot_in_the_file_that_its_map_names(log, tmp_path):
+    (tmp_path / "mine.xml").write_text(robot_file("spot_class").read_text())
+    log.frame.to_csv(tmp_path / "mine.csv", index=False)
+    columns = "\n".join(f'{name} = "{name}"' for name in log.frame)
+    (tmp_path / "mine.toml").write_text(f"[columns]\n{columns}\n[robot]\nname = 'mine.xml'\n")
+    imported = import_log(tmp_path / "mine.csv", tmp_path / "mine.toml")
+    robot = Robot.for_log(imported)
+    assert robot.file == tmp_path / "mine.xml"
+    assert notes_on(imported, robot, Learnt(), FilterSettings()) == ()
+    other = Robot.load("v60_class")
+    assert any(
+        "v60_class" in line for line in notes_on(imported, other, Learnt(), FilterSettings())
+    )
+    # As 0.1.0 named it.
+    by_file = replace(imported, meta=replace(imported.meta, robot=str(robot.file)))
+    assert notes_on(by_file, robot, Learnt(), FilterSettings()) == ()
 
 
 @pytest.mark.parametrize("command", ["", "compare", "estimate", "import"])

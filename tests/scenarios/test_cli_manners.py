@@ -53,6 +53,7 @@ def test_version(capsys):
         ("simulat demo/walk -o new", "did you mean 'simulate'?"),
         ("suite spott -o new", "did you mean 'spot'?"),
         ("simulate demo/walk --robt spot_class -o new", "--robot"),
+        ("estimate log.parquet --filtr leg", "--filtr leg; did you mean '--filter'?"),
     ],
 )
 def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, capsys):

@@ -9,9 +9,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from surefoot.estimator.metrics import Metrics
+from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
 from surefoot.scenarios.compare import (
     ONE_WALK,
     Comparison,
+    _not_held,
     _pictures,
     error_summary,
     with_best_marked,
@@ -36,6 +38,12 @@ def test_the_summary_names_the_least_error_and_who_claims_too_much(metrics):
     assert "overconfident (NEES_pos, 3 if consistent): bold (149.00)" in text
     assert "underconfident (NEES_pos, 3 if consistent): shy (0.01)" in text
     assert "even" not in text
+
+
+def test_bounds_that_do_not_hold_are_said_to():
+    found = EmpiricalCoverage(np.full(3, 0.6), 0.28, np.array([0.09, 0.56]), 12)
+    assert "28 (9–56) %" in _not_held(found, 0.8)
+    assert _not_held(replace(found, joint_interval=np.array([0.09, 0.81])), 0.8) == ""
 
 
 def test_a_consistent_filter_stays_within_the_interval_on_19_of_20_walks():

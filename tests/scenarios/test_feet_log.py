@@ -170,7 +170,8 @@ def test_a_map_takes_feet_in_millimetres_and_says_which_bodies_they_are(tmp_path
     rows.to_csv(tmp_path / "robot.csv", index=False)
     feet = "".join(f'foot_left_{x} = {{ column = "p", unit = "mm" }}\n' for x in "xyz")
     force = "".join(f'force_left_{x} = {{ column = "n", unit = "kN" }}\n' for x in "xyz")
-    text = f'[columns]\nt = "t"\n{feet}{force}[robot]\nname = "mine"\nfeet = {{ left = "sole" }}\n'
+    robot = '[robot]\nname = "spot_class"\nfeet = { left = "sole" }\n'
+    text = f'[columns]\nt = "t"\n{feet}{force}{robot}'
     log = import_log(tmp_path / "robot.csv", written(tmp_path / "map.toml", text))
     assert log.legs == ("left",)
     np.testing.assert_allclose(log.foot_I[:, 0, 1], [0.10, 0.11, 0.12])

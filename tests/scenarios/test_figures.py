@@ -78,7 +78,7 @@ def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
 @pytest.mark.parametrize("path", [(4.0, 4.0), (20.0, 2.0), (2.0, 20.0)])
 def test_a_path_of_any_shape_leaves_room_for_title_and_legend(path):
     ends = np.linspace(0.0, 1.0, 9)[:, None] * (*path, 0.0)
-    log: Any = SimpleNamespace(ref_p=ends)
+    log: Any = SimpleNamespace(ref_p=ends, meta=SimpleNamespace(seed=0))
     estimate: Any = SimpleNamespace(p_GI=ends + 0.1, distance=np.full(9, 0.2))
     figure = figures.trajectories(log, {"leg": estimate, "coverage": estimate})
     png(figure)
@@ -132,7 +132,7 @@ def test_the_height_panel_fits_the_estimates_but_those_that_are_lost():
 
 def test_heights_and_paths_are_those_of_the_walk(drawn, walk, errors):
     lines = {str(line.get_label()).split(" (")[0]: line for line in drawn["height"].axes[0].lines}
-    np.testing.assert_allclose(lines["Truth"].get_ydata(), walk.log.ref_p[:, 2])
+    np.testing.assert_allclose(lines["Reference"].get_ydata(), walk.log.ref_p[:, 2])
     np.testing.assert_allclose(lines["leg"].get_ydata(), errors["leg"].p_GI[:, 2])
     assert "leg (+0.080 m at the end)" in words(drawn["height"])
 

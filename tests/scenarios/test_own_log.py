@@ -122,9 +122,10 @@ def test_a_log_as_a_robot_writes_it_is_compared_after_one_wrong_turn(
 
     # What align prints goes into the map as it is, in place of the draft's own.
     out = said(capsys, "align", ".", "--map", "mine.toml", "-o", "alignment")
-    pasted = out[out.index("[reference]\n") + len("[reference]\n") :]
-    text = re.sub(r"^frame = .*\n", lambda _: pasted, Path("mine.toml").read_text(), flags=re.M)
-    Path("mine.toml").write_text(text)
+    pasted = out[out.index("[reference]\n") :]
+    before, _, rest = Path("mine.toml").read_text().partition("[reference]\n")
+    columns = rest[rest.index("[reference.columns]") :]
+    Path("mine.toml").write_text(f"{before}{pasted}\n{columns}")
     found = json.loads(Path("alignment/alignment.json").read_text())
     assert abs(found["offset"] - (EPOCH + STARTED)) < 1e-3
     q_IM = [float(x) for x in re.findall(r"q_IM = \[(.*?)\]", pasted)[0].split(",")]

@@ -21,7 +21,14 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.scenarios.estimate import file
 from surefoot.scenarios.estimate import radar_velocity as radar
-from surefoot.scenarios.estimate.contract import Beginning, Learnt, Stream, check_sample, samples
+from surefoot.scenarios.estimate.contract import (
+    Beginning,
+    Learnt,
+    Needs,
+    Stream,
+    check_sample,
+    samples,
+)
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.run import (
     estimated,
@@ -35,7 +42,7 @@ from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground, Patch
-from surefoot.sim.log import Log, Meta
+from surefoot.sim.log import Log, Meta, with_velocities
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
@@ -137,6 +144,14 @@ def test_a_log_that_comes_in_pieces_gives_the_trajectory_of_the_whole(name, log,
     parts = [log.rows(slice(0, 700)), log.rows(slice(700, 701)), log.rows(slice(701, None))]
     found = joined_trajectory(estimated_in_chunks(one, parts, robot, Learnt()))
     assert_same(found, estimated(one, log, robot, Learnt()), 0.0)
+
+
+def test_an_estimator_that_needs_rates_says_what_derives_them(log, robot):
+    bare, needs = without(log, "dq_"), Needs(log=("imu", "q", "dq"))
+    refused("the log lacks dq .*with_velocities", needs.check, bare, robot)
+    derived = with_velocities(bare, causal=True)
+    needs.check(derived, robot)
+    assert any("dq" in words for words in derived.meta.derived)
 
 
 def test_joint_rates_that_are_missing_are_the_same_in_pieces(log, robot):

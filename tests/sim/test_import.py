@@ -22,6 +22,7 @@ from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import EVENNESS, Source
 from surefoot.sim.log import JOINTS, Log
+from surefoot.sim.robot.catalog import robot_file
 from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.sensors.stances import contact_from_force
 
@@ -65,7 +66,7 @@ ref_q_x = "qx"
 ref_q_y = "qy"
 ref_q_z = "qz"
 [robot]
-name = "hopper"
+name = "ak80_pendulum"
 imu_position = [0.1, 0.0, 0.0]
 imu_orientation = [0.0, 0.0, 0.0, 1.0]
 foot_radius = 0.02
@@ -135,6 +136,25 @@ def test_a_unit_has_the_factor_of_its_definition(kind, unit):
     assert column.read(np.array([2.0])) == pytest.approx(2.0 * factor, rel=1e-12)
 
 
+def test_a_robots_file_is_relative_to_the_map_and_must_exist(folder, tmp_path, monkeypatch):
+    model = robot_file("spot_class").read_text()
+    for place in ("maps", "shell"):
+        (tmp_path / place).mkdir()
+    named = MAP.replace('"ak80_pendulum"', '"bot.xml"')
+    map_path = tmp_path / "maps" / "mine.toml"
+    map_path.write_text(named)
+    monkeypatch.chdir(tmp_path / "shell")
+    refused(r"mine.toml: \[robot\] name: robot bot.xml", import_log, folder, map_path)
+    unknown = named.replace("bot.xml", "spot_clas")
+    (tmp_path / "maps" / "typo.toml").write_text(unknown)
+    refused("spot_class", import_log, folder, tmp_path / "maps" / "typo.toml")
+    for place in ("shell", "maps"):  # maps win over the current folder
+        (tmp_path / place / "bot.xml").write_text(model)
+        log = import_log(folder, map_path)
+        assert log.meta.robot == "bot"
+        assert log.meta.model["file"]["path"] == str(tmp_path / place / "bot.xml")
+
+
 def test_units_signs_and_offsets(folder):
     log = import_log(folder, folder / "map.toml")
     raw = pd.read_csv(folder / "robot.csv").iloc[50:451].reset_index(drop=True)
@@ -146,7 +166,7 @@ def test_units_signs_and_offsets(folder):
     np.testing.assert_allclose(log.q_des[:, 0], 0.5 - np.radians(raw["knee"]))
     np.testing.assert_allclose(log.tau[:, 0], -1e-3 * raw["knee"])
     np.testing.assert_array_equal(log.frame["x_battery"], raw["volts"])
-    assert log.meta.robot == "hopper"
+    assert log.meta.robot == "ak80_pendulum"
     assert log.meta.motor_law == {"kp": [20.0], "kd": [0.5]}
     assert log.meta.model["foot_radius"] == 0.02
     assert log.meta.model["ground_evenness"] == EVENNESS

@@ -35,7 +35,8 @@ def walked():
 
 
 def map_text(offset: str, **entries: str) -> str:
-    names = ("t", *SENSORS, *JOINT_COLUMNS, *(f"contact_{leg}" for leg in LEGS))
+    feet = "force" if "force_FL" in entries else "contact"
+    names = ("t", *SENSORS, *JOINT_COLUMNS, *(f"{feet}_{leg}" for leg in LEGS))
     lines = [f"{name} = {entries.get(name, repr(name))}" for name in names]
     lines += ["[reference]", "file = 'mocap.csv'", offset, "[reference.columns]"]
     lines += [f"{name} = {entries.get(name, repr(name))}" for name in ("t", *POSE)]
@@ -134,6 +135,13 @@ WRONG = {
     "a base that is turned": Wrong(
         mocap=rotated(right=QUARTER), keys="frame = 'base'", robot="imu_position = [0.0, 0.0, 0.0]"
     ),
+    "two feet whose contacts are swapped": Wrong(
+        entries={"contact_FL": "'contact_RL'", "contact_RL": "'contact_FL'"}
+    ),
+    "two feet whose forces are swapped": Wrong(
+        entries={"force_FL": "'force_RL'", "force_RL": "'force_FL'"},
+        robot="[contact]\non = 40\noff = 30",
+    ),
     "a quaternion whose last number is w": Wrong(mocap=renamed(XYZW)),
     "a quaternion whose first number is w": Wrong(mocap=renamed({w: x for x, w in XYZW.items()})),
     "a world whose y is up": Wrong(mocap=rotated(Rotation.from_euler("x", -90, degrees=True))),
@@ -204,7 +212,7 @@ def test_advice_is_added_to_what_the_map_says(tmp_path):
         "q_ankle = { column = 'c', unit = 'deg' }\n"
         "accel_x = 'ax'\naccel_y = { column = 'ay', unit = 'g' }\n"
         "[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
-        "[robot]\nname = 'hopper'\njoint_sign = { knee = -1 }\n"
+        "[robot]\nname = 'ak80_pendulum'\njoint_sign = { knee = -1 }\n"
     )
     advice = (
         {"columns": {"q_knee": {"unit": "deg"}, "dq_knee": {"unit": "deg/s"}}},

@@ -37,7 +37,7 @@ gyro_x = {{ column = "/imu:angular_velocity.x", unit = "deg/s" }}
 {ENTRIES}[reference]
 [reference.columns]
 {REFERENCE}[robot]
-name = "hopper"
+name = "ak80_pendulum"
 """
 JOINTS, POSE, FRAMES = (
     "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"

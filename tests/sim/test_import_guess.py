@@ -257,6 +257,53 @@ def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
 
 
+VORNE_HINTEN = {"FL": "vl", "FR": "vr", "RL": "hl", "RR": "hr"}
+"""Legs in German, of which two are words for other legs in English."""
+
+
+def test_columns_are_known_by_the_robots_own_words_for_legs_and_joints(tmp_path, walked):
+    parts = {"hip": "roll", "thigh": "swing", "calf": "fold"}
+    theirs = {j: f"{VORNE_HINTEN[j[:2]]}_{parts[j[3:]]}" for j in walked.joints}
+    model = robot_file("spot_class").read_text()
+    for joint, name in theirs.items():
+        model = model.replace(f'"{joint}"', f'"wz_{name}"')
+    (tmp_path / "mine.xml").write_text(model)
+    rows = walked.frame[::5]
+    columns = {"time": rows["t"]}
+    columns |= {f"winkel_{name}_deg": DEGREES * rows[f"q_{j}"] for j, name in theirs.items()}
+    columns |= {f"moment_{name}": rows[f"tau_{j}"] for j, name in theirs.items()}
+    forces = {f"foot_force_{VORNE_HINTEN[leg]}": rows[f"force_{leg}"] for leg in LEGS}
+    poses = {f"marker_{a}_mm": 1e3 * rows[f"ref_p_{a}"] for a in "xyz"}
+    poses |= {f"rot_q{a}": rows[f"ref_q_{a}"] for a in "xyzw"}
+    files = [
+        csv(tmp_path, columns | forces),
+        csv(tmp_path, {"time": rows["t"]} | poses, "mocap.csv"),
+    ]
+    draft = guess_map(files, str(tmp_path / "mine.xml"))
+    check_entries(
+        draft,
+        {f"q_{j}": (f"winkel_{name}_deg", "deg") for j, name in theirs.items()}
+        | {f"tau_{j}": (f"moment_{name}", "N m") for j, name in theirs.items()}
+        | {f"force_{leg}": (f"foot_force_{VORNE_HINTEN[leg]}",) for leg in LEGS},
+    )
+    reference = {e.name: (e.theirs, e.unit) for e in draft.reference}
+    assert reference["ref_p_x"] == ("marker_x_mm", "mm")
+    assert reference["ref_q_w"] == ("rot_qw", None)
+    assert not [note for note in draft.notes if "force" in note]
+
+
+def test_feet_without_a_column_beside_others_are_asked_about(tmp_path):
+    t = 0.01 * np.arange(200)
+    forces = {f"foot_force_{leg}": 50.0 + np.sin(t) for leg in VORNE_HINTEN.values()}
+    draft = guess_map([csv(tmp_path, {"time": t} | forces)])
+    asked = [note for note in draft.notes if note.startswith("force of RL, RR alone")]
+    assert ["foot_force_vl" in one and "foot_force_vr" in one for one in asked] == [True]
+    # By a robot of four legs, one that has no column at all is missed.
+    three = {f"foot_force_{leg}": 50.0 + np.sin(t) for leg in ("FL", "FR", "RL")}
+    draft = guess_map([csv(tmp_path, {"time": t} | three, "three.csv")], "spot_class")
+    assert [note for note in draft.notes if note.startswith("force of FL, FR, RL alone")]
+
+
 def test_the_joints_of_an_arm_are_those_of_its_file(tmp_path):
     """Words of their own names, such as "rotation" and "lift", say nothing about a column."""
     joints = ["torso_lift_joint", "arm_1_joint", "wrist_rotation_joint"]
@@ -393,6 +440,21 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
     for words in (["import", "run.csv"], ["import", "csv"]):
         with pytest.raises(SystemExit, match="surefoot: "):
             main(words)
+
+
+def test_a_draft_names_the_robots_file_from_its_own_folder(tmp_path, monkeypatch, capsys):
+    t = 0.01 * np.arange(200)
+    for place in ("maps", "bot", "run"):
+        (tmp_path / place).mkdir()
+    csv(tmp_path / "run", {"time": t, "q_FL_hip": np.sin(t)})
+    (tmp_path / "bot" / "mine.xml").write_text(robot_file("spot_class").read_text())
+    monkeypatch.chdir(tmp_path)
+    ask = ["import", "--guess", "run/run.csv", "--robot", "bot/mine.xml"]
+    main([*ask, "-o", "maps/map.toml"])
+    assert ImportMap.read("maps/map.toml").robot == "../bot/mine.xml"
+    capsys.readouterr()
+    main(ask)  # wherever the text will be saved
+    assert f'name = "{(tmp_path / "bot" / "mine.xml").as_posix()}"' in capsys.readouterr().out
 
 
 def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):

@@ -327,7 +327,9 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "all calves from another zero": ("q_.._calf", plus(0.3), "legs", "-0.3 rad added"),
     "all thighs from another zero": ("q_.._thigh", plus(-0.2), "legs", "+0.2 rad added"),
     "torques in mN m": ("tau_", times(1e3), "torque", 'unit = "mN m"'),
-    "torques negated": ("tau_", np.negative, "support", "wrong sign"),
+    "torques negated": ("tau_", np.negative, "joint torques", "wrong sign"),
+    "a torque of the wrong sign": (
+        "tau_RL_thigh", np.negative, "joint torques", "tau_RL_thigh: wrong sign"),
     "torques of the motor": ("tau_", times(1 / 8), "support", "a motor's side"),
     "torques without a sign": ("tau_", np.abs, "magnitudes", "without their sign"),
     "contacts inverted": (

@@ -15,6 +15,7 @@ from surefoot.sim.log import (
     Meta,
     joint_velocity,
     reference_velocity,
+    with_velocities,
 )
 from surefoot.sim.log.derived import derivative
 
@@ -114,7 +115,7 @@ def test_a_day_without_rows_is_no_division_by_zero(causal):
     assert np.abs(found).max() < 7.1
 
 
-def test_velocities_are_logged_ones_where_there_are_any():
+def test_velocities_are_logged_ones_first_and_marked_when_derived():
     t = np.arange(100) / 400.0
     columns = {"t": t, "q_knee": t**2}
     columns |= {f"ref_p_{axis}": 2.0 * t for axis in "xyz"}
@@ -122,6 +123,11 @@ def test_velocities_are_logged_ones_where_there_are_any():
     log = Log(pd.DataFrame(columns), Meta(400.0))
     np.testing.assert_allclose(joint_velocity(log)[:, 0], 2 * t, atol=1e-9)
     np.testing.assert_allclose(reference_velocity(log), 2.0, atol=1e-9)
+    filled = with_velocities(log, causal=True)
+    assert filled.meta.derived == ("dq (causal)", "ref_v (causal)")
+    assert filled.has("dq")
+    assert filled.has("ref_v")
+    assert with_velocities(filled).meta == filled.meta
     measured = Log(log.frame.assign(dq_knee=7.0), log.meta)
     np.testing.assert_array_equal(joint_velocity(measured), 7.0)
     with pytest.raises(LogError, match="lacks reference"):

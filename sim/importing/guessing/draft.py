@@ -98,7 +98,7 @@ class Draft:
         lines += ["", "[robot]", map_line("name", self.robot)] if self.robot else []
         if self.contact:
             on, off = self.contact
-            lines += ["", "[contact] # ? half way between swing and stance", f"on = {on:.4g}"]
+            lines += ["", "[contact] # ? are these between swing and stance?", f"on = {on:.4g}"]
             lines += [f"off = {off:.4g}"]
         lines += [""] * bool(self.unused)
         for reason, names in self.unused.items():

@@ -8,8 +8,9 @@ import numpy as np
 from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.guessing.draft import Entry
-from surefoot.sim.importing.guessing.names import HINGES, Named, by_their_legs, lists_of, words_of
-from surefoot.sim.importing.guessing.recorded_file import RecordedFile, name_in_file
+from surefoot.sim.importing.guessing.names import HINGES, Named, by_their_legs, lists_of
+from surefoot.sim.importing.guessing.recorded_file import RecordedFile
+from surefoot.sim.importing.guessing.robot_names import name_in_file
 from surefoot.sim.importing.guessing.units import (
     stride_in_turns,
     unit_of_accel,
@@ -344,7 +345,6 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
     legs for feet without names.
     """
     found = {n: x for n, x in _of(file, "contact", "force", "foot").items() if x.source in _SOURCES}
-    found = _with_legs_of(file, found)
     counted = _counted_legs(found, legs)
     found |= {name: replace(found[name], leg=leg) for name, leg in counted.items()}
     entries: dict[str, Entry] = {}
@@ -375,7 +375,39 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
         doubt = _legs_doubt(legs) if name in counted else ""
         entries.setdefault(column, Entry(column, name, "m" if most < 3.0 else "mm", doubt=doubt))
     notes = ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
+    notes += _missing_feet(file, found, entries)
     return list(entries.values()), notes
+
+
+def _missing_feet(
+    file: RecordedFile, found: Mapping[str, Named], entries: Mapping[str, Entry]
+) -> list[str]:
+    """Questions where only some of the feet have a column of a kind: there is no other for a leg of
+    the robot, or there are columns with one more word, which may be a leg's.
+    """
+    known = file.machine.limbs.legs if file.machine is not None else ()
+    asked = []
+    for kind in ("contact", "force", "foot"):
+        used = {e.theirs for e in entries.values() if found[e.theirs].kind == kind}
+        there = {found[name].leg for name in used}
+        stems = {(found[name].source, *found[name].stem.split()) for name in used}
+        alike = [
+            name
+            for name, one in found.items()
+            if one.kind == kind and not one.leg and _with_a_word_less(one) & stems
+        ]
+        if used and (alike or there < {*known}):
+            others = f", as {', '.join(alike)}" if alike else ""
+            asked.append(
+                f"{kind} of {', '.join(sorted(there))} alone: which are the others{others}?"
+            )
+    return asked
+
+
+def _with_a_word_less(one: Named) -> set[tuple[str, ...]]:
+    """Source and stem of a name, without one of its words."""
+    words = one.stem.split()
+    return {(one.source, *words[:k], *words[k + 1 :]) for k in range(len(words))}
 
 
 def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, str]:
@@ -395,26 +427,6 @@ def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, 
             of = dict(zip(numbers, legs, strict=True))
             legs_of |= {name: of[one] for name, one in number.items() if one is not None}
     return legs_of
-
-
-def _with_legs_of(file: RecordedFile, found: Mapping[str, Named]) -> dict[str, Named]:
-    """Names with the legs of a machine with other than two or four legs, whose legs have no names
-    of their own: the words that all joints of a leg share and that not all legs share.
-    """
-    read = dict(found)
-    if file.machine is None or len(file.machine.limbs.legs) in (0, 2, 4):
-        return read
-    limbs = file.machine.limbs
-    words_of_joints = [set(words_of(joint)) for joint in limbs.joints]
-    shared = [set.intersection(*(words_of_joints[k] for k in chain)) for chain in limbs.chains]
-    of_all = set.intersection(*shared)
-    for name, one in found.items():
-        words = {*words_of(name)}
-        legs = [k for k, theirs in enumerate(shared) if set() < theirs - of_all <= words]
-        if len(legs) == 1:
-            stem = " ".join(w for w in one.stem.split() if w not in shared[legs[0]] - of_all)
-            read[name] = replace(one, leg=limbs.legs[legs[0]], part="", stem=stem)
-    return read
 
 
 def _legs_doubt(legs: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ further ones with columns of their own, and the reference.
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
+from os.path import relpath
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from surefoot.sim.importing.guessing.units import unit_of_angles
 from surefoot.sim.importing.readers.bag import is_bag
 from surefoot.sim.importing.readers.table import topic_of
 from surefoot.sim.log.schema import joint_prefix
+from surefoot.sim.robot.catalog import SUFFIXES
 from surefoot.sim.robot.machine import load_machine
 from surefoot.sim.sensors.streams import SLOWEST
 
@@ -49,11 +51,18 @@ _POSES = {"reference": 0, "": 1, "estimate": 2}
 """Sources of poses, in the order in which they are a reference."""
 
 
-def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
+def guess_map(
+    files: Sequence[str | Path], robot: str | None = None, folder: Path | None = None
+) -> Draft:
     """Draft the map of some files; the first or the most complete is the main one.
 
-    robot: of the recording; unnamed columns, and those named as in its file, are assigned to its
-    joints. Raises SurefootError where a file cannot be read or none has numeric columns.
+    Raises SurefootError where a file cannot be read or none has numeric columns.
+
+    Args:
+        files: of the recording.
+        robot: its name or file; unnamed columns, and those named as in its file, are assigned to
+            its joints.
+        folder: in which the map will be, to which a robot's file is then relative.
     """
     paths = [one for path in files for one in _parts(Path(path))]
     if not paths:
@@ -103,11 +112,19 @@ def guess_map(files: Sequence[str | Path], robot: str | None = None) -> Draft:
         sources=sources,
         layouts={one.path: one.layout for one in read},
         rate=stated,
-        robot=robot,
+        robot=_robot_in_map(robot, folder) if robot else None,
         contact=_threshold(columns, entries),
         notes=tuple(notes),
         unused=_unused(labels, used),
     )
+
+
+def _robot_in_map(robot: str, folder: Path | None) -> str:
+    """A known robot's name, or the path of its file as a map in this folder has it."""
+    if Path(robot).suffix not in SUFFIXES:
+        return robot
+    file = Path(robot).resolve()
+    return (file if folder is None else Path(relpath(file, folder.resolve()))).as_posix()
 
 
 def _parts(path: Path) -> list[Path]:

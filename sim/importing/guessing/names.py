@@ -13,6 +13,7 @@ from itertools import pairwise
 
 from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_toml
+from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.log.schema import LEGS
 
 _SAID = read_toml(bundled("surefoot.sim.importing.guessing", "words.toml"))
@@ -98,6 +99,14 @@ def words_of(name: str) -> list[str]:
     return _legs_in_one([word for word in words if word])
 
 
+def says_what_part(word: str) -> bool:
+    """Whether a word may name a part of a robot: it is no number, quantity, unit or other word that
+    names of columns share.
+    """
+    vote, _ = _WORDS.get(word, ("leg", ""))
+    return vote == "leg" and not word.isdigit()
+
+
 def _legs_in_one(words: list[str]) -> list[str]:
     """Replace "front" and "left", in either order, by "fl"."""
     for k, pair in enumerate(pairwise(words)):
@@ -166,6 +175,8 @@ def read_name(name: str) -> Named:
     if not (kind or votes["quantity"] or votes["part"] or leg) and axis:
         alone = not stem or source == "reference" or {*votes["of"]} == {"body"}
         kind = "ref_p" if alone else ""  # "x [mm]", "vicon_x"
+    if not (kind or votes["quantity"] or leg) and axis and unit in UNITS["ref_p"]:
+        kind = "ref_p"  # "marker_x_mm": a vector of lengths
     return Named(
         kind=kind,
         source=source,

@@ -19,6 +19,7 @@ from surefoot.sim.importing.guessing.names import (
     read_name,
     words_of,
 )
+from surefoot.sim.importing.guessing.robot_names import name_in_file
 from surefoot.sim.importing.readers.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.readers.bag import RECEIVED, UNREADABLE
 from surefoot.sim.importing.readers.file import detected_layout, read_file
@@ -31,7 +32,6 @@ _RATES = (0.5, 5000.0)
 """Range of plausible rates of a log [Hz]."""
 _USUAL_RATES = (8.0, 2500.0)
 """Range of usual rates of a log [Hz]."""
-_OF_JOINTS = ("q", "dq", "tau")
 _LARGEST_COUNT = 1e9
 """First count of a row below which it is no time since an epoch [ms]."""
 _STEPS = ("dt", "ts", "step", "timestep", "period")
@@ -275,20 +275,3 @@ def _label(path: Path, part: Columns, whole: Columns) -> str:
 
 def _plain(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "_", text)
-
-
-def name_in_file(name: str, machine: Machine | None) -> Named:
-    """Interpret a name that may contain a joint's name, the log's or that of the robot's file.
-
-    Words of the joint's name are ignored for the kind of the column: "wrist_rotation_joint_effort".
-    """
-    pairs = zip(machine.joint_names, machine.limbs.joints, strict=True) if machine else ()
-    ours = {text: joint for theirs, joint in pairs for text in (theirs, joint)}
-    for text in sorted(ours, key=len, reverse=True):
-        alone = re.compile(rf"(?<![A-Za-z0-9]){re.escape(text)}(?![A-Za-z0-9])", re.IGNORECASE)
-        if alone.search(name):
-            rest, whole = read_name(alone.sub(" ", name)), read_name(alone.sub(ours[text], name))
-            found = whole if whole.kind in _OF_JOINTS and rest.kind not in _OF_JOINTS else rest
-            if not found.kind or found.kind in _OF_JOINTS:
-                return replace(found, joint=ours[text], leg=whole.leg)
-    return read_name(name)
