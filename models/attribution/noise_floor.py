@@ -90,7 +90,7 @@ POINT_FEET_SIZES = {
     ("contact_delay", "touchdown"): 3e-3,
     ("contact_delay", "liftoff"): 6e-3,
 }
-POINT_FEET_LEVELS = {"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 8e-3}
+POINT_FEET_LEVELS = {"leg_velocity": 4.4e-3, "stance_velocity": 2.8e-3, "contact_timing": 9e-3}
 """What rolling and creeping feet leave where a log gives them and they are taken for points.
 
 From 21 simulated walks of seven robots without an effect (spot_class, v60_class, go1, go2, aliengo,
