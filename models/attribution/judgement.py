@@ -207,33 +207,38 @@ def scatter_of_rms(square: np.ndarray, count: int) -> float:
 
 def trimmed_rms(values: np.ndarray, channel: Channel, kinds: Sequence[str]) -> float:
     """Root mean square of the finite values (M, n) of columns of these kinds (n,), without the
-    largest of each kind (`_bulk`); NaN without any.
+    largest (`_bulk`); NaN without any.
 
-    Kinds count alike, though one may have fewer values: feet that slide show no touchdown.
+    Kinds of events count alike, though one may have fewer: feet that slide show no touchdown.
     """
-    square, of = _bulk(values**2, channel, kinds), np.array(kinds)
-    parts = [square[:, of == kind] for kind in dict.fromkeys(kinds)]
+    square = _bulk(values**2, channel, kinds)
+    parts = [square[:, part] for part in _alike(channel, kinds)]
     means = [np.nanmean(part) for part in parts if np.isfinite(part).any()]
     return float(np.sqrt(np.mean(means))) if means else np.nan
 
 
 def _bulk(square: np.ndarray, channel: Channel, kinds: Sequence[str]) -> np.ndarray:
-    """The squares (M, n), and NaN in place of the largest 1 % of each kind of column, of events
-    10 %.
+    """The squares (M, n), and NaN in place of the largest 1 %, of each kind of event 10 %.
 
     A few bins with an impact between two samples would otherwise dominate a torque's RMS, and feet
     that hit an edge or bounce that of contacts.
     """
-    share, of, bulk = 0.9 if channel.of_events else 0.99, np.array(kinds), square.copy()
-    for kind in dict.fromkeys(kinds):
-        values = np.sort(square[:, of == kind], axis=None)
-        count = np.count_nonzero(np.isfinite(values))
-        if count:
+    share, bulk = 0.9 if channel.of_events else 0.99, square.copy()
+    for part in _alike(channel, kinds):
+        values = np.sort(square[:, part], axis=None)
+        if count := np.count_nonzero(np.isfinite(values)):
             most = values[max(1, round(share * count)) - 1]
-            bulk[:, of == kind] = np.where(
-                square[:, of == kind] <= most, square[:, of == kind], np.nan
-            )
+            bulk[:, part] = np.where(square[:, part] <= most, square[:, part], np.nan)
     return bulk
+
+
+def _alike(channel: Channel, kinds: Sequence[str]) -> list[np.ndarray]:
+    """Masks (n,) of the columns of a channel that are judged together: each kind of event, and all
+    of any other channel.
+    """
+    if not channel.of_events:
+        return [np.ones(len(kinds), dtype=bool)]
+    return [np.array(kinds) == kind for kind in dict.fromkeys(kinds)]
 
 
 def _low_share(bulk: np.ndarray, known: Evidence) -> float:
