@@ -127,6 +127,7 @@ def test_an_aligned_log_has_the_motion_of_the_imu(log):
     np.testing.assert_allclose(again.p_IM, 0.0, atol=0.01)
 
 
+@pytest.mark.long
 def test_another_body_is_reported(log):
     found = align(log, tracked(log, 0.2, wobble=0.15))
     assert any("does not turn as the IMU does" in fault for fault in found.faults)

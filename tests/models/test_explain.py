@@ -95,6 +95,7 @@ def test_nothing_is_found_on_a_walk_of_the_model(floor):
     assert all(one.least > 0.0 for one in found.rounds[0])
 
 
+@pytest.mark.long
 def test_two_effects_of_one_joint_are_both_found(floor):
     truth = effect("viscous_friction", "FL_calf", 0.8), effect("armature", "FL_calf", 0.02)
     found = explained(case_with(*truth), floor)

@@ -127,6 +127,7 @@ def test_scores_are_those_of_the_filters_one_sample_at_a_time(study, regime):
         assert np.all((scores.active > 0) & (scores.active <= 1)), setting.filter
 
 
+@pytest.mark.long
 def test_the_study_is_the_same_from_the_same_seed_and_is_written_whole(study, found, tmp_path):
     first, second = found, run_montecarlo(study)
     assert first == second
