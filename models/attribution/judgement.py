@@ -1,8 +1,8 @@
 """Judgement of a trace: residuals on data that no fit has seen, and the verdict on effects.
 
-An effect stays only if it makes no channel surely worse, on bins that no fit has seen and on each
-held-out log. A channel is at its floor where the lower end of the interval of what is left does not
-exceed what noise and the model's own error explain.
+An effect stays only if it makes no channel worse, on bins that no fit has seen and on held-out
+logs. A channel is at its floor where the lower end of the interval of what is left does not exceed
+what noise and the model's own error explain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -370,9 +370,9 @@ class Unseen:
 def find_harmful_effect(unseen: Sequence[Unseen]) -> tuple[Effect, str] | None:
     """An effect that harms on data that no fit has seen, and why; None where none does.
 
-    Either it makes the channel that it changes most surely worse (95 % of a block bootstrap). Or a
-    channel is worse with all of the effects (`ChannelLevel.worse`), and best without this one. Or
-    all of them together reduce no channel that they show in, and this one least.
+    Either it makes the channel that it changes most worse: surely on a part (95 % of a block
+    bootstrap), or more likely than not on the whole (the middle of that interval). Or a channel is
+    worse with all of the effects (`ChannelLevel.worse`), and best without this one.
     """
     against: list[tuple[float, Effect, str]] = []
     for data in unseen:
@@ -382,18 +382,17 @@ def find_harmful_effect(unseen: Sequence[Unseen]) -> tuple[Effect, str] | None:
                 channel, (_, highest) = data.sides.gained(without, part)
                 if highest < 0.0:
                     against.append((highest, one, f"it makes {channel} worse on {name}"))
+            channel, ends = data.sides.gained(without, data.used)
+            if (middle := float(np.mean(ends))) < 0.0:
+                why = (
+                    f"it more likely makes {channel} worse than better on data that no fit has seen"
+                )
+                against.append((middle, one, why))
     if against:
         return min(against, key=lambda x: x[0])[1:]
     worse = ((data, name) for data in unseen for name in data.sides.worse(data.used))
     if (first := next(worse, None)) is None:
-        if any(_gains(one.sides.effects, one.sides.levels(one.used)) for one in unseen):
-            return None
-        sides, used = unseen[0].sides, unseen[0].used
-
-        def explained(one: Effect) -> float:
-            return float(sides.gained(sides.left_without(one), used)[1][0])
-
-        return min(sides.effects, key=explained), "it reduces no residual that no fit has seen"
+        return None
     data, name = first
     columns = data.sides.evidence.layout.of(name)
 
