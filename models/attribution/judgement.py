@@ -374,22 +374,21 @@ def find_harmful_effect(unseen: Sequence[Unseen]) -> tuple[Effect, str] | None:
     bootstrap), or more likely than not on the whole (the middle of that interval). Or a channel is
     worse with all of the effects (`ChannelLevel.worse`), and best without this one.
     """
-    against: list[tuple[float, Effect, str]] = []
+    sure: list[tuple[float, Effect, str]] = []
+    likely: list[tuple[float, Effect, str]] = []
     for data in unseen:
         for one in (e for e in data.sides.effects if type(e).is_compensated()):
             without = data.sides.left_without(one)
             for name, part in data.parts.items():
                 channel, (_, highest) = data.sides.gained(without, part)
                 if highest < 0.0:
-                    against.append((highest, one, f"it makes {channel} worse on {name}"))
+                    sure.append((highest, one, f"it makes {channel} worse on {name}"))
             channel, ends = data.sides.gained(without, data.used)
             if (middle := float(np.mean(ends))) < 0.0:
-                why = (
-                    f"it more likely makes {channel} worse than better on data that no fit has seen"
-                )
-                against.append((middle, one, why))
-    if against:
-        return min(against, key=lambda x: x[0])[1:]
+                why = f"it rather makes {channel} worse on data that no fit has seen"
+                likely.append((middle, one, why))
+    if sure or likely:
+        return min(sure or likely, key=lambda x: x[0])[1:]
     worse = ((data, name) for data in unseen for name in data.sides.worse(data.used))
     if (first := next(worse, None)) is None:
         return None
