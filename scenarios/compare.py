@@ -13,8 +13,12 @@ import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_length
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage, coverage
-from surefoot.models.observer.predict import Prediction, predict, prediction_errors
+from surefoot.models.calibration.empirical_coverage import (
+    EmpiricalCoverage,
+    coverage,
+    relative_errors,
+)
+from surefoot.models.observer.predict import Prediction, predict
 from surefoot.scenarios.datasets.index import walk_facts
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
@@ -141,7 +145,7 @@ def compare_log(
         observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):
-            held[name] = coverage(prediction_errors(observer, known, model)[1], bounds)
+            held[name] = coverage(relative_errors(observer, bounds, known, model)[1], bounds)
             if words := _not_held(held[name], bounds.gamma):
                 missed.setdefault(words, []).append(name)
     notes = (*notes, *(f"bounds: {words} ({', '.join(names)})" for words, names in missed.items()))
@@ -295,8 +299,7 @@ def _walk_prose(comparison: Comparison) -> str:
         named = ", ".join(f"{one['name']} {one['target']}" for one in log.meta.effects)
         text += f". Effects in the filters' model: {named}"
     if comparison.bounds is not None:
-        x, y, z = comparison.bounds.epsilon
-        text += f". Bounds on the observer's velocity: {x:.3f}, {y:.3f}, {z:.3f} m/s"
+        text += f". Bounds on the observer's velocity: {comparison.bounds.words}"
     if comparison.recorded():
         text += f". Recording: surefoot view {log.name}.rrd"
     elif log.has("reference"):
@@ -348,7 +351,9 @@ def velocity_pictures(comparison: Comparison, file: str = "") -> list[Picture]:
     prediction, bounds, robot = comparison.prediction, comparison.bounds, comparison.robot
     if prediction is None or bounds is None or robot is None:
         return []
-    drawn = velocity_figure(comparison.log, prediction, bounds.epsilon_at(robot.R_BI))
+    drawn = velocity_figure(
+        comparison.log, prediction, bounds.epsilon_at(robot.R_BI, prediction.covariance)
+    )
     words = "Body velocity: the observer's prediction, its calibrated bounds, and the truth."
     return [Picture(drawn, words, file)]
 

@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 import pandas as pd
 
-from surefoot.models.calibration.empirical_coverage import coverage
+from surefoot.models.calibration.empirical_coverage import coverage, relative_errors
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.scenarios.compare import compare_log, write_comparison
@@ -141,7 +141,7 @@ def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
 def _observer_sections(logs: dict[str, Log], learnt: Learnt) -> list[Section]:
     observer, bounds = learnt.bounded("mse")
     test_errors = prediction_errors(observer, logs["walk"])[1]
-    held = coverage(test_errors, bounds)
+    held = coverage(relative_errors(observer, bounds, logs["walk"])[1], bounds)
     pictures = ()
     if bounds.mixing is not None:
         caption = "Correlation of errors over time: calibration samples are taken K steps apart."
@@ -169,6 +169,6 @@ def _errors_table(learnt: Learnt, logs: dict[str, Log]) -> list[dict[str, object
             row: dict[str, object] = {"loss": observer.loss, "walk": role}
             for i, axis in enumerate("xyz"):
                 row[f"RMSE {axis} [m/s]"] = rms[i]
-                row[f"epsilon {axis} [m/s]"] = bounds.epsilon[i]
+                row[f"epsilon {axis} [{bounds.unit}]"] = bounds.epsilon[i]
             rows.append(row)
     return rows

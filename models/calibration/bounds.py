@@ -27,8 +27,8 @@ class Bounds:
     """A calibrated coverage statement (paper, Eq. coverage_statement).
 
     Attributes:
-        epsilon: bounds of |v_I predicted - v_I| (3,) [m/s], along the axes of an IMU mounted as
-            R_BI.
+        epsilon: bounds of |v_I predicted - v_I| (3,), along the axes of an IMU mounted as R_BI, in
+            m/s or, if `scaled`, in the standard deviations that the observer predicts.
         gamma: joint level.
         level_per_axis: level at which the score was ranked: the cube root of gamma for the
             `conformal` method, gamma itself for methods that bound the axes jointly.
@@ -44,6 +44,8 @@ class Bounds:
         persistent: the persistent part of the errors; None for a log too short for it, and in old
             files.
         warnings: about what in the log was not plausible.
+        scaled: whether the bounds change with the predicted standard deviations, as those of a
+            `gml` observer do; in files of surefoot 0.1.0 none does.
     """
 
     epsilon: np.ndarray
@@ -59,6 +61,7 @@ class Bounds:
     confidence: float | None = None
     persistent: BiasModel | None = None
     warnings: tuple[str, ...] = ()
+    scaled: bool = False
 
     def __post_init__(self):
         """Raises ValueError where a value is no number of its kind."""
@@ -76,13 +79,48 @@ class Bounds:
         if not isinstance(self.observer, str):
             raise ValueError("observer is not a hash")
 
-    def epsilon_at(self, R_BI: np.ndarray) -> np.ndarray:
-        """Bounds (3,) for a rotated IMU: the smallest box along its axes that contains ours.
+    @property
+    def unit(self) -> str:
+        """Unit of `epsilon`."""
+        return "predicted std" if self.scaled else "m/s"
+
+    @property
+    def words(self) -> str:
+        """The bounds of each axis."""
+        sizes = ", ".join(f"{one:.4f}" for one in self.epsilon)
+        return f"|error| <= {sizes} {self.unit} (forward, lateral, vertical)"
+
+    def epsilon_at(self, R_BI: np.ndarray, covariance: np.ndarray | None = None) -> np.ndarray:
+        """Bounds [m/s] for a rotated IMU: the smallest box along its axes that contains ours.
 
         These are |R| epsilon with R from our frame to the new one. The box has at least the joint
-        level gamma, and is the same if axes are only exchanged or reversed.
+        level gamma, and is the same if axes are only exchanged or reversed. The result is (3,), or
+        (M, 3) if the bounds are `scaled`. Raises BoundsError where these have no covariances.
+
+        Args:
+            R_BI: mounting of the IMU (3, 3).
+            covariance: predicted for it (M, 3, 3) [m^2/s^2].
         """
-        return np.abs(np.asarray(R_BI).T @ self.R_BI) @ self.epsilon
+        R = np.asarray(R_BI).T @ self.R_BI
+        return self.epsilon * self._units(R, covariance) @ np.abs(R).T
+
+    def relative(
+        self, errors: np.ndarray, R_BI: np.ndarray, covariance: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Errors (M, 3) [m/s] of an IMU mounted as R_BI along our own axes, in our unit.
+
+        They are within the bounds where all are at most `epsilon`. covariance as in `epsilon_at`.
+        """
+        R = np.asarray(R_BI).T @ self.R_BI
+        return errors @ R / self._units(R, covariance)
+
+    def _units(self, R: np.ndarray, covariance: np.ndarray | None) -> np.ndarray | float:
+        """Our unit along our axes [m/s], (M, 3) if `scaled`; R turns our frame to the new one."""
+        if not self.scaled:
+            return 1.0
+        if covariance is None:
+            raise BoundsError("bounds in predicted standard deviations, but none are predicted")
+        return np.sqrt(np.einsum("ji,mjk,ki->mi", R, covariance, R))
 
     def persistent_at(self, R_BI: np.ndarray) -> BiasModel:
         """The persistent part for another IMU mounting. Raises BoundsError where it is missing."""

@@ -5,12 +5,19 @@ independent, are converted to a region by one of the methods of
 `surefoot.models.registry.CALIBRATORS`. The
 paper's is `conformal`: the bound of each axis is the k-th smallest absolute error, k = ceil((N + 1)
 gamma^(1/3)), and the joint level gamma follows if the axes are independent.
+
+A `gml` observer predicts how uncertain it is. Its errors are ranked in these standard deviations,
+so that bounds are narrow where legs show the velocity well and wide on stairs or slippery ground.
+The level holds for any scale that is learnt from other walks (Lei et al., Distribution-Free
+Predictive Inference for Regression, JASA 2018, section 5.2).
+
 `surefoot.models.calibration.empirical_coverage` measures the coverage that results.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,7 +34,7 @@ from surefoot.models.calibration.regions import (
 from surefoot.models.calibration.settings import CALIBRATE_DEFAULT, CalibrateSettings
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.odometry import Mounted
-from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.predict import judged_prediction
 from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -54,8 +61,9 @@ def calibrate(
     """
     gamma, method = settings.gamma, settings.method
     how = calibrator(method, gamma, settings.confidence)
-    names, errors, R_BI = unseen_errors(observer, [logs] if isinstance(logs, Log) else logs, robot)
-    together, name = np.concatenate(errors), ", ".join(names)
+    unseen = unseen_errors(observer, [logs] if isinstance(logs, Log) else logs, robot)
+    errors = unseen.relative
+    together, name = np.concatenate(errors), ", ".join(unseen.names)
     require_samples(how, len(together), settings.K or 1, name)
     curve = None
     if settings.K is None:
@@ -74,25 +82,43 @@ def calibrate(
         K=K,
         n=len(chosen),
         observer=observer.hash,
-        R_BI=R_BI,
+        R_BI=unseen.R_BI,
         log=name,
         mixing=curve,
         confidence=how.confidence,
-        persistent=estimate_bias_model(errors, 1 / RATE, gamma)
+        persistent=estimate_bias_model(unseen.errors, 1 / RATE, gamma)
         if long_enough(together, 1 / RATE)
         else None,
+        scaled=observer.loss == "gml",
     )
+
+
+@dataclass(frozen=True)
+class UnseenErrors:
+    """Errors of an observer on logs that it was not trained on.
+
+    Attributes:
+        names: of the logs.
+        errors: (n, 3) [m/s] on each.
+        relative: the same, of a `gml` observer in its predicted standard deviations.
+        R_BI: mounting of their IMU (3, 3).
+    """
+
+    names: list[str]
+    errors: list[np.ndarray]
+    relative: list[np.ndarray]
+    R_BI: np.ndarray
 
 
 def unseen_errors(
     observer: Observer, logs: Iterable[Log], robot: Mounted | None = None
-) -> tuple[list[str], list[np.ndarray], np.ndarray]:
-    """Names of the logs, the observer's errors (n, 3) [m/s] on each, and their mounting R_BI.
+) -> UnseenErrors:
+    """Errors on each of the logs.
 
     Raises BoundsError for a log of the training, or one whose IMU is mounted at another angle.
     """
     seen = {part.sha256: part.name for part in observer.logs}
-    names, errors, mountings = [], [], []
+    names, errors, relative, mountings = [], [], [], []
     for log in logs:
         if (digest := log_digest(log)) in seen:
             raise BoundsError(
@@ -101,11 +127,14 @@ def unseen_errors(
             )
         declared = Robot.for_log(log) if robot is None else robot
         names.append(log.name)
-        errors.append(prediction_errors(observer, log, declared)[1])
+        _, e, covariance = judged_prediction(observer, log, declared)
+        std = 1.0 if covariance is None else np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        errors.append(e)
+        relative.append(e / std)
         mountings.append(np.array(declared.R_BI, dtype=float))
         if not np.allclose(mountings[-1], mountings[0], atol=1e-4):
             raise BoundsError(f"{log.name}: its IMU is mounted at another angle than {names[0]}'s")
-    return names, errors, mountings[0]
+    return UnseenErrors(names, errors, relative, mountings[0])
 
 
 def left_out_coverage(
@@ -117,7 +146,7 @@ def left_out_coverage(
     too few.
 
     Args:
-        errors: of several walks [m/s].
+        errors: of several walks, as `relative` of `unseen_errors`.
         settings: level and method.
         K: spacing of the errors.
     """
@@ -145,7 +174,7 @@ def samples_for(
 
 
 def region_of(how: Calibrator, shaping: np.ndarray, chosen: np.ndarray) -> Region:
-    """The region from errors (n, 3) to fit to and (N, 3) to rank [m/s], as from `samples_for`.
+    """The region from errors (n, 3) to fit to and (N, 3) to rank, as from `samples_for`.
 
     Raises BoundsError where they are too few.
     """

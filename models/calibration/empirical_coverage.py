@@ -8,8 +8,12 @@ import numpy as np
 from scipy.stats import beta
 
 from surefoot.models.calibration.bounds import Bounds, BoundsError
+from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.odometry import Mounted
+from surefoot.models.observer.predict import judged_prediction
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
+from surefoot.sim.robot import Robot
 
 SLIPPERY = 0.4
 """Friction coefficient under a loaded foot."""
@@ -98,8 +102,21 @@ class EmpiricalCoverage:
     n: int
 
 
+def relative_errors(
+    observer: Observer, bounds: Bounds, log: Log, robot: Mounted | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (M,) of a log with a measured reference, and the observer's errors (M, 3) there, along
+    the axes of the bounds and in their unit (`Bounds.relative`).
+
+    `robot` is the log's, by default Robot.for_log.
+    """
+    robot = Robot.for_log(log) if robot is None else robot
+    rows, errors, covariance = judged_prediction(observer, log, robot)
+    return rows, bounds.relative(errors, robot.R_BI, covariance)
+
+
 def coverage(errors: np.ndarray, bounds: Bounds) -> EmpiricalCoverage:
-    """Share of errors (M, 3), at 100 Hz, within their bounds.
+    """Share of errors (M, 3), at 100 Hz, as from `relative_errors`, within their bounds.
 
     Successive errors are not independent: the interval assumes M / K independent ones, with the K
     of the bounds' calibration. Raises BoundsError where there is none.
@@ -133,8 +150,8 @@ def coverage_by(
 ) -> list[CaseCoverage]:
     """Coverage by terrain, slip, motion and gait phase, where the log has the columns.
 
-    errors (M, 3) at `rows` (M,) of the log, as surefoot.models.observer.predict.prediction_errors
-    returns them. Returns a CaseCoverage for each case that occurs.
+    errors (M, 3) at `rows` (M,) of the log, as from `relative_errors`. Returns a CaseCoverage for
+    each case that occurs.
     """
     inside = np.all(np.abs(errors) <= bounds.epsilon, axis=1)
     block = np.arange(len(errors)) // bounds.K

@@ -120,20 +120,29 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
             f"(forward, lateral, vertical){on}\n"
             f"next: surefoot calibrate {self.out} LOG... -o BOUNDS.json; LOG are walks that the "
-            f"observer has not seen, of which {walk_enough():g} s with a reference suffice"
+            f"observer has not seen, of which {walk_enough():g} s with a reference suffice; or "
+            "--walks 16"
         )
         if self.report:
             print(f"report: {self.report / 'report.html'}")
 
 
 @options.command
-class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.JsonOption):
+class Calibrate(
+    CalibrateSettings, WalksSettings, CheckedSettings, OutputSettings, options.JsonOption
+):
     """Calibrate bounds on an observer's velocity errors, from logs it has not seen."""
 
     observer: Path
     """Observer, a file from `train`."""
-    logs: tuple[Path, ...]
+    logs: Annotated[
+        Positional[tuple[Path, ...]], arg(metavar="LOG...", help_behavior_hint=options.OPTIONAL)
+    ] = ()
     """Logs with a reference that the observer was not trained on; errors of several are pooled."""
+    walks: int = 0
+    """Number of walks to simulate and calibrate on, instead of logs, drawn like those of `train
+    --walks`.
+    """
     out: Path
     """File for the bounds (JSON)."""
     gamma: Annotated[float, arg(help_behavior_hint=_walk_enough)] = 0.8
@@ -156,17 +165,23 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
         from surefoot.models.observer.observer import Observer
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.reporting.calibration_report import write_calibration_report
+        from surefoot.scenarios.training.many_walks import many_walks
         from surefoot.sim.common.files import refuse_full, refuse_overwrite, whole_folder
 
         refuse_overwrite(self.out, self.force)
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
                 raise SurefootError(f"--{name}: needs --report DIR")
+        if bool(self.walks) == bool(self.logs):
+            raise SurefootError("give logs, or --walks")
         recorded, others = (read_logs(paths, self.robot) for paths in (self.logs, self.on))
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
-        warnings = not_plausible(recorded, strict=self.strict)
+        if self.walks:
+            drawn = replace(self, robot=self.robot or observer.robot)
+            recorded = list(many_walks(drawn, role="calibrate"))
+        warnings = [] if self.walks else not_plausible(recorded, strict=self.strict)
         logs = as_declared(recorded)
         bounds = calibrate(observer, logs, self)
         bounds = replace(bounds, warnings=tuple(chain.from_iterable(warnings)))
@@ -177,15 +192,15 @@ class Calibrate(CalibrateSettings, CheckedSettings, OutputSettings, options.Json
         if self.json:
             print(self.out.read_text(encoding="utf-8"))
             return
-        x, y, z = bounds.epsilon
         print(
-            f"{self.out}: |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), "
+            f"{self.out}: {bounds.words}, "
             f"jointly at gamma {bounds.gamma:g} ({bounds.method}, quantile "
             f"{bounds.level_per_axis:.4f}), from {bounds.n} errors {bounds.K} steps of 10 ms apart"
         )
         if len(logs) > 1:
-            names, errors, _ = unseen_errors(observer, logs)
-            held = dict(zip(names, left_out_coverage(errors, self, bounds.K), strict=True))
+            unseen = unseen_errors(observer, logs)
+            shares = left_out_coverage(unseen.relative, self, bounds.K)
+            held = dict(zip(unseen.names, shares, strict=True))
             worst = min(held, key=lambda name: held[name])
             print(
                 f"on each walk by bounds from the others: {100 * fmean(held.values()):.0f} "

@@ -25,7 +25,7 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
     """
     logs: list[Path] = []
     for option, value in given.items():
-        if value == () and option in _NEEDED:
+        if value == () and option in _NEEDED and not given.get("walks"):
             raise SurefootError(_NEEDED[option])
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, Path):

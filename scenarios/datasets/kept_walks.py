@@ -96,11 +96,27 @@ def kept_walks(
 
 
 def _attempted(draw: Draw, attempts: int, number: int, report: Report) -> tuple[int, Path | None]:
+    made = standing_walk(cache_folder() / "training", draw, attempts, number, report)
+    return number, made and made.path
+
+
+def standing_walk(
+    folder: Path, draw: Draw, attempts: int, number: int, report: Report | None = None
+) -> Product | None:
+    """The log of walk `number`, drawn again where the robot falls; None if it falls each time.
+
+    Args:
+        folder: of the cache.
+        draw: of each attempt.
+        attempts: draws of the walk.
+        number: of the walk.
+        report: called with the share done of an attempt.
+    """
     for attempt in range(attempts):
-        made = kept_walk(cache_folder() / "training", draw(number, attempt), report)
+        made = kept_walk(folder, draw(number, attempt), report)
         if not made.facts["falls"]:
-            return number, made.path
-    return number, None
+            return made
+    return None
 
 
 def kept_walk(folder: Path, drawn: DrawnWalk, report: Report | None = None) -> Product:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,14 +114,16 @@ class Coverage(ByObserver):
     def fusion(self, robot, learnt, parameters):
         """Bounds on each velocity."""
         observer, bounds = self.bounded_by(learnt)
-        return observer, Fusion(bounds.epsilon_at(robot.R_BI), bounds.gamma)
+        return observer, Fusion(partial(bounds.epsilon_at, robot.R_BI), bounds.gamma)
 
 
 class CoverageGml(Coverage):
-    """Coverage with the gml observer's mean and its bounds."""
+    """Coverage with the gml observer, whose bounds follow its predicted uncertainty."""
 
     name, color, line = "coverage_gml", "#E0AC65", ":"
-    description = "Set-coverage IEKF on the gml observer's mean: compares update, not network."
+    description = (
+        "Set-coverage IEKF, bounds of the gml observer: multiples of the std that it predicts."
+    )
     variant, proposed = True, 0
     loss = "gml"
 
@@ -142,7 +145,7 @@ class CoveragePersistent(ByObserver):
         observer, bounds = learnt.bounded()
         part = bounds.persistent_at(robot.R_BI)
         model = persistent_error(part, parameters["persistent"])
-        return observer, Fusion(part.epsilon, bounds.gamma, model=model)
+        return observer, Fusion(lambda _: part.epsilon, bounds.gamma, model=model)
 
 
 class Velocity(ByObserver):
@@ -314,12 +317,12 @@ class ImuStream(FilterStream):
 class Fusion(NamedTuple):
     """How an observer's velocity is used.
 
-    With bounds epsilon (3,) [m/s] of the joint level gamma, with a covariance cov (3, 3), or with
-    the predicted covariance times `inflation`; `model` is that of its persistent error, where that
-    is estimated.
+    With bounds of the joint level gamma, with a covariance cov (3, 3), or with the predicted
+    covariance times `inflation`; `model` is that of its persistent error, where that is estimated.
+    `epsilon` gives the bounds (3,) or (M, 3) [m/s] for the predicted covariances (M, 3, 3).
     """
 
-    epsilon: np.ndarray | None = None
+    epsilon: Callable[[np.ndarray | None], np.ndarray] | None = None
     gamma: float = 0.0
     cov: np.ndarray | None = None
     inflation: float = 1.0
@@ -332,7 +335,7 @@ class Fusion(NamedTuple):
     def velocities(self, rows, v_I, predicted, n: int) -> Velocities:
         """The updates at these rows of n."""
         if self.epsilon is not None:
-            return bounded_velocities(rows, v_I, self.epsilon, n)
+            return bounded_velocities(rows, v_I, self.epsilon(predicted), n)
         return gaussian_velocities(rows, v_I, self.covariance(predicted), n)
 
 
@@ -379,9 +382,10 @@ class ObserverFusion(ImuStream):
             return None
         v_I, fusion = velocities[0], self._fusion
         if fusion.epsilon is not None:
-            pi = self.filter.update_coverage(v_I, fusion.epsilon, fusion.gamma)
+            epsilon = fusion.epsilon(predicted).reshape(3)
+            pi = self.filter.update_coverage(v_I, epsilon, fusion.gamma)
             active = bool(pi < fusion.gamma)
-            return Update(v_I, fusion.epsilon, pi, active) if np.isfinite(pi) else None
+            return Update(v_I, epsilon, pi, active) if np.isfinite(pi) else None
         cov = fusion.covariance(predicted)
         distance = self.filter.update_velocity(v_I, cov.reshape(3, 3))
         return Update(v_I, active=bool(np.isfinite(distance)))

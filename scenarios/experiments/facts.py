@@ -11,15 +11,15 @@ from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import error_series
+from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import Result
 from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 
 ERRORS_RATE = 5.0
 """Rate of the errors that are stored for figures [Hz]."""
 
 
-def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> dict[str, Any]:
+def estimate_facts(log: Log, result: Result, learnt: Learnt) -> dict[str, Any]:
     """Metrics of an estimate, time per step, trustworthiness, and statistics of the velocities
     used.
 
@@ -38,8 +38,7 @@ def estimate_facts(log: Log, robot: Robot, result: Result, learnt: Learnt) -> di
     v_I, measured = body_velocity(log, np.searchsorted(log.t, updates.t - 1e-6))
     errors = (updates.v_I - v_I)[measured]
     facts |= {"fed_mean": errors.mean(axis=0).tolist(), "fed_spread": errors.std(axis=0).tolist()}
-    boxes = [bounds.epsilon_at(robot.R_BI) for bounds in learnt.bounds]
-    if updates.epsilon is not None and any(np.allclose(updates.epsilon, e) for e in boxes):
+    if updates.epsilon is not None and hasattr(estimator_named(result.filter), "bounded_by"):
         share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
         # Successive errors are not independent; those K steps apart are.
         n = max(len(errors) // max(bounds.K for bounds in learnt.bounds), 1)

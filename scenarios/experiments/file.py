@@ -1,43 +1,44 @@
 """Experiment files (TOML): a grid over scenarios, robots, conditions, gamma, filters and seeds."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from zlib import crc32
 
 import msgspec
 
 from surefoot.models.observer.observer import check_inputs, check_network
 from surefoot.models.observer.settings import TRAIN_DEFAULT
 from surefoot.models.registry import CALIBRATORS, LOSSES
+from surefoot.scenarios.datasets.conditions import PLAIN, Condition, ConditionTable
 from surefoot.scenarios.datasets.kept_walks import DrawnWalk
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, check_filter, estimator_named
-from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.experiments.catalog import experiment_file
-from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.errors import SurefootError, check_known, errors_in
 from surefoot.sim.common.files import protect
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.common.toml import FileName, Level, Name, Seed, read_toml, typed
-from surefoot.sim.effects import Effect
-from surefoot.sim.effects.file import load_effects
-from surefoot.sim.robot import Robot
+from surefoot.sim.common.toml import Level, Name, Seed, read_toml, typed
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.scenario_catalog import scenario_file
-from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walking.batch import known_robot
 
 TrainingSteps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
+WalkCount = Annotated[int, msgspec.Meta(ge=0, le=10**4)]
 
 
 @dataclass(frozen=True)
 class Learning:
-    """Training and calibration of the observers: one of each loss for each robot, condition, seed.
+    """Training and calibration of the observers: one of each loss for each robot and seed.
 
-    model is one of surefoot.models.observer.architectures, method (of calibration) one of
-    surefoot.models.registry.CALIBRATORS.
+    Attributes:
+        losses: of the observers.
+        inputs: of the observers.
+        steps: of the training, at most.
+        model: one of surefoot.models.observer.architectures.
+        method: of calibration, one of surefoot.models.registry.CALIBRATORS.
+        walks: to train on, drawn at random (`scenarios.training.many_walks`); 0 trains on the
+            scenarios with role "train", for each condition anew.
+        calibration_walks: the same for the bounds, and the role "calibrate".
     """
 
     losses: tuple[str, ...] = LOSSES
@@ -45,6 +46,8 @@ class Learning:
     steps: TrainingSteps = TRAIN_DEFAULT.steps
     model: str = "gru"
     method: str = "conformal"
+    walks: WalkCount = 0
+    calibration_walks: WalkCount = 0
 
     def __post_init__(self):
         _each_once("losses", self.losses)
@@ -53,56 +56,15 @@ class Learning:
         check_inputs(self.inputs)
         check_known("method", self.method, CALIBRATORS)
 
-
-@dataclass(frozen=True)
-class Condition:
-    """How robots deviate from their model on all walks of a grid, beyond the scenarios.
-
-    Attributes:
-        name: of the condition.
-        words: its description.
-        effects: of every robot, known to the filters only if `declared`.
-        declared: whether the filters know the effects.
-        imperfections: drawn for each seed, which represents one robot.
-        sensors: (name, value) of fields of `sim.sensors.streams.Sensors` that replace the
-            scenario's.
-        walked: gait, sensors and effects measured on a robot's walk, scaled to each robot
-            (`sim.effects.carry`).
-    """
-
-    name: str
-    words: str = ""
-    effects: tuple[Effect, ...] = ()
-    declared: bool = False
-    imperfections: tuple[Imperfection, ...] = ()
-    sensors: tuple[tuple[str, float], ...] = ()
-    walked: AsWalked | None = field(default=None, hash=False)
-
-    def effects_of(self, seed: int, robot: Robot) -> tuple[Effect, ...]:
-        """Effects of robot number `seed` of its kind: given, drawn and measured."""
-        drawn = [one for part in self.imperfections for one in part.drawn(seed, robot.limbs)]
-        walked = self.walked.effects_on(robot) if self.walked else ()
-        return (*self.effects, *drawn, *walked)
+    @property
+    def words(self) -> str:
+        """What tells it from another."""
+        source = f"{self.walks} drawn walks" if self.walks else "the training walks"
+        return f"{self.inputs} from {source}, {self.method}"
 
 
-@dataclass(frozen=True)
-class Further:
-    """Further observer inputs and calibration methods, at the first gamma only.
-
-    All combinations of them and those of `Learning` are run.
-    """
-
-    inputs: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
-
-    def __post_init__(self):
-        for inputs in self.inputs:
-            check_inputs(inputs)
-        for method in self.methods:
-            check_known("method", method, CALIBRATORS)
-
-
-PLAIN = Condition("plain", "the scenarios as they are written")
+LEARNT_BY = ("walks", "inputs", "method")
+"""Fields of `Learning` by which tables tell one from another."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +85,7 @@ class Grid:
         gammas: joint levels of the bounds; the tables show the first.
         filters: names.
         published: table of the paper's figures to print for comparison.
-        further: see `Further`.
+        further: other ways to learn, at the first gamma only, for the filters that they affect.
         sweep: see `Sweep`.
     """
 
@@ -132,7 +94,7 @@ class Grid:
     gammas: tuple[Level, ...] = (0.8,)
     filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
     published: str | None = None
-    further: Further = field(default_factory=Further)
+    further: tuple[Learning, ...] = ()
     sweep: Sweep = field(default_factory=Sweep)
 
 
@@ -172,27 +134,25 @@ class Experiment(Grid):
 
     @property
     def learnings(self) -> tuple[Learning, ...]:
-        """`learning`, which the main tables show, first; then its combinations with `further`."""
-        inputs = dict.fromkeys((self.learning.inputs, *self.further.inputs))
-        methods = dict.fromkeys((self.learning.method, *self.further.methods))
-        return tuple(replace(self.learning, inputs=i, method=m) for i in inputs for m in methods)
+        """`learning`, which the main tables show, first."""
+        return self.learning, *self.further
 
     @property
     def first(self) -> dict[str, Any]:
-        """Gamma, inputs and method that the main tables show."""
+        """Gamma and learning that the main tables show."""
         one = self.learning
-        return {"gamma": self.gammas[0], "inputs": one.inputs, "method": one.method}
+        return {"gamma": self.gammas[0]} | {name: getattr(one, name) for name in LEARNT_BY}
 
     def filters_of(self, learning: Learning) -> tuple[str, ...]:
         """The filters to run with a learning: all with the first, else those that it affects.
 
-        Other inputs affect every filter with observers; another calibration method only those with
-        bounds on velocities.
+        Other observers affect every filter that has one; another calibration method only those
+        with bounds on velocities.
         """
         if learning == self.learning:
             return self.filters
         known = {name: estimator_named(name) for name in self.filters}
-        if learning.method != self.learning.method:
+        if replace(learning, method=self.learning.method) == self.learning:
             return tuple(name for name, one in known.items() if hasattr(one, "bounded_by"))
         return tuple(name for name, one in known.items() if one.needs.learnt)
 
@@ -229,16 +189,7 @@ class Cell:
     @property
     def walk(self) -> DrawnWalk:
         """The walk to simulate."""
-        condition, scenario = self.condition, self.scenario
-        sensors = replace(scenario.sensors, **dict(condition.sensors))
-        scenario = replace(scenario, sensors=sensors)
-        if condition.walked:
-            scenario = condition.walked.scenario(scenario)
-        # A seed for each sequence, so that noise and ground differ between walks of one robot.
-        seed = crc32(f"{scenario.name}/{self.seed}".encode())
-        robot = known_robot(self.robot)
-        effects = condition.effects_of(self.seed, robot)
-        return DrawnWalk(scenario, robot, seed, effects, condition.declared)
+        return self.condition.walk(self.scenario, self.robot, self.seed)
 
     @property
     def learnt_from(self) -> bool:
@@ -267,35 +218,12 @@ def cells_of(experiment: Experiment) -> list[Cell]:
 
 
 @dataclass(frozen=True)
-class _ConditionTable:
-    name: FileName
-    words: str = ""
-    effects: str | None = None
-    declared: bool = False
-    imperfections: str | None = None
-    sensors: dict[str, float] = field(default_factory=dict)
-    walked: str | None = None
-
-    def __post_init__(self):
-        with errors_in("sensors"):
-            typed(self.sensors, Sensors)
-
-    def condition(self, folder: Path) -> Condition:
-        """Load the files that it names, relative to the experiment's folder."""
-        effects = load_effects(folder / self.effects) if self.effects else ()
-        drawn = load_imperfections(folder / self.imperfections) if self.imperfections else ()
-        walked = load_as_walked(folder / self.walked) if self.walked else None
-        sensors = tuple(self.sensors.items())
-        return Condition(self.name, self.words, effects, self.declared, drawn, sensors, walked)
-
-
-@dataclass(frozen=True)
 class _File(Grid):
     scenarios: tuple[str, ...]
     title: Name | None = None
     roles: dict[str, Literal["train", "calibrate", "test"]] = field(default_factory=dict)
     observer: Learning = field(default_factory=Learning)
-    condition: tuple[_ConditionTable, ...] = ()
+    condition: tuple[ConditionTable, ...] = ()
 
     def __post_init__(self):
         for key in ("scenarios", "seeds", "gammas", "filters", "robots"):
@@ -340,11 +268,8 @@ def _check(found: Experiment) -> None:
     walks *= len(found.seeds) * len(found.conditions)
     check_limit("walks", walks * len(found.gammas), "walks times gammas")
     _each_once("names of conditions", [c.name for c in found.conditions])
+    with errors_in("[[further]]"):
+        ways = [tuple(getattr(one, name) for name in LEARNT_BY) for one in found.learnings]
+        _each_once(f"{', '.join(LEARNT_BY)} of it and of [observer]", ways)
     if not set(found.sweep.seeds) <= set(found.seeds):
         raise SurefootError("[sweep] seeds must be among seeds")
-    held_out = Counter(
-        r for s in found.scenarios if s.role == "calibrate" for r in found.robots_of(s)
-    )
-    for robot, count in held_out.items():
-        if count > 1:
-            raise SurefootError(f"{count} scenarios of {robot} are to calibrate with: give one")

@@ -5,10 +5,13 @@ A product is stored under a digest of its inputs and of the code that makes it (
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from surefoot.estimator.core.state import NavState, retract
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
@@ -16,17 +19,19 @@ from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.scenarios.cache import Product, product, product_key
 from surefoot.scenarios.compare import compare_log
-from surefoot.scenarios.datasets.kept_walks import kept_walk
+from surefoot.scenarios.datasets.kept_walks import kept_walk, standing_walk
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_code, estimator_named, traits
 from surefoot.scenarios.estimate.inputs import learnt_from
-from surefoot.scenarios.estimate.run import declared_model, run_filter
-from surefoot.scenarios.estimate.settings import tuned
+from surefoot.scenarios.estimate.run import declared_model, feet_of, run_filter
+from surefoot.scenarios.estimate.settings import FilterSettings, StateSettings, tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Cell, Experiment, Learning, cells_of
+from surefoot.scenarios.training.many_walks import ATTEMPTS, drawn_walk
 from surefoot.scenarios.viewer.recording import recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import json_digest
+from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
@@ -35,11 +40,16 @@ from surefoot.sim.walk import plan
 from surefoot.sim.walking.batch import known_robot
 
 WALKING = "surefoot.sim.walk"
+DRAWING = "surefoot.scenarios.training.many_walks"
 TRAINING = "surefoot.models.observer.training"
 CALIBRATION = "surefoot.models.calibration.calibrate"
 ESTIMATION = "surefoot.scenarios.experiments.facts"
 RECORDING = "surefoot.scenarios.compare"
 """Modules that make the products."""
+
+
+Logs = Sequence[tuple[str, Product]]
+"""Names and walks."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +73,21 @@ def make_walk(folder: Path, cell: Cell) -> Product:
     return replace(made, facts=made.facts | {"robot": cell.robot, "declared": declared})
 
 
+def make_drawn_walk(folder: Path, robot: str, seed: int, role: str, number: int) -> Product | None:
+    """The log of a walk drawn to learn from, with facts as in `make_walk`; None if the robot falls
+    each time that it is drawn.
+
+    Args:
+        folder: of the products.
+        robot: name.
+        seed: of all walks of the role.
+        role: one of `scenarios.training.many_walks.ROLES`.
+        number: of the walk in its role.
+    """
+    made = standing_walk(folder, partial(drawn_walk, robot, (), seed, role), ATTEMPTS, number)
+    return made and replace(made, facts=made.facts | {"robot": robot, "declared": []})
+
+
 def walk_inputs(walk: Product) -> list[str]:
     """Inputs that a walk contributes to later products.
 
@@ -82,7 +107,7 @@ def filter_inputs(name: str, robot: Robot) -> dict[str, Any]:
 
 
 def make_observer(
-    folder: Path, logs: Sequence[tuple[str, Product]], learning: Learning, loss: str, seed: int
+    folder: Path, logs: Logs, learning: Learning, loss: str, seed: int, held_out: Logs = ()
 ) -> Product:
     """An observer with that loss, trained on these walks with their declared effects.
 
@@ -92,26 +117,31 @@ def make_observer(
         learning: inputs, model and steps.
         loss: "mse" or "gml".
         seed: of weights and windows.
+        held_out: names and walks to stop by.
     """
-    seen = [(name, walk_inputs(walk)) for name, walk in logs]
-    inputs = {"logs": seen, "loss": loss, "seed": seed}
+    inputs = {"logs": _seen(logs), "held out": _seen(held_out), "loss": loss, "seed": seed}
     inputs |= learning_choices(learning)
 
     def make(path: Path) -> dict[str, Any]:
         from surefoot.models.observer.training import train
 
-        walks = [read_walk(walk, name) for name, walk in logs]
+        walks = (read_walk(walk, name) for name, walk in logs)
+        stop_by = [read_walk(walk, name) for name, walk in held_out]
         settings = TrainSettings(
             inputs=learning.inputs, loss=loss, seed=seed, steps=learning.steps, model=learning.model
         )
-        observer = train(walks, None, settings, partial=partial)
+        observer = train(walks, None, settings, partial=state, held_out=stop_by)
         observer.save(path, force=True)
-        partial.unlink(missing_ok=True)
+        state.unlink(missing_ok=True)
         return {"rmse": observer.rmse.tolist()}
 
     # An interrupted training continues from its state.
-    partial = folder / "observer" / f"{product_key('observer', inputs, TRAINING)}.partial"
+    state = folder / "observer" / f"{product_key('observer', inputs, TRAINING)}.partial"
     return product(folder, "observer", inputs, TRAINING, ".safetensors", make)
+
+
+def _seen(logs: Logs) -> list[tuple[str, list[str]]]:
+    return [(name, walk_inputs(walk)) for name, walk in logs]
 
 
 def learning_choices(learning: Learning) -> dict[str, Any]:
@@ -123,26 +153,23 @@ def learning_choices(learning: Learning) -> dict[str, Any]:
     }
 
 
-def make_bounds(
-    folder: Path, observer: Product, log: tuple[str, Product], gamma: float, method: str
-) -> Product:
-    """The observer's bounds at joint level gamma, from this walk.
+def make_bounds(folder: Path, observer: Product, logs: Logs, gamma: float, method: str) -> Product:
+    """The observer's bounds at joint level gamma, from these walks.
 
     Args:
         folder: of the products.
         observer: its file.
-        log: name and walk to calibrate on.
+        logs: names and walks to calibrate on.
         gamma: joint level.
         method: name of the calibration method.
     """
-    name, walk = log
-    inputs = {"observer": observer.digest, "log": (name, walk_inputs(walk))}
+    inputs: dict[str, Any] = {"observer": observer.digest, "logs": _seen(logs)}
     inputs |= {"gamma": gamma, "method": method_inputs(method)}
 
     def make(path: Path) -> dict[str, Any]:
         bounds = calibrate(
             Observer.load(observer.path),
-            read_walk(walk, name),
+            (read_walk(walk, name) for name, walk in logs),
             CalibrateSettings(gamma=gamma, method=method),
         )
         bounds.save(path, force=True)
@@ -162,6 +189,21 @@ def read_walk(walk: Product, name: str) -> Log:
     return declared_model(log, known_robot(walk.facts["robot"]))[0]
 
 
+def drawn_start(log: Log, robot: Robot, rng: np.random.Generator) -> FilterSettings:
+    """Settings for a first state off by an error drawn from its own covariance.
+
+    Started from the truth, attitude and velocity look consistent whatever a filter does. The gyro's
+    bias is left as it is: estimated at rest, it has its own error already.
+    """
+    state, covariance = FilterSettings().beginning(log, feet_of(log, robot))
+    mean = state.pack()
+    retract(mean, rng.multivariate_normal(np.zeros(len(covariance)), covariance), 0)
+    drawn = NavState.unpack(mean)
+    parts = {name: tuple(getattr(drawn, name).tolist()) for name in ("p_GI", "v_GI", "b_a")}
+    q_GI = tuple(quaternion_from_matrix(drawn.R_GI[None])[0].tolist())
+    return FilterSettings(state=StateSettings(q_GI=q_GI, **parts))
+
+
 def make_estimates(
     folder: Path,
     walk: Product,
@@ -173,8 +215,8 @@ def make_estimates(
     """Run every filter on a walk, those with bounds at every gamma; also returns why any was left
     out.
 
-    A filter without bounds has gamma None and is run once. The file of an estimate contains its
-    errors over time, the facts its metrics.
+    A filter without bounds has gamma None and is run once. All start from one `drawn_start`. The
+    file of an estimate contains its errors over time, the facts its metrics.
 
     Args:
         folder: of the products.
@@ -187,6 +229,7 @@ def make_estimates(
     known = known_robot(walk.facts["robot"])
     log = cache(lambda: replace(Log.read(walk.path), name=name))
     loaded = cache(learnt.load)
+    start = cache(lambda: drawn_start(log(), known, np.random.default_rng(int(walk.digest, 16))))
     found: dict[tuple[str, float | None], Product] = {}
     left_out: dict[str, str] = {}
     for filter_name in filters:
@@ -202,9 +245,9 @@ def make_estimates(
                 inputs["bounds"] = sorted(one.digest for one in bounds.values())
 
             def make(path: Path, filter_name: str = filter_name, gamma: float = gamma) -> dict:
-                result = run_filter(filter_name, log(), known, loaded(gamma))
+                result = run_filter(filter_name, log(), known, loaded(gamma), start())
                 errors_over_time(log(), result.trajectory).to_parquet(path, index=False)
-                return estimate_facts(log(), known, result, loaded(gamma))
+                return estimate_facts(log(), result, loaded(gamma))
 
             try:
                 one = product(folder, "estimate", inputs, ESTIMATION, ".parquet", make)
@@ -271,6 +314,6 @@ def cell_inputs(experiment: Experiment, cell: Cell) -> dict[str, Any]:
         "methods": [method_inputs(one.method) for one in learnings],
         "gammas": [experiment.gammas_of(one, cell.seed) for one in learnings],
         "filters": {n: filter_inputs(n, known_robot(cell.robot)) for n in experiment.filters},
-        "code": [sources_digest(module) for module in (WALKING, TRAINING, CALIBRATION)],
+        "code": [sources_digest(module) for module in (WALKING, DRAWING, TRAINING, CALIBRATION)],
     }
     return {"digest": json_digest(parts)}

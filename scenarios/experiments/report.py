@@ -45,11 +45,15 @@ from surefoot.sim.common.files import (
     whole_folder,
 )
 
-SPREAD = "Mean ± standard deviation over seeds."
+SPREAD = (
+    "Mean ± standard deviation over seeds. Each walk starts from an error drawn from the filters' "
+    "declared prior."
+)
 LEARNT = (
-    "Averages over the test sequences. inputs: those of the observers, q,dq,tau in the paper; feet "
-    "is leg odometry computed with the model as drawn. method: how the bound of each axis is "
-    "calibrated, conformal at level γ^(1/3), outer at the 99 % quantile."
+    "Averages over the test sequences. walks: drawn ones that the observers were trained on, 0 for "
+    "the one training sequence, as in the paper. inputs: those of the observers, q,dq,tau in the "
+    "paper; feet is leg odometry computed with the model as drawn. method: how the bound of each "
+    "axis is calibrated, conformal at level γ^(1/3), outer at the 99 % quantile."
 )
 
 
@@ -119,7 +123,7 @@ def report_sections(
         Section("Averages over the test sequences", SPREAD, tables["averages"], file="averages"),
     ]
     if len(learnt):
-        heading = "Inputs of observers, and calibration methods"
+        heading = "How observers and bounds are learnt"
         pages.append(Section(heading, LEARNT, learnt, file="learning"))
     if len(swept):
         pages.append(Section("The level γ", "", swept, file="sweep"))
@@ -149,7 +153,14 @@ def _setting(found: Experiment, rows: pd.DataFrame, outcome: Outcome) -> str:
     roles = rows.drop_duplicates("sequence").groupby("role", sort=False)["sequence"].agg(list)
     learnt = "; ".join(f"{role}: {', '.join(names)}" for role, names in roles.items())
     seeds = ", ".join(map(str, found.seeds))
-    text = f"{learnt}. Joint level γ = {found.gammas[0]:g}; seeds {seeds}."
+    one = found.learning
+    drawn = [
+        f"{count} walks to {role} {'on' if role == 'train' else 'with'}"
+        for role, count in (("train", one.walks), ("calibrate", one.calibration_walks))
+        if count
+    ]
+    drawn = f" Drawn at random: {', '.join(drawn)}." if drawn else ""
+    text = f"{learnt}.{drawn} Joint level γ = {found.gammas[0]:g}; seeds {seeds}."
     words = [(one, f"{one.name}: {one.words}." if one.words else "") for one in found.conditions]
     said = [" ".join(filter(None, (text, falls(outcome, one.name)))) for one, text in words]
     return "\n\n".join([text, *filter(None, said)])
@@ -201,7 +212,7 @@ def _pictures(main: pd.DataFrame, gamma: float) -> list[Picture]:
     if shown["coverage [%]"].notna().any():
         title = "Share of velocity errors within the bounds"
         figure = by_sequence(shown, "coverage [%]", title, (100.0 * gamma, 100.0), log=False)
-        words = "Bounds are calibrated on one sequence to a coverage of γ or more: the grey band."
+        words = "Bounds are calibrated to a coverage of γ or more: the grey band."
         pictures.append(Picture(figure, words, "figures/coverage.png"))
     return pictures
 

@@ -6,8 +6,10 @@ a small row of each cell, which can be stored apart from the products (`data`), 
 experiment can continue elsewhere without them.
 """
 
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,10 @@ from surefoot.scenarios.experiments.file import Cell, Experiment, Group, Learnin
 from surefoot.scenarios.experiments.products import (
     ESTIMATION,
     LearntFiles,
+    Logs,
     cell_inputs,
     make_bounds,
+    make_drawn_walk,
     make_estimates,
     make_observer,
     make_recording,
@@ -29,6 +33,7 @@ from surefoot.scenarios.experiments.products import (
 )
 from surefoot.scenarios.settings import GridSettings
 from surefoot.scenarios.stages import processes, stage
+from surefoot.scenarios.training.many_walks import held_out_walks
 
 Learnings = dict[Learning, LearntFiles]
 """Observers and bounds of a group of cells, by how they were learnt."""
@@ -41,6 +46,7 @@ class Estimated:
     Attributes:
         filter: name.
         gamma: of the bounds, None without bounds.
+        walks: drawn ones on which the observers were trained, None without observers.
         inputs: of the observers, None without observers.
         method: of the bounds, None without bounds.
         facts: metrics, from `surefoot.scenarios.experiments.facts`.
@@ -49,6 +55,7 @@ class Estimated:
 
     filter: str
     gamma: float | None
+    walks: int | None
     inputs: str | None
     method: str | None
     facts: dict[str, Any]
@@ -146,42 +153,72 @@ def _learn(
     walks: dict[Cell, Product],
 ) -> dict[Group, Learnings]:
     """Train and calibrate for every group that has walks to learn from."""
-    by_role: dict[str, dict[Group, list[tuple[str, Product]]]] = {"train": {}, "calibrate": {}}
-    for cell, walk in walks.items():
-        if cell.learnt_from and not walk.facts["falls"]:
-            named = by_role[cell.scenario.role or ""].setdefault(cell.group, [])
-            named.append((cell.scenario.name, walk))
-    held_out = by_role["calibrate"]
     label = ", ".join(f"seed {seed}" for seed in {cell.seed for cell in walks})
-    # Learnings that differ only in their method share observers.
-    observers = stage(
-        pool,
-        f"{label}: observers",
-        {
-            (group, one.inputs, loss): (make_observer, folder, logs, one, loss, group[2])
-            for group, logs in by_role["train"].items()
-            for one in experiment.learnings
-            for loss in one.losses
-        },
-    )
-    tasks = {}
-    for (group, inputs, loss), observer in observers.items():
-        for one in experiment.learnings if group in held_out else ():
-            for gamma in experiment.gammas_of(one, group[2]) if one.inputs == inputs else ():
-                how = folder, observer, held_out[group][0], gamma, one.method
-                tasks[group, one, gamma, loss] = (_bounds, one == experiment.learning, *how)
-    bounds = stage(pool, f"{label}: bounds", tasks)
+    groups = list(dict.fromkeys(cell.group for cell in walks))
+    drawn = _drawn(pool, experiment, folder, groups, label)
+
+    def logs(group: Group, role: str, count: int) -> Logs:
+        """Drawn walks, or without a count those of the scenarios with the role."""
+        robot, _, seed = group
+        if count:
+            every = ((f"{role}_{k}", drawn[robot, seed, role, k]) for k in range(count))
+        else:
+            mine = [c for c in walks if c.group == group and c.scenario.role == role]
+            every = ((c.scenario.name, None if walks[c].facts["falls"] else walks[c]) for c in mine)
+        return [(name, walk) for name, walk in every if walk is not None]
+
+    # Tasks by what determines them: groups whose walks are drawn share observers, and learnings
+    # that differ only in their calibration do.
+    training, observer_of = {}, {}
+    for group, one in product(groups, experiment.learnings):
+        robot, condition, seed = group
+        seen, held_out = logs(group, "train", one.walks), held_out_walks(one.walks)
+        stop_by = logs(group, "held_out", held_out) if one.walks else []
+        for loss in one.losses if seen else ():
+            how = replace(one, method=Learning.method, calibration_walks=0)
+            key = robot, "" if one.walks else condition, seed, how, loss
+            training[key] = make_observer, folder, seen, one, loss, seed, stop_by
+            observer_of[group, one, loss] = key
+    observers = stage(pool, f"{label}: observers", training)
+    calibrating, bounds_of = {}, {}
+    for (group, one, loss), trained in observer_of.items():
+        unseen = logs(group, "calibrate", one.calibration_walks)
+        for gamma in experiment.gammas_of(one, group[2]) if unseen else ():
+            source = "" if one.calibration_walks else group[1]
+            key = trained, source, one.calibration_walks, one.method, gamma
+            how = folder, observers[trained], unseen, gamma, one.method
+            calibrating[key] = (_bounds, one == experiment.learning, *how)
+            bounds_of[group, one, loss, gamma] = key
+    bounds = stage(pool, f"{label}: bounds", calibrating)
     found: dict[Group, Learnings] = {
-        cell.group: {one: LearntFiles({}, {}) for one in experiment.learnings} for cell in walks
+        group: {one: LearntFiles({}, {}) for one in experiment.learnings} for group in groups
     }
-    for (group, inputs, loss), observer in observers.items():
-        for one, files in found[group].items():
-            if one.inputs == inputs:
-                files.observers[loss] = observer
-    for (group, one, gamma, loss), made in bounds.items():
-        if made is not None:
+    for (group, one, loss), key in observer_of.items():
+        found[group][one].observers[loss] = observers[key]
+    for (group, one, loss, gamma), key in bounds_of.items():
+        if (made := bounds[key]) is not None:
             found[group][one].bounds.setdefault(gamma, {})[loss] = made
     return found
+
+
+def _drawn(
+    pool: ProcessPoolExecutor | None,
+    experiment: Experiment,
+    folder: Path,
+    groups: Sequence[Group],
+    label: str,
+) -> dict[tuple[str, int, str, int], Product | None]:
+    """Walks drawn to learn from, by robot, seed, role and number."""
+    walks = max(one.walks for one in experiment.learnings)
+    counts = {"train": walks, "held_out": held_out_walks(walks) if walks else 0}
+    counts["calibrate"] = max(one.calibration_walks for one in experiment.learnings)
+    tasks = {
+        (robot, seed, role, number): (make_drawn_walk, folder, robot, seed, role, number)
+        for robot, seed in {(robot, seed): None for robot, _, seed in groups}
+        for role, count in counts.items()
+        for number in range(count)
+    }
+    return stage(pool, f"{label}: walks to learn from", tasks)
 
 
 def _bounds(required: bool, *arguments: Any) -> Product | None:
@@ -234,10 +271,11 @@ def _result(
         if further and not files.bounds:
             why = dict.fromkeys(why, "the walk to calibrate with is too short for this method")
         for (name, gamma), one in products.items():
-            inputs = learning.inputs if estimator_named(name).needs.learnt else None
+            learns = bool(estimator_named(name).needs.learnt)
+            walks, inputs = (learning.walks, learning.inputs) if learns else (None, None)
             method = None if gamma is None else learning.method
-            found.append(Estimated(name, gamma, inputs, method, one.facts, one.path.name))
-        way = f", {learning.inputs}, {learning.method}" if further else ""
+            found.append(Estimated(name, gamma, walks, inputs, method, one.facts, one.path.name))
+        way = f", {learning.words}" if further else ""
         left_out |= {name + way: text for name, text in why.items()}
     return CellResult(walk.facts, tuple(found), left_out)
 

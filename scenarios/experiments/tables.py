@@ -12,7 +12,7 @@ import pandas as pd
 from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.scenarios.compare import LOST_FROM, MEANINGS
 from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
-from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.experiments.file import LEARNT_BY, Experiment
 from surefoot.scenarios.experiments.findings import suite_overview
 from surefoot.scenarios.experiments.run import Outcome
 from surefoot.scenarios.reporting.tables import METRICS
@@ -22,6 +22,8 @@ from surefoot.sim.common.toml import read_toml
 PUBLISHED = SUITES_FOLDER / "published.toml"
 TABLE_METRICS = {**METRICS, "step [us]": "step_us"}
 """Columns of the tables, and the facts of an estimate that they show."""
+ESTIMATED_BY = ("filter", "gamma", *LEARNT_BY)
+"""Columns that tell an estimate of a walk from another."""
 LOST = "lost walks"
 SHARE = "APE [% of path]"
 HELD = "coverage [%]"
@@ -67,10 +69,10 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
             values["coverage_n"] = facts.get("coverage_n", 0)
             for k, axis in enumerate("xyz"):
                 values[f"fed_mean_{axis} [m/s]"] = facts.get("fed_mean", [np.nan] * 3)[k]
-            which = {name: getattr(one, name) for name in ("filter", "gamma", "inputs", "method")}
+            which = {name: getattr(one, name) for name in ESTIMATED_BY}
             rows.append(row | which | values)
         if not result.estimates:
-            rows.append(row | dict.fromkeys(("filter", "gamma", "inputs", "method")))
+            rows.append(row | dict.fromkeys(ESTIMATED_BY))
     return pd.DataFrame(rows)
 
 
@@ -92,7 +94,7 @@ def slug(name: str) -> str:
 
 
 def shown_first(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
-    """Rows of the first gamma, inputs and method, and those of filters without these."""
+    """Rows of the first gamma and learning, and those of filters without these."""
     return _of(rows[rows["filter"].notna()], experiment.first)
 
 
@@ -150,14 +152,14 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
 
 
 def by_learning(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
-    """Averages over test sequences by observer inputs and calibration method, at the first gamma.
+    """Averages over test sequences by how observers and bounds are learnt, at the first gamma.
 
     For the filters with observers; empty where the experiment has one learning only.
     """
     if len(experiment.learnings) == 1:
         return pd.DataFrame()
     learnt = rows[(rows["role"] == "test") & rows["inputs"].notna()]
-    keys = ["condition", "filter", "inputs", "method"]
+    keys = ["condition", "filter", *LEARNT_BY]
     found = _averaged(_of(learnt, {"gamma": experiment.gammas[0]}), keys)
     return pd.DataFrame(found, columns=[*keys, *SHOWN_COLUMNS])
 

@@ -15,6 +15,7 @@ from surefoot.models.calibration.empirical_coverage import (
     binomial_interval,
     coverage,
     coverage_by,
+    relative_errors,
     worst_case,
 )
 from surefoot.models.calibration.regions import CONFIDENCE, BoundsError, Region, calibrator
@@ -26,7 +27,6 @@ from surefoot.models.calibration.shift import (
     weighted_bounds,
 )
 from surefoot.models.observer.observer import Observer, log_digest
-from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.samples import RATE, observer_rows, observer_samples
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
@@ -63,20 +63,18 @@ def write_calibration_report(
     with drawn_bar([*calibration, *logs], desc="walks", unit=" log") as bar:
         walks = [evaluate_walk(observer, bounds, log, k < count) for k, log in enumerate(bar)]
     known, others = walks[:count], walks[count:]
-    first = known[0]
-    methods = methods_table(known, [w for w in others if w.role == "test"])
+    methods = methods_table(bounds, known, [w for w in others if w.role == "test"])
     coverage, cases = sequence_table(known, others), case_table(others)
     pictures = ()
     if bounds.mixing is not None:
         pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION, "mixing.png"),)
     sections = [
-        Section("Findings", bounds_findings(first.bounds, coverage), _shown(coverage)),
+        Section("Findings", bounds_findings(bounds, coverage), _shown(coverage)),
         Section("Spacing of the errors", _mixing_prose(bounds), None, pictures),
     ]
     tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
-    if tests:
-        # Bounds in the frame of that log's IMU.
-        errors = observer.errors, np.vstack(tests), first.bounds.epsilon
+    if tests and not bounds.scaled:  # of the training, errors are stored in m/s alone
+        errors = observer.errors, np.vstack(tests), bounds.epsilon
         sections.append(replace(error_section(*errors, bounds.gamma, "test walks"), file="errors"))
     sections.append(Section("Methods", METHODS_PROSE, methods, file="methods"))
     if others:
@@ -135,10 +133,9 @@ SHIFT_PROSE = (
 
 def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
     """Sentences: on which walks the bounds hold, their size, and whether the alarm noticed."""
-    x, y, z = bounds.epsilon
     sure = "" if bounds.confidence is None else f", with confidence {bounds.confidence:g}"
     size = (
-        f"The bounds are |error| <= {x:.4f}, {y:.4f}, {z:.4f} m/s (forward, lateral, vertical), "
+        f"The bounds are {bounds.words}, "
         f"jointly with probability {bounds.gamma:g}{sure}, from {bounds.n} errors that are "
         f"{bounds.K} steps of 10 ms apart, by the method {bounds.method}."
     )
@@ -169,13 +166,13 @@ def _shown(walks: pd.DataFrame) -> pd.DataFrame:
 class CalibratedWalk:
     """One log under one calibration.
 
-    errors (M, 3) at `rows` of the log, empty without a reference; x (M', C) the observer's scaled
-    inputs; t and squared (M",) those of the innovations.
+    errors (M, 3) at `rows` of the log, as from `relative_errors`, empty without a reference; x
+    (M', C) the observer's scaled inputs; t and squared (M",) those of the innovations.
     """
 
     log: Log
     role: str  # calibration, training or test
-    bounds: Bounds  # in the frame of this log's IMU
+    bounds: Bounds
     rows: np.ndarray
     errors: np.ndarray
     x: np.ndarray
@@ -191,21 +188,20 @@ def evaluate_walk(
     known, robot = declared_model(log, named)
     rows, errors = np.zeros(0, dtype=int), np.zeros((0, 3))
     if log.has("reference"):
-        rows, errors = prediction_errors(observer, known, robot)
-    trajectory = run_filter("coverage", log, named, Learnt((observer,), (bounds,))).trajectory
+        rows, errors = relative_errors(observer, bounds, known, robot)
+    name = "coverage_gml" if bounds.scaled else "coverage"
+    trajectory = run_filter(name, log, named, Learnt((observer,), (bounds,))).trajectory
     found = innovations(known, trajectory)
     trained = log_digest(known) in {part.sha256 for part in observer.logs}
     role = "calibration" if calibrated else "training" if trained else "test"
-    turned = replace(bounds, epsilon=bounds.epsilon_at(robot.R_BI), R_BI=np.array(robot.R_BI))
     x = observer.scaled(observer_samples(known, observer.inputs).x).astype(float)
-    return CalibratedWalk(known, role, turned, rows, errors, x, found.t, found.squared)
+    return CalibratedWalk(known, role, bounds, rows, errors, x, found.t, found.squared)
 
 
 def methods_table(
-    calibration: Sequence[CalibratedWalk], tests: Sequence[CalibratedWalk]
+    bounds: Bounds, calibration: Sequence[CalibratedWalk], tests: Sequence[CalibratedWalk]
 ) -> pd.DataFrame:
     """Every method with the same errors: half widths, volume, and coverage of the tests."""
-    bounds = calibration[0].bounds
     judged = [walk.errors for walk in tests if len(walk.errors)]
     rows: list[dict[str, object]] = []
     for method in CALIBRATORS:
@@ -217,17 +213,19 @@ def methods_table(
         except BoundsError as error:
             rows.append(row | {"note": str(error)})
             continue
-        rows.append(row | _region_row(region, judged, how.label))
+        rows.append(row | _region_row(region, bounds, judged, how.label))
         if region.shape is not None:
-            box = _region_row(region.box, judged, "the box that filters use")
+            box = _region_row(region.box, bounds, judged, "the box that filters use")
             rows.append({"method": f"{method}, its box", "errors": len(chosen)} | box)
     return pd.DataFrame(rows)
 
 
-def _region_row(region: Region, judged: Sequence[np.ndarray], note: str) -> dict[str, object]:
+def _region_row(
+    region: Region, bounds: Bounds, judged: Sequence[np.ndarray], note: str
+) -> dict[str, object]:
     widths = zip("xyz", region.epsilon, strict=True)
-    row: dict[str, object] = {f"{axis} [m/s]": width for axis, width in widths}
-    row["volume [(cm/s)^3]"] = 1e6 * region.volume
+    row: dict[str, object] = {f"{axis} [{bounds.unit}]": width for axis, width in widths}
+    row[f"volume [({bounds.unit})^3]"] = region.volume
     if judged:
         held = [float(region.contains(errors).mean()) for errors in judged]
         row["coverage, mean of walks [%]"] = percent(np.mean(held))

@@ -137,7 +137,9 @@ def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> 
         missed = t[shown & outside], truth[shown & outside, k]
         ax.plot(*missed, ".", color=OUTSIDE, markersize=4, label=f"{_known(log)} outside")
         inside = f"{100.0 * (1.0 - outside[ok].mean()):.1f} % of the walk inside"
-        set_title(ax, f"{axis} of the IMU ({word}): {inside} ± {half[0, k]:.3g} m/s", 9.5)
+        set_title(
+            ax, f"{axis} of the IMU ({word}): {inside} ± {np.median(half[:, k]):.3g} m/s", 9.5
+        )
         ax.set_ylabel("m/s")
     show_time(axes[-1, 0], first, last)
     legend_below(figure, axes[0, 0])

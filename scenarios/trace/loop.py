@@ -27,8 +27,8 @@ from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.settings import torch_is_installed
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.compare import compare_log
+from surefoot.scenarios.datasets.as_walked import load_as_walked
 from surefoot.scenarios.estimate.run import Learnt, declared_model
-from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.reporting.pages import check_page
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.stages import percent_bar

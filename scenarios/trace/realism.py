@@ -16,9 +16,9 @@ from surefoot.models.attribution.sensor_noise import reference_sampling, resampl
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
 from surefoot.models.realism.quantities import period
 from surefoot.models.realism.walk_view import WalkView
+from surefoot.scenarios.datasets.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.datasets.kept_walks import DrawnWalk, KeptLogs, Report, kept_walks
 from surefoot.scenarios.estimate.run import run_filter
-from surefoot.scenarios.experiments.as_walked import AsWalked, load_as_walked
 from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.settings import RealismSettings

@@ -3,9 +3,9 @@
 Sizes are for `spot_class`, and are scaled to other robots (`sim.similar_course`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import chain
+from itertools import chain, cycle
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 
 COMMANDS = {
-    "forward": (0.35, (0.3, 1.1), 0.05, (0.0, 0.1)),
+    "forward": (0.35, (0.3, 1.3), 0.05, (0.0, 0.1)),
     "in a curve": (0.25, (0.2, 0.8), 0.1, (0.2, 0.8)),
     "sideways": (0.12, (-0.1, 0.3), 0.35, (0.0, 0.2)),
     "backwards": (0.12, (-0.5, -0.2), 0.1, (0.0, 0.3)),
@@ -44,8 +44,8 @@ SLOPE = (0.05, 0.15)
 """Slope of ramps, rise over run."""
 BUMPS, STRETCH = (0.01, 0.035), (4, 8)
 """Height of bumps, and length of the rough stretch [m]."""
-CLIMBING, LANE = (0.4, 0.6), (0.5, 1.0)
-"""Speeds on a lane that has stairs, and on one that has ramps [m/s]."""
+CLIMBING, LANE = (0.4, 0.6), (0.5, 1.2)
+"""Speeds from a metre before steps to a metre after them, and elsewhere on a lane [m/s]."""
 WIDTH, HALF_SIZE = 8.0, 80.0
 
 
@@ -78,8 +78,8 @@ def _command(rng: np.random.Generator) -> Segment:
 
 def _lane(rng: np.random.Generator) -> tuple[Iterator[Segment], Ground]:
     """To and fro along x: up, along a level top, down, over rough ground, maybe over a sheet."""
-    rise, stepped = rng.uniform(*RISE), rng.random(2) < 0.5
-    (up, steps_up), (down, steps_down) = (_flank(rise, bool(one), rng) for one in stepped)
+    rise, stepped = rng.uniform(*RISE), (rng.random(2) < 0.5).tolist()
+    (up, steps_up), (down, steps_down) = (_flank(rise, one, rng) for one in stepped)
     a, b, c, d = np.cumsum([2.5, up, rng.uniform(2.0, 4.0), down]).tolist()
     rough = float(np.ceil(d)) + 1.0
     end = rough + float(rng.integers(*STRETCH))
@@ -90,8 +90,12 @@ def _lane(rng: np.random.Generator) -> tuple[Iterator[Segment], Ground]:
         Strip((rough, 0.0), (end, 0.0), WIDTH, rough=rng.uniform(*BUMPS)),
     )
     patches = (_sheet(end + 1.5, 0.0, rng),) if rng.random() < 0.5 else ()
-    speeds = CLIMBING if stepped.any() else LANE
-    trips = chain.from_iterable(iter(partial(_trip, end + 3.0, speeds, rng), None))
+    length = end + 3.0
+    steps = [flank for flank, one in zip(((a, b), (c, d)), stepped, strict=True) if one]
+    there = [(begin - 1.0, finish + 1.0) for begin, finish in steps]
+    back = [(length - finish, length - begin) for begin, finish in reversed(there)]
+    ways = cycle((there, back))
+    trips = chain.from_iterable(_trip(length, slow, rng) for slow in ways)
     return trips, Ground(0.8, patches, HALF_SIZE, strips)
 
 
@@ -103,11 +107,18 @@ def _flank(rise: float, stepped: bool, rng: np.random.Generator) -> tuple[float,
     return steps * rng.uniform(*TREAD), steps
 
 
-def _trip(end: float, speeds: tuple[float, float], rng: np.random.Generator) -> Iterator[Segment]:
-    """Ahead for `end` metres at changing speeds, with a pause, and about."""
+def _trip(
+    end: float, slow: Sequence[tuple[float, float]], rng: np.random.Generator
+) -> Iterator[Segment]:
+    """Ahead for `end` metres at changing speeds, in the stretches `slow` [m] at those for steps,
+    with a pause, and about.
+    """
     way = 0.0
     while way < end:
-        speed, seconds = rng.uniform(*speeds), min(rng.uniform(*DURATION), (end - way) / speeds[0])
+        climbs = any(begin <= way < finish for begin, finish in slow)
+        speed = rng.uniform(*(CLIMBING if climbs else LANE))
+        following = min((x for one in (*slow, (end,)) for x in one if x > way), default=end)
+        seconds = min(rng.uniform(*DURATION), (following - way) / speed + 0.01)
         yield Segment(seconds, speed, rng.uniform(-0.05, 0.05))
         way += speed * seconds
     yield Segment(rng.uniform(0.5, 1.5))

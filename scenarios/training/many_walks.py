@@ -16,9 +16,10 @@ import numpy as np
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
+from surefoot.scenarios.datasets.as_walked import BUNDLED
+from surefoot.scenarios.datasets.conditions import Condition, load_conditions
 from surefoot.scenarios.datasets.kept_walks import DrawnWalk, KeptLogs, kept_walks
 from surefoot.scenarios.datasets.simulate import BYTES_PER_SECOND
-from surefoot.scenarios.experiments.file import Cell, Condition, Experiment
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.observer_errors import error_by_number
 from surefoot.scenarios.settings import WalksSettings
@@ -39,7 +40,9 @@ ATTEMPTS = 4
 """Draws of a walk before it is left out."""
 SIZES = (0.5, 1.5)
 """Factor on the size of each effect, which is that of one robot."""
-ROLES = ("train", "held_out", "test")
+SUITE = BUNDLED.with_name("spot.toml")
+"""The experiment whose conditions the robots are drawn by."""
+ROLES = ("train", "held_out", "test", "calibrate")
 """Roles of walks; those of different roles are drawn independently."""
 HELD_OUT = 4, 1 / 6
 """Walks held out to stop by: at least, and as a share of those to train on."""
@@ -52,7 +55,8 @@ CAPTION = (
 def many_walks(
     settings: WalksSettings, scenarios: Sequence[str] = (), role: str = "train"
 ) -> KeptLogs:
-    """Simulate walks of a role: `settings.walks` to train on, or as many as are held out.
+    """Simulate walks of a role: `settings.walks` to train on or to calibrate with, or as many as
+    are held out.
 
     Walks in which the robot falls each time that they are drawn are left out, with a line. Raises
     SurefootError where no robot is named, it cannot walk, or all walks are left out.
@@ -60,9 +64,10 @@ def many_walks(
     Args:
         settings: number and seed of the walks, and the robot, by default that of the scenarios.
         scenarios: files or names, taken in turn; by default a course is drawn for each walk.
-        role: "train", "held_out" or "test".
+        role: one of ROLES.
     """
-    count = settings.walks if role == "train" else held_out_walks(settings.walks)
+    aside = role in ("held_out", "test")
+    count = held_out_walks(settings.walks) if aside else settings.walks
     if settings.walks < 1 or settings.workers < 0:
         raise SurefootError("walks must be at least 1, and workers not negative")
     check_limit("walks", count, "walks")
@@ -110,7 +115,7 @@ def drawn_walk(
         scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
     conditions = _conditions()
     condition = conditions[rng.integers(len(conditions))]
-    drawn = Cell(scenario, robot, condition, int(rng.integers(2**31))).walk
+    drawn = condition.walk(scenario, robot, int(rng.integers(2**31)))
     effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects]
     return replace(drawn, effects=effects)
 
@@ -123,7 +128,7 @@ def _resized(one: Effect, factor: float) -> Effect:
 @cache
 def _conditions() -> tuple[Condition, ...]:
     """Those of the suites in which robots differ from their model."""
-    return tuple(one for one in Experiment.load("spot").conditions if one.imperfections)
+    return tuple(one for one in load_conditions(SUITE) if one.imperfections)
 
 
 def write_error_by_walks(

@@ -93,7 +93,8 @@ def recording(walk: RecordedWalk, title: str, tab: str = EXPLANATION) -> bytes:
     about = rr.TextDocument(_about(walk, errors), media_type="text/markdown")
     stream.log("/about", about, static=True)
     write_scene(stream, log, robot, errors, walk.ground or ground_of_log(log))
-    epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI)
+    predicted = None if walk.prediction is None else walk.prediction.covariance
+    epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI, predicted)
     write_velocity(stream, log, walk.prediction, epsilon)
     write_errors(stream, errors)
     if log.has("contact"):

@@ -14,6 +14,7 @@ from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import (
     calibrate,
     left_out_coverage,
+    region_of,
     require_samples,
     subsample,
     unseen_errors,
@@ -23,6 +24,7 @@ from surefoot.models.calibration.empirical_coverage import (
     binomial_interval,
     coverage,
     coverage_by,
+    relative_errors,
     stride_phase,
     walking_conditions,
     worst_case,
@@ -39,7 +41,7 @@ from surefoot.models.calibration.regions import (
     walk_enough,
 )
 from surefoot.models.calibration.settings import CalibrateSettings
-from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.predict import judged_prediction, prediction_errors
 from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import LEGS, Log
 
@@ -113,8 +115,9 @@ def test_errors_of_several_walks_are_pooled(mse_observer, walks):
     """As many as in all of them, ranked together; what is said of a walk left out is measured."""
     several, how = [walks["calibrate"], walks["test"]], CalibrateSettings(K=20)
     bounds = calibrate(mse_observer, several, how, Body())
-    names, errors, _ = unseen_errors(mse_observer, several, Body())
-    assert names == [log.name for log in several]
+    unseen = unseen_errors(mse_observer, several, Body())
+    errors = unseen.relative
+    assert unseen.names == [log.name for log in several]
     chosen = np.concatenate([subsample(part, 20) for part in errors])
     assert bounds.n == len(chosen)
     ranked = conformal_quantile(np.abs(chosen), bounds.level_per_axis)
@@ -165,6 +168,54 @@ def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):
     assert np.abs(corners @ R).max(axis=0) == pytest.approx(bounds.epsilon_at(R))
     quarter = Rotation.from_euler("z", 90, degrees=True).as_matrix()
     assert bounds.epsilon_at(quarter) == pytest.approx(bounds.epsilon[[1, 0, 2]])
+
+
+def test_bounds_of_a_gml_observer_follow_what_it_predicts(gml_observer, walks):
+    """A multiple of the predicted standard deviation, the same in every frame of the IMU."""
+    bounds = calibrate(gml_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
+    assert bounds.scaled
+    log = walks["test"]
+    rows, errors, covariance = judged_prediction(gml_observer, log, Body())
+    assert covariance is not None
+    epsilon = bounds.epsilon_at(np.eye(3), covariance)
+    std = np.sqrt(np.einsum("mii->mi", covariance))
+    assert epsilon == pytest.approx(bounds.epsilon * std)
+    inside = (np.abs(errors) <= epsilon).all(axis=1)
+    at, relative = relative_errors(gml_observer, bounds, log, Body())
+    assert np.array_equal(at, rows)
+    assert coverage(relative, bounds).joint == inside.mean()
+    # In another frame: the same errors and statements, and a box around the same box.
+    R = Rotation.from_euler("xyz", [0.4, 0.2, -1.0]).as_matrix()
+    turned = np.einsum("ji,mjk,kl->mil", R, covariance, R)
+    assert bounds.relative(errors @ R, R, turned) == pytest.approx(relative)
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    around = np.abs((corners * epsilon[:, None]) @ R).max(axis=1)
+    assert bounds.epsilon_at(R, turned) == pytest.approx(around)
+    with pytest.raises(BoundsError, match="none are predicted"):
+        bounds.epsilon_at(np.eye(3))
+
+
+def test_a_learnt_scale_keeps_the_level_and_knows_the_situation():
+    """Exchangeable errors, ten times as large in a tenth of the time: bounds in standard deviations
+    have the level in both cases, those in m/s in all together alone, since axes err together.
+    """
+    rng, gamma = np.random.default_rng(0), 0.8
+    held: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
+    for _ in range(200):
+        std = np.where(rng.random(1200) < 0.1, 1.0, 0.1)
+        guess = std * rng.uniform(0.8, 1.25, 1200)  # predicted: right but for a fifth
+        errors = std[:, None] * rng.standard_normal((1200, 3))
+        for scaled, found in held.items():
+            used = errors / guess[:, None] if scaled else errors
+            region = region_of(calibrator("conformal", gamma), used[:0], used[:200])
+            inside, large = region.contains(used[200:]), std[200:] == 1.0
+            found.append((inside.mean(), inside[large].mean()))
+    share, of_large = np.mean(held[True], axis=0)
+    assert gamma - 0.01 < share < gamma + 0.02
+    assert gamma - 0.05 < of_large < gamma + 0.05
+    share, of_large = np.mean(held[False], axis=0)
+    assert share > gamma - 0.01
+    assert of_large < 0.1
 
 
 @given(hits=st.integers(0, 40), n=st.integers(40, 60))

@@ -7,9 +7,9 @@ import pytest
 from refusals import refused
 
 from surefoot import Scenario
-from surefoot.scenarios.experiments.as_walked import load_as_walked
+from surefoot.scenarios.datasets.as_walked import load_as_walked
+from surefoot.scenarios.datasets.imperfections import Imperfection, load_imperfections
 from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
-from surefoot.scenarios.experiments.imperfections import Imperfection, load_imperfections
 from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.carry import BodyScale, carried, scale_of

@@ -24,6 +24,7 @@ from surefoot.scenarios.experiments.tables import (
     with_spread,
 )
 from surefoot.scenarios.settings import GridSettings
+from surefoot.scenarios.training import many_walks
 from surefoot.sim.common.errors import SurefootError
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false
@@ -201,19 +202,32 @@ def test_finished_rows_need_no_products(grid, rows, tmp_path, capsys):
 
 
 @pytest.mark.long
-def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
-    further = '[further]\ninputs = ["q,dq,tau"]\nmethods = ["maxnorm"]\n[observer]'
-    (grid / "further.toml").write_text(GRID.replace("[observer]", further))
+def test_other_ways_to_learn_are_tables_beside(grid, rows, tmp_path, monkeypatch):
+    monkeypatch.setattr(many_walks, "SECONDS", 20.0)
+    monkeypatch.setattr(many_walks, "HELD_OUT", (1, 0.0))
+    ways = (
+        'inputs = "q,dq"\nmethod = "maxnorm"',
+        'inputs = "q,dq,tau"\nmethod = "maxnorm"',
+        'inputs = "q,dq"\nwalks = 2\ncalibration_walks = 2',
+    )
+    further = "".join(f'[[further]]\nlosses = ["mse"]\nsteps = 4\n{one}\n' for one in ways)
+    (grid / "further.toml").write_text(GRID.replace("[observer]", f"{further}[observer]"))
     out, cache = tmp_path / "out", grid / "out" / "cache"
+    before = made(grid)
     more = experiment(grid / "further.toml", GridSettings(out, cache=cache, no_recordings=True))
-    ways = more[more["filter"] == "coverage"].groupby(["inputs", "method"])["gamma"].agg(set)
+    added = {kind: len(files.keys() - before[kind].keys()) for kind, files in made(grid).items()}
+    ways = more[more["filter"] == "coverage"].groupby(["walks", "inputs", "method"])["gamma"]
+    found = ways.agg(set)
     # Twenty seconds are too few for some method with some inputs: it is left out there.
-    assert ways["q,dq", "conformal"] == {0.6, 0.8}
-    assert ways["q,dq", "maxnorm"] == ways["q,dq,tau", "maxnorm"] == {0.8}
+    assert found[0, "q,dq", "conformal"] == {0.6, 0.8}
+    assert found[0, "q,dq", "maxnorm"] == found[0, "q,dq,tau", "maxnorm"] == {0.8}
+    assert found[2, "q,dq", "conformal"] == {0.8}
+    # The drawn walks are of both conditions alike: one observer, with one pair of bounds.
+    assert (added["walk"], added["observer"]) == (2 + 2 + 1, 2 + 1)
     first = shown_first(more, Experiment.load(grid / "further.toml"))
     same = shown_first(rows, Experiment.load(grid / "grid.toml"))
     assert len(first) == len(same)
-    assert "Inputs of observers" in (out / "table.md").read_text()
+    assert "How observers and bounds are learnt" in (out / "table.md").read_text()
 
 
 @pytest.mark.parametrize(
@@ -222,7 +236,7 @@ def test_other_inputs_and_methods_are_tables_beside(grid, rows, tmp_path):
         ('name = "as built"', 'name = "as drawn"', "names of conditions must be"),
         ("contact_delay", "smell", "[[condition]] 2 sensors: unknown key 'smell'"),
         ("contact_delay = 0.004", "contact_delay = -1.0", "must lie between"),
-        ("[observer]", "[further]\nmethods = ['none']\n[observer]", "unknown method 'none'"),
+        ("[observer]", "[[further]]\nmethod = 'none'\n[observer]", "unknown method 'none'"),
         ('losses = ["mse"]', 'losses = ["l1"]', "unknown loss 'l1'"),
     ],
 )

@@ -13,8 +13,8 @@ from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 from surefoot.scenarios.datasets import kept_walks
+from surefoot.scenarios.datasets.as_walked import load_as_walked
 from surefoot.scenarios.estimate.run import declared_model
-from surefoot.scenarios.experiments.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace import realism
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop

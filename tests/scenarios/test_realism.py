@@ -13,7 +13,7 @@ from surefoot.models.realism import card
 from surefoot.models.realism.card import tolerances
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets import kept_walks
-from surefoot.scenarios.experiments.as_walked import load_as_walked
+from surefoot.scenarios.datasets.as_walked import load_as_walked
 from surefoot.scenarios.trace import realism as module
 from surefoot.scenarios.trace.realism import (
     Drift,

@@ -174,7 +174,7 @@ def keys(tmp_path, monkeypatch):
         return {
             "walk": inputs_of(products.make_walk, cell),
             "observer": inputs_of(products.make_observer, [("a", made)], Learning(), "mse", 0),
-            "bounds": inputs_of(products.make_bounds, other, ("a", made), 0.9, "conformal"),
+            "bounds": inputs_of(products.make_bounds, other, [("a", made)], 0.9, "conformal"),
             "estimate": inputs_of(products.make_estimates, made, "a", *filters, [0.9]),
             "recording": inputs_of(products.make_recording, made, cell, *filters, 0.9),
         }

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.sim.common.errors import errors_in
+from surefoot.sim.common.files import bundled
 from surefoot.sim.common.toml import read_typed, typed
 from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.carry import BodyScale, carried, scale_of
@@ -20,7 +20,7 @@ SHEET = 0.2
 """Friction coefficient below which a patch is a slippery sheet."""
 LEVEL_UP_TO = 0.1
 """Slope up to which ground is level."""
-BUNDLED = SUITES_FOLDER / "as_walked.toml"
+BUNDLED = bundled("surefoot.scenarios.experiments", "suites") / "as_walked.toml"
 
 
 @dataclass(frozen=True)
