@@ -34,6 +34,7 @@ class Learning:
         losses: of the observers.
         inputs: of the observers.
         steps: of the training, at most.
+        batch: windows in each of them.
         model: one of surefoot.models.observer.architectures.
         method: of calibration, one of surefoot.models.registry.CALIBRATORS.
         walks: to train on, drawn at random (`scenarios.training.many_walks`); 0 trains on the
@@ -44,6 +45,7 @@ class Learning:
     losses: tuple[str, ...] = LOSSES
     inputs: str = "q,dq,tau"
     steps: TrainingSteps = TRAIN_DEFAULT.steps
+    batch: TrainingSteps = TRAIN_DEFAULT.batch
     model: str = "gru"
     method: str = "conformal"
     walks: WalkCount = 0

@@ -114,7 +114,7 @@ def make_observer(
     Args:
         folder: of the products.
         logs: names and walks to train on.
-        learning: inputs, model and steps.
+        learning: inputs, model, steps and batch.
         loss: "mse" or "gml".
         seed: of weights and windows.
         held_out: names and walks to stop by.
@@ -127,9 +127,8 @@ def make_observer(
 
         walks = (read_walk(walk, name) for name, walk in logs)
         stop_by = [read_walk(walk, name) for name, walk in held_out]
-        settings = TrainSettings(
-            inputs=learning.inputs, loss=loss, seed=seed, steps=learning.steps, model=learning.model
-        )
+        chosen = {name: getattr(learning, name) for name in ("inputs", "model", "steps", "batch")}
+        settings = TrainSettings(loss=loss, seed=seed, **chosen)
         observer = train(walks, None, settings, partial=state, held_out=stop_by)
         observer.save(path, force=True)
         state.unlink(missing_ok=True)
@@ -148,7 +147,7 @@ def learning_choices(learning: Learning) -> dict[str, Any]:
     """Inputs of an observer besides its logs; for a plug-in network, including its sources."""
     return {
         "inputs": learning.inputs,
-        "steps": learning.steps,
+        "steps": [learning.steps, learning.batch],
         "model": [learning.model, code_digest(ARCHITECTURES[learning.model])],
     }
 
