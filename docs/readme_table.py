@@ -13,7 +13,15 @@ from surefoot.scenarios.reporting.tables import to_markdown
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 BEGIN, END = "<!-- table of the demo: made by `make readme` -->", "<!-- end of the table -->"
-FILTERS = ("coverage", "coverage_persistent", "velocity", "leg", "imu")
+ROWS = {
+    ("walk", "leg"): "`leg`",
+    ("walk", "leg_slip"): "`leg_slip`",
+    ("walk", "coverage_gml"): "`coverage_gml`",
+    ("walk", "coverage_persistent"): "`coverage_persistent`",
+    ("known", "leg"): "`leg`, known",
+    ("known", "leg_slip"): "`leg_slip`, known",
+}
+"""Log and filter of each row -> its first column."""
 COLUMNS = ("APE_trans [m]", "APE_rot [deg]", "RPE_trans [m]", "NEES_pos", "step [us]")
 
 
@@ -27,14 +35,14 @@ def with_table(text: str, table: str, first: str = BEGIN, last: str = END) -> st
 
 
 def table_of(demo: Path) -> str:
-    """Five filters of the demo's table, and what they were measured on."""
+    """Some rows of the demo's table, and what they were measured on."""
     try:
-        found = pd.read_csv(demo / "table.csv").set_index("filter")
+        found = pd.read_csv(demo / "table.csv").set_index(["log", "filter"])
     except FileNotFoundError:
         raise SystemExit(f"{demo / 'table.csv'}: not there; run `make demo` first") from None
     rows = [
-        {"filter": f"`{name}`"} | {column: float(found.at[name, column]) for column in COLUMNS}
-        for name in FILTERS
+        {"filter": name} | {column: float(found.at[row, column]) for column in COLUMNS}
+        for row, name in ROWS.items()
     ]
     origin = origin_of("surefoot.scenarios.demo", "surefoot demo")
     made = f"`surefoot demo` on commit `{origin.commit}`, {origin.date}, {origin.machine}."

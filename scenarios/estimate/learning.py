@@ -1,6 +1,6 @@
 """Train both observers on some walks, and calibrate bounds for both."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,25 +15,28 @@ from surefoot.sim.log import Log
 
 
 def learn(
-    training: Sequence[Log],
-    calibration: Log,
+    training: Iterable[Log],
+    calibration: Log | Iterable[Log],
     out: Path,
     settings: TrainSettings = TRAIN_DEFAULT,
     force: bool = False,
+    held_out: Sequence[Log] = (),
 ) -> Learnt:
     """Train with each loss in parallel, one process each, calibrate, and store all four in `out`.
 
     Args:
         training: logs to train on.
-        calibration: log for the bounds.
+        calibration: log or logs for the bounds.
         out: folder for observers and bounds.
         settings: of the training, apart from the loss.
         force: whether files may be replaced.
+        held_out: logs by which the training stops.
     """
     with processes(len(LOSSES)) as pool:
         assert pool is not None
         tasks = [
-            (train, list(training), None, replace(settings, loss=loss), True) for loss in LOSSES
+            (train, training, None, replace(settings, loss=loss), True, None, held_out)
+            for loss in LOSSES
         ]
         observers = tuple(job.result() for job in [submitted(pool, task) for task in tasks])
     bounds = []

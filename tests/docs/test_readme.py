@@ -68,10 +68,10 @@ def test_the_table_goes_between_its_markers():
 
 def test_the_table_is_of_the_demo_and_says_so(tmp_path):
     columns = ",".join(readme_table.COLUMNS)
-    rows = [f"walk,{name},{','.join('12345')}" for name in readme_table.FILTERS]
+    rows = [f"{log},{name},{','.join('12345')}" for log, name in readme_table.ROWS]
     (tmp_path / "table.csv").write_text("\n".join([f"log,filter,{columns}", *rows]) + "\n")
     made = readme_table.table_of(tmp_path)
-    assert all(f"`{name}`" in made for name in readme_table.FILTERS)
+    assert all(name in made for name in readme_table.ROWS.values())
     assert "`surefoot demo` on commit `" in made
 
 
