@@ -18,7 +18,6 @@ ROWS = {
     ("walk", "leg_slip"): "`leg_slip`",
     ("walk", "coverage_gml"): "`coverage_gml`",
     ("walk", "coverage_persistent"): "`coverage_persistent`",
-    ("known", "leg"): "`leg`, known",
     ("known", "leg_slip"): "`leg_slip`, known",
 }
 """Log and filter of each row -> its first column."""
