@@ -43,10 +43,11 @@ docs: setup
 	$(BIN)/mkdocs build --strict
 	$(BIN)/python docs/result_pages.py docs/results
 
-# The README's table and picture from a demo of this commit.
+# The tables and pictures of the README and the guides from a demo of this commit.
 readme: demo
 	$(BIN)/python docs/readme_table.py out/demo
-	$(BIN)/python docs/start_table.py out/demo/logs/walk.parquet
+	$(BIN)/python docs/start_table.py
+	$(BIN)/python docs/persistent_pictures.py out/demo
 	$(BIN)/python docs/viewer_picture.py out/demo
 
 study: setup

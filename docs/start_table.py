@@ -1,15 +1,14 @@
 """Write the table of starts into the guide on comparisons, between its markers.
 
-`python docs/start_table.py LOG` (or `make readme`, with the walk of the demo): the log, whose robot
-stands at first, is estimated as a whole, and without what precedes its walk, from each start.
+`python docs/start_table.py` (or `make readme`): a walk whose robot stands at first is estimated as a
+whole, and without what precedes its walk, from each start.
 """
 
-import sys
 from pathlib import Path
 
 from readme_table import with_table
 
-from surefoot import FilterSettings, Log, Robot, StartSettings, run_filter
+from surefoot import FilterSettings, Log, Robot, Scenario, StartSettings, run_filter, walk
 from surefoot.estimator.initial import Start
 from surefoot.scenarios.reporting.pages import origin_of
 from surefoot.scenarios.reporting.tables import to_markdown
@@ -17,7 +16,7 @@ from surefoot.scenarios.reporting.tables import to_markdown
 GUIDE = Path(__file__).resolve().parent / "guides" / "compare.md"
 MARKERS = "<!-- table of starts: made by `make readme` -->", "<!-- end of the table -->"
 WALKS_FROM = 3.0
-"""Time after which the robot of the demo walks steadily [s]."""
+"""Time after which the robot walks steadily [s]."""
 CASES: tuple[tuple[str, Start], ...] = (
     ("standing", "reference"),
     ("standing", "rest"),
@@ -41,15 +40,15 @@ def row(log: Log, robot: Robot, case: tuple[str, Start]) -> dict[str, object]:
     return values
 
 
-def table_of(path: Path) -> str:
+def table() -> str:
     """The table, and what it was measured on."""
-    log = Log.read(path)
-    robot = Robot.for_log(log)
+    robot = Robot.load("spot_class")
+    log = walk(Scenario.load("demo/walk"), robot, 2)
     made = origin_of("surefoot.estimator.initial", "make readme")
     rows = to_markdown([row(log, robot, case) for case in CASES], markup=True)
     return f"\n{rows}\n\nMade by `{made.command}` on commit `{made.commit}`, {made.date}.\n"
 
 
 if __name__ == "__main__":
-    written = with_table(GUIDE.read_text(encoding="utf-8"), table_of(Path(sys.argv[1])), *MARKERS)
+    written = with_table(GUIDE.read_text(encoding="utf-8"), table(), *MARKERS)
     GUIDE.write_text(written, encoding="utf-8")
