@@ -1,7 +1,7 @@
 """Write the table of starts into the guide on comparisons, between its markers.
 
-`python docs/start_table.py` (or `make readme`): a walk whose robot stands at first is estimated as a
-whole, and without what precedes its walk, from each start.
+`python docs/start_table.py` (or `make readme`): a walk whose robot stands at first is estimated as
+a whole, and without what precedes its walk, from each start.
 """
 
 from pathlib import Path

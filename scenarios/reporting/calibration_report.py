@@ -82,13 +82,15 @@ def write_calibration_report(
     if len(cases):
         heading = "By terrain, slip, motion and stride"
         sections.append(Section(heading, CASES_PROSE, cases, file="cases"))
-    title = f"Bounds calibrated on {bounds.log}, and where they hold"
+    title = f"Bounds calibrated on {calibrated_on(bounds)}, and where they hold"
     write_results(out, title, sections)
     if page:
         write_page(page, title, sections, origin_of(__name__, "make study-bounds"))
     return sections
 
 
+MOST_NAMED = 3
+"""Largest number of logs that are named."""
 METHODS_PROSE = (
     "All methods use the same errors and the same joint level. The shape of a joint score is "
     "determined on the first quarter of the log, its size on the rest. The filters' update uses a "
@@ -131,6 +133,12 @@ SHIFT_PROSE = (
 )
 
 
+def calibrated_on(bounds: Bounds) -> str:
+    """The logs of bounds, in words; of many, their number."""
+    names = bounds.log.split(", ")
+    return bounds.log if len(names) <= MOST_NAMED else f"{len(names)} walks"
+
+
 def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
     """Sentences: on which walks the bounds hold, their size, and whether the alarm noticed."""
     sure = "" if bounds.confidence is None else f", with confidence {bounds.confidence:g}"
@@ -146,13 +154,13 @@ def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
     raised = lost["alarm"].str.startswith("after").sum()
     other = tests["alarm"].str.startswith("after").sum() - raised
     main = (
-        f"Bounds calibrated on {bounds.log} are lost on {len(lost)} of {len(tests)} test walks"
+        f"Bounds calibrated on {calibrated_on(bounds)} are lost on {len(lost)} of {len(tests)} test walks"
         f"{': ' + ', '.join(lost['walk']) if len(lost) else ''}."
     )
     return (
         f"{main}\n\n{size} The alarm, which needs no reference, is raised on {raised} of the "
         f"{len(lost)} walks on which they are lost and on {other} of the {len(tests) - len(lost)} "
-        "others. Bounds are a statement on walks like that of the calibration."
+        "others. Bounds are a statement on walks like those of the calibration."
     )
 
 
