@@ -153,9 +153,10 @@ def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
     lost = tests[tests["bounds"] == "lost"]
     raised = lost["alarm"].str.startswith("after").sum()
     other = tests["alarm"].str.startswith("after").sum() - raised
+    named = f": {', '.join(lost['walk'])}" if len(lost) else ""
     main = (
-        f"Bounds calibrated on {calibrated_on(bounds)} are lost on {len(lost)} of {len(tests)} test walks"
-        f"{': ' + ', '.join(lost['walk']) if len(lost) else ''}."
+        f"Bounds calibrated on {calibrated_on(bounds)} are lost on {len(lost)} of {len(tests)} "
+        f"test walks{named}."
     )
     return (
         f"{main}\n\n{size} The alarm, which needs no reference, is raised on {raised} of the "
@@ -233,7 +234,8 @@ def _region_row(
 ) -> dict[str, object]:
     widths = zip("xyz", region.epsilon, strict=True)
     row: dict[str, object] = {f"{axis} [{bounds.unit}]": width for axis, width in widths}
-    row[f"volume [({bounds.unit})^3]"] = region.volume
+    factor, unit = (1.0, "std^3") if bounds.scaled else (1e6, "(cm/s)^3")
+    row[f"volume [{unit}]"] = factor * region.volume
     if judged:
         held = [float(region.contains(errors).mean()) for errors in judged]
         row["coverage, mean of walks [%]"] = percent(np.mean(held))
