@@ -22,12 +22,10 @@ from surefoot.models.calibration.regions import CONFIDENCE, BoundsError, Region,
 from surefoot.models.calibration.shift import (
     FALSE_ALARM,
     block_sizes,
-    inflation,
     shift_alarm,
-    weighted_bounds,
 )
 from surefoot.models.observer.observer import Observer, log_digest
-from surefoot.models.observer.samples import RATE, observer_rows, observer_samples
+from surefoot.models.observer.samples import RATE, observer_rows
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
 from surefoot.scenarios.reporting.html import Picture, Section
@@ -126,10 +124,8 @@ def _mixing_prose(bounds: Bounds) -> str:
 SHIFT_PROSE = (
     "Coverage is lost if the whole 95 % interval, which counts one error for each K samples, lies "
     "below the level. The alarm compares the filter's innovations with those in the calibration; "
-    f"on a walk like that one it is raised with a probability of at most {FALSE_ALARM:g}. Widened: "
-    "after the alarm, bounds grow with the innovations (by: the mean factor). Weighted: errors of "
-    "the calibration are weighted by the similarity of the inputs (volume: relative to these "
-    "bounds). Neither notices a persistent error that does not affect the inputs."
+    f"on a walk like that one it is raised with a probability of at most {FALSE_ALARM:g}. It does "
+    "not notice a persistent error that moves the filter's velocity with it."
 )
 
 
@@ -175,8 +171,8 @@ def _shown(walks: pd.DataFrame) -> pd.DataFrame:
 class CalibratedWalk:
     """One log under one calibration.
 
-    errors (M, 3) at `rows` of the log, as from `relative_errors`, empty without a reference; x
-    (M', C) the observer's scaled inputs; t and squared (M",) those of the innovations.
+    errors (M, 3) at `rows` of the log, as from `relative_errors`, empty without a reference;
+    squared (M',) normalised squared innovations.
     """
 
     log: Log
@@ -184,8 +180,6 @@ class CalibratedWalk:
     bounds: Bounds
     rows: np.ndarray
     errors: np.ndarray
-    x: np.ndarray
-    t: np.ndarray
     squared: np.ndarray
 
 
@@ -203,8 +197,7 @@ def evaluate_walk(
     found = innovations(known, trajectory)
     trained = log_digest(known) in {part.sha256 for part in observer.logs}
     role = "calibration" if calibrated else "training" if trained else "test"
-    x = observer.scaled(observer_samples(known, observer.inputs).x).astype(float)
-    return CalibratedWalk(known, role, bounds, rows, errors, x, found.t, found.squared)
+    return CalibratedWalk(known, role, bounds, rows, errors, found.squared)
 
 
 def methods_table(
@@ -246,18 +239,16 @@ def _region_row(
 def sequence_table(
     calibration: Sequence[CalibratedWalk], others: Sequence[CalibratedWalk]
 ) -> pd.DataFrame:
-    """One row per walk: coverage with interval, the worst case, the alarm and two ways to widen."""
+    """One row per walk: coverage with interval, the worst case, and the alarm."""
     usual = np.concatenate([block_sizes(walk.squared) for walk in calibration])
     rows: list[dict[str, object]] = []
     for walk in (*calibration, *others):
         row: dict[str, object] = {"walk": walk.log.name, "role": walk.role}
-        row["length [s]"] = round(len(walk.x) / RATE)
+        row["length [s]"] = round(len(observer_rows(walk.log)) / RATE)
         row |= _held(walk) | {"alarm": "–"}
         if walk.role != "calibration":
             alarm = shift_alarm(usual, block_sizes(walk.squared))
             row["alarm"] = "none" if alarm is None else f"after {alarm:.0f} s"
-            if len(walk.errors):
-                row |= _kept(walk, calibration, alarm, usual)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -275,31 +266,6 @@ def _held(walk: CalibratedWalk) -> dict[str, object]:
         "bounds": "lost" if lost else "hold" if found.joint >= gamma else "not significant",
         "worst case": "–" if worst is None else f"{worst.case} {100 * worst.joint:.0f} %",
     }
-
-
-def _kept(
-    walk: CalibratedWalk,
-    calibration: Sequence[CalibratedWalk],
-    alarm: float | None,
-    usual: np.ndarray,
-) -> dict[str, object]:
-    epsilon, sizes = walk.bounds.epsilon, np.abs(walk.errors)
-    factor = inflation(usual, walk.squared, alarm)
-    at = np.searchsorted(walk.t, walk.log.t[walk.rows] - 1e-9).clip(max=len(walk.t) - 1)
-    wide = sizes <= epsilon * factor[at][:, None]
-    row: dict[str, object] = {
-        "widened after alarm [%]": percent(wide.all(axis=1).mean()),
-        "by": f"{np.exp(np.log(factor).mean()):.2f}",
-    }
-    # Inputs at the rows with errors, where the reference was measured.
-    inputs = [one.x[np.searchsorted(observer_rows(one.log), one.rows)] for one in calibration]
-    errors = np.concatenate([one.errors for one in calibration])
-    weighted = weighted_bounds(errors, np.concatenate(inputs), walk.x, walk.bounds.gamma)
-    if weighted is None:
-        return row | {"weighted [%]": "no bound", "volume": None}
-    inside = float((sizes <= weighted).all(axis=1).mean())
-    volume = float(np.prod(weighted / epsilon))
-    return row | {"weighted [%]": percent(inside), "volume": f"{volume:.2f}"}
 
 
 def percent(share) -> str:
