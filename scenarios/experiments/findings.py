@@ -80,22 +80,22 @@ def _consistency(parts: dict[str, pd.DataFrame]) -> str:
 
 def _learnt(parts: dict[str, pd.DataFrame], ours: str, gamma: float) -> list[str]:
     """Coverage of the bounds, and the observer's mean error over a walk; none without observers."""
-    held, bias = [], []
+    held: dict[str, list[str]] = {}
+    bias = []
     for condition, part in parts.items():
-        bounded = part[part["coverage_n"] > 0]
-        if len(bounded):
-            one = bounded[bounded["filter"] == bounded["filter"].iloc[0]]
+        for name, one in part[part["coverage_n"] > 0].groupby("filter", sort=False):
             share = (one["coverage [%]"] * one["coverage_n"]).sum() / one["coverage_n"].sum()
-            held.append(f"{share:.0f} % ({condition})")
+            held.setdefault(str(name), []).append(f"{share:.0f} % ({condition})")
         mine = part[(part["filter"] == ours) & part["fed_mean_x [m/s]"].notna()]
         if len(mine):
             size = (mine[[f"fed_mean_{a} [m/s]" for a in "xyz"]] ** 2).sum(axis=1) ** 0.5
             bias.append(f"{1e3 * size.mean():.1f} mm/s ({condition})")
     sentences = []
     if held:
+        found = "; ".join(f"with `{name}` {', '.join(shares)}" for name, shares in held.items())
         sentences.append(
-            f"Bounds calibrated for {100 * gamma:.0f} % of the observer's velocity errors contain "
-            f"{', '.join(held)}."
+            f"Bounds calibrated for {100 * gamma:.0f} % of an observer's velocity errors contain "
+            f"{found}."
         )
     if bias:
         sentences.append(
