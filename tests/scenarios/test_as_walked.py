@@ -7,6 +7,7 @@ import pytest
 from refusals import refused
 
 from surefoot import Scenario
+from surefoot.estimator.metrics import path_length
 from surefoot.scenarios.datasets.as_walked import load_as_walked
 from surefoot.scenarios.datasets.imperfections import Imperfection, load_imperfections
 from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
@@ -24,6 +25,8 @@ foot_radius = 0.03
 period = 0.5
 [gait]
 duty = 0.7
+[everywhere]
+slip_care = 0.3
 [on_slopes]
 level = 0.9
 [on_sheets]
@@ -45,8 +48,10 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     condition = next(c for c in suite.conditions if c.name == "as walked")
     slipped = next(s for s in suite.scenarios if s.name == "Slipped")
     drawn = Cell(slipped, "v60_class", condition, 1).walk
-    assert condition.walked is not None
-    assert drawn.scenario.gait == replace(condition.walked.gait, **condition.walked.on_sheets)
+    as_walked = condition.walked
+    assert as_walked is not None
+    options = as_walked.everywhere | as_walked.on_sheets
+    assert drawn.scenario.gait == replace(as_walked.gait, **options)
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.75, 0.2)
     assert mine.ground == slipped.ground
@@ -56,6 +61,7 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     gaits = [walked.scenario(s).gait for s in tried]
     assert [gait.duty for gait in gaits] == [0.75, 0.7, 0.7, 0.7]
     assert [gait.level for gait in gaits] == [1.0, 0.9, 0.9, 1.0]
+    assert {gait.slip_care for gait in gaits} == {0.3}
     robot = Robot.load("v60_class")
     scales = BodyScale(300.0, 0.6, 0.03, 0.5), scale_of(robot)
     (expected,) = carried([effect("joint_compliance", "all", 1e-3)], *scales)
@@ -95,6 +101,14 @@ def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
     walked = Cell(flight, "spot_class", condition, 0).walk.simulated()
     # Ten steps of 12 cm.
     assert np.ptp(walked.ref_p[:, 2]) == pytest.approx(1.2, abs=0.15)
+
+
+def test_as_walked_a_course_keeps_its_length():
+    suite = Experiment.load("vision60")
+    condition = next(c for c in suite.conditions if c.name == "as walked")
+    course = next(s for s in suite.scenarios if s.name == "Slipped")
+    log = Cell(course, "v60_class", condition, 0).walk.simulated()
+    assert path_length(log.t, log.ref_p) == pytest.approx(PAPER["Slipped"][0], rel=0.02)
 
 
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
