@@ -9,7 +9,7 @@ from mujoco import rollout
 
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import Log
-from surefoot.sim.physics.stepper import at_time_of_rates, rotation
+from surefoot.sim.physics.stepper import at_time_of_rates
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import Fallen, plan, simulate_motion, walk
@@ -96,15 +96,6 @@ def test_the_recorded_torques_replay_to_the_same_states_in_the_bare_engine():
     qpos = at_time_of_rates(qpos, qvel)
     assert np.array_equal(qpos[:, :3], motion.p_GB[1:])
     assert np.array_equal(qpos[:, made.world.qpos_adr], motion.q[1:])
-
-
-def test_rotation_is_that_of_mujoco():
-    rng = np.random.default_rng(0)
-    for q in rng.normal(size=(20, 4)):
-        q /= np.linalg.norm(q)
-        R = np.empty(9)
-        mujoco.mju_quat2Mat(R, q)
-        np.testing.assert_allclose(rotation(*q), R.reshape(3, 3), atol=1e-15)
 
 
 def test_a_walk_that_goes_wrong_numerically_is_a_fall(tmp_path, monkeypatch):

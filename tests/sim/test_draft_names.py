@@ -277,17 +277,6 @@ def test_a_text_without_header_may_have_words_in_it(tmp_path, header, word):
     assert {"0": "0", "stamp": "stamp"}["stamp" if header else "0"] == draft.main[0].theirs
 
 
-def test_columns_without_a_number_are_left_out_and_listed(tmp_path):
-    named = {
-        f"{kind}_{joint}": values[:, k]
-        for kind, values in (("q", ANGLES), ("dq", np.nan * RATES))
-        for k, joint in enumerate(JOINTS)
-    }
-    draft = drafted_table(tmp_path, t=T, **named)
-    assert {e.name for e in draft.main} == {"t", *(f"q_{joint}" for joint in JOINTS)}
-    assert "dq_FL_hip" in listed(draft)
-
-
 def test_what_is_not_used_fits_on_ten_lines_with_its_reasons(tmp_path):
     arrays = {
         f"{word}_{k}": TRIPLE

@@ -132,14 +132,6 @@ def test_a_standing_robot_is_held_by_its_weight():
     assert np.sum(push, axis=0)[2] == pytest.approx(SPOT.mass * 9.81, rel=0.01)
 
 
-def test_gait_scales_with_the_leg():
-    small = gait_for(Robot.load("v60_class"), 0.0, period=1.1, clearance=0.9, gain=1.2)
-    plain = gait_for(Robot.load("v60_class"), 0.0)
-    assert small.period == pytest.approx(1.1 * plain.period)
-    assert small.clearance == pytest.approx(0.9 * plain.clearance)
-    assert small.level_gain == pytest.approx(1.2 * plain.level_gain)
-
-
 ROBOT = Robot.load("spot_class")
 
 
@@ -170,5 +162,6 @@ def test_feet_swing_when_the_pattern_says(name):
 
 def test_what_is_no_gait_is_one_line():
     refused("did you mean 'trot'", GaitOptions, pattern="trott")
+    refused("duty must lie between 0.4 and 0.9, is 0.2", GaitOptions, duty=0.2)
     for wrong in (Pattern((0.0, 0.5, 0.5, 1.5), 0.6), Pattern((0.0, 0.5, 0.5, 0.0), 0.99)):
         refused("must", _check, wrong)

@@ -148,19 +148,6 @@ def test_footholds_and_periods_vary_and_the_robot_walks_on():
     np.testing.assert_array_equal(motion.p_GB, again.p_GB)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"duty": 0.2}, "duty must lie between 0.4 and 0.9, is 0.2"),
-        ({"stiffness": -1.0}, "stiffness must lie between 0 and"),
-        ({"period_jitter": 0.5}, "period_jitter must lie between 0 and 0.2"),
-    ],
-)
-def test_a_gait_that_cannot_be_is_refused(options, message):
-    with pytest.raises(SurefootError, match=message):
-        GaitOptions(**options)
-
-
 def test_a_log_at_a_lower_rate_keeps_what_the_imu_integrates():
     scenario = replace(COURSE, segments=(Segment(1.0, 0.4),))
     whole = walk(scenario, SPOT, 0)

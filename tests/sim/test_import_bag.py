@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import EPOCH, IMU, Maker, write_bag
-from refusals import refusal, refused
+from refusals import refusal
 from written import written
 
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.importing.guessing.recorded_file import recorded_files
 from surefoot.sim.importing.readers import bag
 from surefoot.sim.importing.readers.bag import read_bag
 from surefoot.sim.importing.recording import import_log
@@ -190,13 +189,6 @@ def test_a_frame_that_is_not_there_is_named_with_those_that_are(tmp_path, topic)
     assert "/tf[odom->base]" in caught or topic == "/tf"
 
 
-def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):
-    refused("No such file", import_log, tmp_path / "nothing.bag", map_file)
-    for name in ("noise.bag", "noise.mcap", "noise.db3"):
-        (tmp_path / name).write_bytes(b"noise" * 100)
-        assert name in refusal(import_log, tmp_path / name, map_file)
-
-
 @pytest.mark.parametrize("name", ["run", "bag"])
 def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, capsys, name):
     """`import bag --guess` too, where "bag" is no kind of file but its name."""
@@ -212,12 +204,3 @@ def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, c
         'ref_p_x = { column = "/mocap:pose.position.x", unit = "m" }',
     ):
         assert f"\n{line}" in said
-
-
-def test_every_number_of_a_bag_has_a_column_and_stamps_of_its_own(tmp_path):
-    path = write_bag(tmp_path / "run", "mcap", messages)
-    (found,) = recorded_files(path, None)
-    assert (found.path, found.label) == (path, "run")
-    rates = read_bag(path, ["/imu:angular_velocity.x"]).cells["/imu:angular_velocity.x"]
-    assert len(rates) == len(found.columns["/imu:angular_velocity.x"])
-    np.testing.assert_allclose(found.columns["/imu:angular_velocity.x"], rates)

@@ -77,7 +77,6 @@ def swapped() -> pd.DataFrame:
 
 ONE_BAD_STAMP = {
     "a sample that is repeated": (again(50), 0, "repeated"),
-    "samples that are repeated": (again(50, 51, 300), 0, "3 "),
     "a sample that is sent again later": (
         pd.concat([table()[:100], table()[90:95], table()[100:]], ignore_index=True), 0, "5 ",
     ),

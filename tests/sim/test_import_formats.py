@@ -331,6 +331,8 @@ def test_contacts_follow_from_torques_and_from_kinematics(log, tmp_path, of):
         ("icub_biped/com_sinusoid.mat", "icub_biped", 2004, 26),
         ("so101/prbs_excitation", "so101", 6000, 6),
         ("ricmonk/swings/r06_s3.csv", "ricmonk_swing", None, 3),
+        ("go2_in_air", "go2_in_air", None, 12),
+        ("ak80_pendulum/pd_measured.csv", "ak80_pendulum", None, 1),
     ],
 )
 def test_measured_recordings_come_in_as_they_are(recording, rules, rows, joints):

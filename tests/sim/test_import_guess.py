@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -579,21 +578,3 @@ def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):
     columns |= {f"contact_{leg}": (np.sin(t) > 0).astype(int) for leg in legs}
     draft = guess_map([csv(tmp_path, columns)], str(robot))
     check_entries(draft, {f"contact_coxa_{leg}": (f"contact_{leg}",) for leg in legs})
-
-
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        (0, "no questions in it; import"),
-        (1, "1 question in it; answer"),
-        (2, "2 questions in it; answer"),
-    ],
-)
-def test_the_command_counts_the_questions_of_a_draft(tmp_path, capsys, monkeypatch, asked, words):
-    (tmp_path / "run.csv").write_text("t,a\n0,1\n")
-    text = "# A line with a # ? is a question\n" + "# ? which one\n" * asked
-    monkeypatch.setattr(
-        "surefoot.sim.importing.guessing.guess.guess_map", lambda *_: SimpleNamespace(text=text)
-    )
-    main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
-    assert words in capsys.readouterr().out

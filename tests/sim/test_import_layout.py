@@ -138,7 +138,9 @@ def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
     np.testing.assert_allclose(turned, TURN, atol=1e-6)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+@pytest.mark.parametrize(
+    "encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be"]
+)
 def test_a_spreadsheet_is_read_in_the_letters_that_it_writes(tmp_path, encoding):
     table = IMU.assign(**{"Temperatur [°C]": 21.5})
     text = "Gerät;Müller\n" + table.to_csv(index=False, sep=";", decimal=",")

@@ -299,11 +299,6 @@ def test_meshes_may_lie_in_a_folder_beside_the_models(tmp_path, monkeypatch):
     refused("lies outside", Robot.load, path)
 
 
-def test_a_urdf_by_another_name_is_refused(tmp_path):
-    """Its meshes would not be confined."""
-    refused(r"a URDF's name ends in \.urdf", compiled_model, written(tmp_path / "arm.xml", URDF))
-
-
 @pytest.mark.parametrize(("inertial", "shape"), [(INERTIAL, ""), ("", UNSEEN)])
 def test_a_missing_mesh_that_collides_or_weighs_is_refused(tmp_path, inertial, shape):
     refused(r"hull\.stl", Robot.load, written(tmp_path / "odd.xml", with_visuals(inertial, shape)))

@@ -108,13 +108,9 @@ def test_stairs_are_the_same_from_either_end():
     assert height(up, 2.99, 0.0) == pytest.approx(1.2)
 
 
-def test_bumps_are_drawn_from_the_generator_and_end_level():
-    one, same, other = (ROUGH.roughened(np.random.default_rng(s)).bumps for s in (1, 1, 2))
+def test_bumps_are_as_high_as_the_ground_is_rough_and_end_level():
+    one = ROUGH.roughened(np.random.default_rng(1)).bumps
     assert one is not None
-    assert same is not None
-    assert other is not None
-    np.testing.assert_array_equal(one, same)
-    assert not np.array_equal(one, other)
     assert 0.03 < one.max() <= 0.06
     assert one.min() >= 0.0
     border = np.concatenate([one[0], one[-1], one[:, 0], one[:, -1]])
