@@ -58,23 +58,17 @@ def listed(draft: Draft) -> str:
 KNOWN = [
     # name, kind, source
     ("ang_vel_0", "gyro", ""),
-    ("base_ang_vel[1]", "gyro", ""),
-    ("imu_ang_vel_x", "gyro", ""),
     ("root_ang_vel_b[0]", "gyro", ""),
     ("root_ang_vel_w[0]", "ref_v", ""),
     ("imu_state.gyroscope[2]", "gyro", ""),
     ("body_rate_z", "gyro", ""),
     ("omega_filtered_x", "gyro", "filtered"),
-    ("ekf_omega_x", "gyro", "estimate"),
     ("gyro_bias_x", "gyro", "bias"),
     ("est_gyro_bias_x", "gyro", "bias"),
     ("/odom:twist.twist.angular.x", "gyro", "estimate"),
     ("/cmd_vel:angular.z", "gyro", "command"),
-    ("/imu/data:angular_velocity.x", "gyro", ""),
     ("angular_acceleration_x", "other", ""),
     ("lin_acc_x", "accel", ""),
-    ("imu_state.accelerometer[0]", "accel", ""),
-    ("accel_bias_x", "accel", "bias"),
     ("projected_gravity_0", "other", ""),
     ("gyro_temperature", "other", ""),
     ("base_lin_vel_x", "ref_v", ""),
@@ -82,32 +76,23 @@ KNOWN = [
     ("FL_foot_vel_x", "other", ""),
     ("dof_pos_3", "q", ""),
     ("joint_pos[3]", "q", ""),
-    ("motor_state[3].q", "q", ""),
-    ("FL_hip_ang", "q", ""),
     ("default_dof_pos_3", "q", "parameter"),
     ("joint_pos_target[3]", "q", "command"),
-    ("q_ref_3", "q", "command"),
     ("/lowcmd:motor_cmd[3].q", "q", "command"),
     ("dof_pos_error_3", "q", "error"),
     ("dof_vel_3", "dq", ""),
     ("FL_hip_omega", "dq", ""),
     ("dof_acc_3", "other", ""),
-    ("motor_state[3].ddq", "other", ""),
-    ("torques_3", "tau", ""),
     ("applied_torque[3]", "tau", ""),
     ("motor_state[3].tau_est", "tau", "estimate"),
     ("contact_forces_z_FL", "force", ""),
     ("/FL_foot_force:wrench.force.z", "force", ""),
-    ("foot_force[0]", "force", ""),
     ("foot_force_est[0]", "force", "estimate"),
     ("feet_contact[0]", "contact", ""),
     ("vicon_pos_x", "ref_p", "reference"),
     ("quat_wxyz_0", "ref_q", ""),
     ("imu_timestamp", "t", ""),
-    ("timestamp_gyro", "t", ""),
     ("contact_time_FL", "t", ""),
-    ("Gyro X (rad/sec)", "gyro", ""),
-    ("sec", "t", ""),
 ]
 
 
@@ -252,11 +237,9 @@ def test_forces_of_the_feet_are_understood_along_z(tmp_path, name, place):
     ("name", "step", "unit", "slow"),
     [
         ("time_s", 1.0, "s", True),
-        ("time_s", 0.2, "s", True),
         ("time", 0.2, "s", True),
         ("time_ms", 200.0, "ms", True),
         ("t [us]", 5e3, "us", False),
-        ("stamp_ns", 1e7, "ns", False),
         ("elapsed_s", 0.02, "s", False),
     ],
 )
@@ -281,17 +264,7 @@ def test_what_is_not_used_fits_on_ten_lines_with_its_reasons(tmp_path):
     arrays = {
         f"{word}_{k}": TRIPLE
         for k in range(9)
-        for word in (
-            "ekf_omega",
-            "debug",
-            "kp",
-            "temp",
-            "q_des",
-            "acc_bias",
-            "pos_world",
-            "dq_filt",
-            "spare",
-        )
+        for word in "ekf_omega debug kp temp q_des acc_bias pos_world dq_filt spare".split()
     }
     draft = drafted_table(tmp_path, t=T, gyro=GYRO, acc=ACCEL, note=np.full(N, np.nan), **arrays)
     lines = listed(draft).splitlines()
@@ -302,11 +275,8 @@ def test_what_is_not_used_fits_on_ten_lines_with_its_reasons(tmp_path):
 def test_position_beside_a_quaternion_is_a_pose(tmp_path):
     half = 0.5 * np.linspace(2.6, 4.0, N)  # a marker that points backwards
     zero = np.zeros(N)
-    pose = {
-        "position": 1e3 * TRIPLE,
-        "quaternion": np.column_stack([np.cos(half), zero, zero, np.sin(half)]),
-    }
-    np.savez(tmp_path / "mocap.npz", t=T, **pose)  # pyright: ignore[reportArgumentType]
+    q = np.column_stack([np.cos(half), zero, zero, np.sin(half)])
+    np.savez(tmp_path / "mocap.npz", t=T, position=1e3 * TRIPLE, quaternion=q)
     np.savez(tmp_path / "run.npz", t=T, gyro=GYRO, accel=ACCEL, joint_pos=ANGLES, joint_vel=RATES)
     draft = guess_map([tmp_path / "run.npz", tmp_path / "mocap.npz"], "spot_class")
     found = theirs(draft)

@@ -1,7 +1,6 @@
 """Drafts of maps: how many of their entries are right, and that no wrong one is without a doubt."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,17 +11,14 @@ from written import written
 from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.export import export
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.importing.guessing.draft import Draft
 from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.guessing.names import by_their_legs, read_name
 from surefoot.sim.importing.guessing.units import stride_in_turns, unit_of_gyro
 from surefoot.sim.importing.map import ImportMap
+from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
-from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import robot_file
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 MEASURED = measured_folder()
 Truth = dict[str, tuple[str, float, float]]
@@ -141,19 +137,6 @@ MANNERS: dict[str, dict[str, str | tuple[str, float]]] = {
     "capitals": {"t": "timeSec", "gyro": "gyro{A}", "accel": "acc{A}", "q": "FrontLeft{Part}Pos"}
     | {"dq": "FrontLeft{Part}Vel", "tau": "FrontLeft{Part}Torque", "contact": "FrontLeftContact"}
     | {"ref_p": "mocapPos{A}", "ref_q": "mocapQuat{A}"},
-    "sides": {"t": ("t_ms", 1e3), "gyro": ("imu_gyro_{a}_dps", DEGREES)}
-    | {"accel": ("imu_accel_{a}_mg", 1e3 * IN_G), "contact": "left_front_touch"}
-    | {"q": ("left_front_{roll}_angle_deg", DEGREES), "tau": "left_front_{roll}_torque_nm"}
-    | {"dq": ("left_front_{roll}_rate_dps", DEGREES), "ref_q": "vicon_q{a}"}
-    | {"ref_p": ("vicon_{a}_mm", 1e3)},
-    "hips": {"t": ("%time", 1e9), "gyro": "field.angular_velocity.{a}"}
-    | {"accel": "field.linear_acceleration.{a}", "q": "front_left_{abduct}_joint.position"}
-    | {"dq": "front_left_{abduct}_joint.velocity", "tau": "front_left_{abduct}_joint.effort"}
-    | {"contact": "front_left_contact", "ref_p": "pose.position.{a}"}
-    | {"ref_q": "pose.orientation.{a}"},
-    "letters": {"t": ("timestamp_us", 1e6), "gyro": "imu_ang_vel_{a}", "accel": "imu_lin_acc_{a}"}
-    | {"q": "{leg}.{hx}.position", "dq": "{leg}.{hx}.velocity", "tau": "{leg}.{hx}.load"}
-    | {"contact": "foot_state.{leg}.contact", "ref_p": "base_pos_{a}", "ref_q": "base_quat_{a}"},
     "right first": {"t": ("lcm_timestamp", 1e6), "gyro": "omegaBody[{n}]", "accel": "aBody[{n}]"}
     | {"q": "q[{mit}]", "dq": "qd[{mit}]", "tau": "tauEst[{mit}]", "contact": "contact[{foot}]"}
     | {"ref_p": "mocap_position[{n}]", "ref_q": "mocap_orientation[{n}]"},
@@ -161,20 +144,11 @@ MANNERS: dict[str, dict[str, str | tuple[str, float]]] = {
     | {"q": "leg{l}_joint{j}_q"}
     | {"dq": "leg{l}_joint{j}_dq", "tau": "leg{l}_joint{j}_tau", "contact": "contact{l}"}
     | {"ref_p": "pos_ref_{a}", "ref_q": "quat_ref_{a}"},
-    "prefixed": {"t": "go.header.stamp", "gyro": "go.imu.angularVelocity.{a}"}
-    | {"accel": "go.imu.linearAcceleration.{a}", "q": "go.joints.{leg}_{part}_joint.q"}
-    | {"dq": "go.joints.{leg}_{part}_joint.dq", "tau": "go.joints.{leg}_{part}_joint.tau"}
-    | {"contact": "go.feet.{leg}.inContact", "ref_p": "go.mocap.translation.{a}"}
-    | {"ref_q": "go.mocap.rotation.{a}"},
 }
 """How others name the columns of a log, and what they multiply its values by where they do."""
 ANYMAL = {"FL": "LF", "FR": "RF", "RL": "LH", "RR": "RH"}
 RIGHT_FIRST = ["FR", "FL", "RR", "RL"]
-PARTS = {
-    "hip": {"HAA": "HAA", "hx": "hx", "roll": "hip_roll", "abduct": "abduct"},
-    "thigh": {"HAA": "HFE", "hx": "hy", "roll": "hip_pitch", "abduct": "hip"},
-    "calf": {"HAA": "KFE", "hx": "kn", "roll": "knee_pitch", "abduct": "knee"},
-}
+HINGES = {"hip": "HAA", "thigh": "HFE", "calf": "KFE"}
 
 
 def in_the_manner_of(manner: str, name: str) -> tuple[str, float]:
@@ -186,31 +160,25 @@ def in_the_manner_of(manner: str, name: str) -> tuple[str, float]:
     leg, _, part = rest.partition("_")
     if leg not in LEGS:
         return text.format(a=leg, A=leg.upper(), n="wxyz".find(leg) - (kind != "ref_q")), scale
-    end, side = ("front", "rear")[leg[0] == "R"], ("left", "right")[leg[1] == "R"]
-    text = text.replace("Front", end.title()).replace("Left", side.title())
-    text = text.replace("front", end).replace("left", side)
+    end, side = ("Front", "Rear")[leg[0] == "R"], ("Left", "Right")[leg[1] == "R"]
+    text = text.replace("Front", end).replace("Left", side)
     place = ["hip", "thigh", "calf"].index(part) if part else 0
     number, foot = LEGS.index(leg), RIGHT_FIRST.index(leg)
     words = {"leg": leg, "LF": ANYMAL[leg], "part": part, "Part": part.title()}
+    words |= {"HAA": HINGES.get(part)}
     counts = {"i": 3 * number + place, "mit": 3 * foot + place, "foot": foot}
     counts |= {"l": number + 1, "j": place + 1}
-    return text.format(**words, **counts, **PARTS.get(part, {})), scale
-
-
-@pytest.fixture(scope="module")
-def walked() -> Log:
-    course = (Segment(3.0, 0.4), Segment(5.0, 0.4, turn=0.5), Segment(5.0, 0.4, turn=-0.5))
-    return walk(Scenario("turning", course, Ground(0.8)), Robot.load("spot_class"), seed=0)
+    return text.format(**words, **counts), scale
 
 
 @pytest.mark.parametrize("manner", MANNERS)
-def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, walked, manner):
+def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, log, manner):
     wanted = ("t", "gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "ref_p_", "ref_q_")
-    kept = [c for c in walked.frame if c == "t" or c.startswith(wanted[1:])]
+    kept = [c for c in log.frame if c == "t" or c.startswith(wanted[1:])]
     kept = [c for c in kept if "_des_" not in c and "_ff_" not in c]
     names = {c: in_the_manner_of(manner, c) for c in kept}
     assert len({name for name, _ in names.values()}) == len(kept)
-    theirs = pd.DataFrame({name: scale * walked.frame[c] for c, (name, scale) in names.items()})
+    theirs = pd.DataFrame({name: scale * log.frame[c] for c, (name, scale) in names.items()})
     shuffled = np.random.default_rng(0).permutation(theirs.columns)
     theirs.iloc[::5][shuffled].to_csv(tmp_path / "run.csv", index=False)
     draft = guess_map([tmp_path / "run.csv"])
@@ -223,19 +191,19 @@ def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, 
     assert not silent
     assert right >= ENOUGH * total, draft.text
     # The draft is a map that works as it is.
-    log = imported(tmp_path / "run.csv", draft)
-    np.testing.assert_allclose(log.q, walked.q[::5], atol=1e-6)
-    np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-6)
-    np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
+    back = imported(tmp_path / "run.csv", draft)
+    np.testing.assert_allclose(back.q, log.q[::5], atol=1e-6)
+    np.testing.assert_allclose(back.gyro, log.gyro[::5], atol=1e-6)
+    np.testing.assert_allclose(back.ref_p, log.ref_p[::5], atol=1e-9)
 
 
-def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
+def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, log):
     model, letters = robot_file("spot_class").read_text(), {"hip": "A", "thigh": "B", "calf": "C"}
-    renamed = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in walked.joints}
+    renamed = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in log.joints}
     for ours, theirs in renamed.items():
         model = model.replace(ours, theirs)
     (tmp_path / "mine.xml").write_text(model)
-    rows = walked.frame[::5]
+    rows = log.frame[::5]
     columns = {"Time (s)": rows["t"], "Battery A": 24.0 - 0.01 * rows["t"]}
     columns |= {f"Acc {a.upper()} [g]": IN_G * rows[f"accel_{a}"] for a in "xyz"}
     columns |= {f"Gyro {a.upper()} [°/s]": DEGREES * rows[f"gyro_{a}"] for a in "xyz"}
@@ -251,23 +219,23 @@ def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, walked):
     }
     assert not [e for e in draft.main if e.doubt]
     assert ["contacts" in note for note in draft.notes] == [True]
-    log = imported(run, draft)
-    np.testing.assert_allclose(log.gyro, walked.gyro[::5], atol=1e-9)
-    np.testing.assert_allclose(log.ref_p, walked.ref_p[::5], atol=1e-9)
+    back = imported(run, draft)
+    np.testing.assert_allclose(back.gyro, log.gyro[::5], atol=1e-9)
+    np.testing.assert_allclose(back.ref_p, log.ref_p[::5], atol=1e-9)
 
 
 VORNE_HINTEN = {"FL": "vl", "FR": "vr", "RL": "hl", "RR": "hr"}
 """Legs in German, of which two are words for other legs in English."""
 
 
-def test_columns_are_known_by_the_robots_own_words_for_legs_and_joints(tmp_path, walked):
+def test_columns_are_known_by_the_robots_own_words_for_legs_and_joints(tmp_path, log):
     parts = {"hip": "roll", "thigh": "swing", "calf": "fold"}
-    theirs = {j: f"{VORNE_HINTEN[j[:2]]}_{parts[j[3:]]}" for j in walked.joints}
+    theirs = {j: f"{VORNE_HINTEN[j[:2]]}_{parts[j[3:]]}" for j in log.joints}
     model = robot_file("spot_class").read_text()
     for joint, name in theirs.items():
         model = model.replace(f'"{joint}"', f'"wz_{name}"')
     (tmp_path / "mine.xml").write_text(model)
-    rows = walked.frame[::5]
+    rows = log.frame[::5]
     columns = {"time": rows["t"]}
     columns |= {f"winkel_{name}_deg": DEGREES * rows[f"q_{j}"] for j, name in theirs.items()}
     columns |= {f"moment_{name}": rows[f"tau_{j}"] for j, name in theirs.items()}
@@ -340,17 +308,14 @@ def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
     )
 
 
-def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path):
     t = 0.01 * np.arange(200)
-    table = pd.DataFrame({"time": t, "channel 1": np.sin(t), "channel 2": np.cos(t)})
-    table.to_csv(tmp_path / "run.csv", index=False)
-    draft = guess_map(["run.csv"])
+    draft = drafted(tmp_path, {"time": t, "channel 1": np.sin(t), "channel 2": np.cos(t)})
     assert draft.notes == ("no name says what a column is: which of those not used below is what?",)
-    Path("map.toml").write_text(draft.text)
+    map_path, out = written(tmp_path / "map.toml", draft.text), tmp_path / "log.parquet"
     with pytest.raises(SystemExit, match="names no column but the times"):
-        main("import run.csv --map map.toml -o log.parquet".split())
-    assert not Path("log.parquet").exists()
+        main(["import", str(tmp_path / "run.csv"), "--map", str(map_path), "-o", str(out)])
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(("most", "unit"), [(11.8, "rad/s"), (12.4, "deg/s")])
@@ -371,8 +336,8 @@ def test_a_gyro_that_reads_twice_as_much_is_still_in_rad():
     assert unit_of_gyro(t, gyro, accel, set()) == ("rad/s", "")
 
 
-def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
-    start = replace(walked, frame=walked.frame[:1000])
+def test_what_export_writes_is_drafted_and_comes_back(tmp_path, log):
+    start = replace(log, frame=log.frame[:1000])
     start.write(tmp_path / "log.parquet")
     for ending in ("mcap", "csv"):
         out = tmp_path / f"out.{ending}"
@@ -384,9 +349,9 @@ def test_what_export_writes_is_drafted_and_comes_back(tmp_path, walked):
             np.testing.assert_allclose(getattr(back, stream), getattr(start, stream), atol=1e-6)
 
 
-def test_the_outer_legs_go_further_in_turns(walked):
-    t, yaw = walked.t, walked.gyro[:, 2]
-    q = walked.q.reshape(len(t), 4, 3)[:, :, 1]
+def test_the_outer_legs_go_further_in_turns(log):
+    t, yaw = log.t, log.gyro[:, 2]
+    q = log.q.reshape(len(t), 4, 3)[:, :, 1]
     left, right = [q[:, 0], q[:, 2]], [q[:, 1], q[:, 3]]
     further, swapped = stride_in_turns(t, yaw, left, right), stride_in_turns(t, yaw, right, left)
     assert further is not None
@@ -399,10 +364,10 @@ def test_the_outer_legs_go_further_in_turns(walked):
     assert stride_in_turns(jumps, yaw, left, right) == pytest.approx(further, rel=0.01)
 
 
-def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path, walked):
+def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path, log):
     wanted = ("t", "gyro_", "accel_", "q_", "dq_")
-    kept = [c for c in walked.frame if c == "t" or c.startswith(wanted[1:])]
-    frame = walked.frame[[c for c in kept if "_des_" not in c]].iloc[::5]
+    kept = [c for c in log.frame if c == "t" or c.startswith(wanted[1:])]
+    frame = log.frame[[c for c in kept if "_des_" not in c]].iloc[::5]
     other = {"FL": "FR", "FR": "FL", "RL": "RR", "RR": "RL"}
     swap = {c: c.replace(leg, other[leg]) for c in frame for leg in LEGS if f"_{leg}_" in c}
 
@@ -430,12 +395,7 @@ def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
     assert 'q_knee = { column = "angle_knee", unit = "rad" }' in capsys.readouterr().out
     main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
     assert "no questions in it" in capsys.readouterr().out
-    out = tmp_path / "log.parquet"
-    main(["import", str(tmp_path / "run.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)])
-    assert Log.read(out).joints == ("knee",)
-    biped = {"time": t, "q_l_hip_pitch": np.sin(t), "q_r_hip_pitch": np.cos(t)}
-    main(["import", "--guess", str(csv(tmp_path, biped, "biped.csv"))])
-    assert "q_l_hip_pitch = " in capsys.readouterr().out
+    assert import_log(tmp_path / "run.csv", tmp_path / "map.toml").joints == ("knee",)
     for words in (["import", "run.csv"], ["import", "csv"]):
         with pytest.raises(SystemExit, match="surefoot: "):
             main(words)
@@ -456,19 +416,19 @@ def test_a_draft_names_the_robots_file_from_its_own_folder(tmp_path, monkeypatch
     assert f'name = "{(tmp_path / "bot" / "mine.xml").as_posix()}"' in capsys.readouterr().out
 
 
-def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):
+def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, log):
     """As PlotJuggler writes topics into one table: a row for each stamp of any of them."""
     topics = {
-        "/imu/data/angular_velocity/{}": (walked.gyro, "xyz", 1, 3e-4),
-        "/imu/data/linear_acceleration/{}": (walked.accel, "xyz", 1, 3e-4),
-        "/joint_states/{}_joint/position": (walked.q, walked.joints, 2, 0.0),
-        "/mocap/pose/position/{}": (walked.ref_p, "xyz", 5, 1e-4),
-        "/mocap/pose/orientation/{}": (xyzw(walked), "xyzw", 5, 1e-4),
+        "/imu/data/angular_velocity/{}": (log.gyro, "xyz", 1, 3e-4),
+        "/imu/data/linear_acceleration/{}": (log.accel, "xyz", 1, 3e-4),
+        "/joint_states/{}_joint/position": (log.q, log.joints, 2, 0.0),
+        "/mocap/pose/position/{}": (log.ref_p, "xyz", 5, 1e-4),
+        "/mocap/pose/orientation/{}": (xyzw(log), "xyzw", 5, 1e-4),
     }
     read = [
         pd.DataFrame(
             values[::every],
-            index=pd.Index(np.round(1.7e9 + walked.t[::every] + delay, 6), name="__time"),
+            index=pd.Index(np.round(1.7e9 + log.t[::every] + delay, 6), name="__time"),
             columns=[name.format(one) for one in names],
         )
         for name, (values, names, every, delay) in topics.items()
@@ -477,47 +437,47 @@ def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, walked):
     pd.concat(read, axis=1).sort_index().to_csv(path)
     draft = guess_map([path])
     assert not [e.name for e in (*draft.main, *draft.reference) if e.doubt]
-    log = imported(path, draft)
-    assert log.rate == pytest.approx(walked.rate, rel=1e-3)
-    first = round((log.t[0] - walked.t[0]) * walked.rate)
-    rows = first + np.arange(len(log.t))
-    assert len(rows) > 0.99 * len(walked.t)
+    back = imported(path, draft)
+    assert back.rate == pytest.approx(log.rate, rel=1e-3)
+    first = round((back.t[0] - log.t[0]) * log.rate)
+    rows = first + np.arange(len(back.t))
+    assert len(rows) > 0.99 * len(log.t)
     for stream, close in (("gyro", 1e-9), ("q", 0.02), ("ref_p", 1e-3)):
-        np.testing.assert_allclose(getattr(log, stream), getattr(walked, stream)[rows], atol=close)
+        np.testing.assert_allclose(getattr(back, stream), getattr(log, stream)[rows], atol=close)
 
 
-def test_a_file_with_poses_under_the_names_of_a_log_is_the_reference(tmp_path, walked):
-    poses = walked.frame.filter(regex="^(t|ref_[pq]_.)$")
+def test_a_file_with_poses_under_the_names_of_a_log_is_the_reference(tmp_path, log):
+    poses = log.frame.filter(regex="^(t|ref_[pq]_.)$")
     poses.iloc[::5].to_csv(tmp_path / "mocap.csv", index=False)
-    walked.frame.drop(columns=poses.columns[1:]).to_csv(tmp_path / "robot.csv", index=False)
+    log.frame.drop(columns=poses.columns[1:]).to_csv(tmp_path / "robot.csv", index=False)
     draft = guess_map([tmp_path / "robot.csv", tmp_path / "mocap.csv"])
     assert {e.name for e in draft.reference} == set(poses)
     assert 'file = "mocap.csv"' in draft.text
 
 
-def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path, walked):
+def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path, log):
     """An HDF5 with nanoseconds since 1970 in each group: IMU at 250 Hz, the rest slower."""
     groups = {
-        "sensors/imu0": (2, {"angular_velocity": (DEGREES * walked.gyro), "acc": walked.accel}),
-        "actuators": (5, {"position": walked.q, "velocity": walked.dq, "torque": walked.tau}),
-        "mocap/dog": (4, {"position_mm": 1e3 * walked.ref_p, "quat_xyzw": xyzw(walked)}),
+        "sensors/imu0": (2, {"angular_velocity": (DEGREES * log.gyro), "acc": log.accel}),
+        "actuators": (5, {"position": log.q, "velocity": log.dq, "torque": log.tau}),
+        "mocap/dog": (4, {"position_mm": 1e3 * log.ref_p, "quat_xyzw": xyzw(log)}),
     }
     datasets = {}
     for name, (every, arrays) in groups.items():
-        arrays["stamp_ns"] = np.round(1e9 * (1.7e9 + walked.t)).astype(np.int64)
+        arrays["stamp_ns"] = np.round(1e9 * (1.7e9 + log.t)).astype(np.int64)
         datasets |= {f"{name}/{array}": values[::every] for array, values in arrays.items()}
     draft = guess_map([saved(tmp_path / "run.h5", datasets)])
     assert {e.name for e in draft.main if e.doubt} == {
         *(f"gyro_{a}" for a in "xyz"),
-        *(f"{kind}_{joint}" for kind in ("q", "dq", "tau") for joint in walked.joints),
+        *(f"{kind}_{joint}" for kind in ("q", "dq", "tau") for joint in log.joints),
     }
     assert not [e.name for e in draft.reference if e.doubt]
-    log = imported(tmp_path / "run.h5", draft)
-    assert log.rate == pytest.approx(250.0, rel=1e-4)
-    rows = 2 * np.arange(len(log.t))  # all begin at the same time
+    back = imported(tmp_path / "run.h5", draft)
+    assert back.rate == pytest.approx(250.0, rel=1e-4)
+    rows = 2 * np.arange(len(back.t))  # all begin at the same time
     assert len(rows) > 3000
     for stream, close in (("gyro", 1e-9), ("q", 0.02), ("ref_p", 1e-3)):
-        np.testing.assert_allclose(getattr(log, stream), getattr(walked, stream)[rows], atol=close)
+        np.testing.assert_allclose(getattr(back, stream), getattr(log, stream)[rows], atol=close)
 
 
 @pytest.mark.parametrize(
@@ -525,6 +485,7 @@ def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path
     [
         ("Imu/AngVel.X (dps)", "gyro", "x", "deg/s", False),
         ("gyro_z [rads]", "gyro", "z", "rad/s", False),
+        ("imu_accel_x_mg", "accel", "x", "mg", False),
         ("opti_y [mm]", "ref_p", "y", "mm", True),
         ("opti_qw", "ref_q", "w", "", True),
     ],
@@ -541,6 +502,8 @@ def test_a_name_says_kind_axis_and_unit(name, kind, axis, unit, reference):
         (("abduct", "hip", "knee"), ("hip", "thigh", "calf")),
         (("hip", "thigh", "calf"), ("hip", "thigh", "calf")),
         (("haa", "hfe", "kfe"), ("hip", "thigh", "calf")),
+        (("hx", "hy", "kn"), ("hip", "thigh", "calf")),
+        (("hip_roll", "hip_pitch", "knee_pitch"), ("hip", "thigh", "calf")),
     ],
 )
 def test_a_hip_beside_an_abduction_is_our_thigh(theirs, ours):
