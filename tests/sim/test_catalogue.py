@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.effects import CATALOGUE, Effect, effect
+from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
@@ -234,11 +234,6 @@ def test_com_offset_moves_the_base_alone(mode):
     assert_allclose(np.delete(moved, base, axis=0), 0.0, atol=1e-12)
     assert_allclose(after.body_mass, before.body_mass, rtol=1e-12)
     assert_allclose(after.body_inertia, before.body_inertia, rtol=1e-9)
-
-
-def test_bundled_effects_say_what_those_of_others_must():
-    for name, kind in CATALOGUE.items():
-        CATALOGUE.check_member(name, kind)
 
 
 def test_an_effect_is_named_after_its_class_unless_it_says_otherwise():

@@ -37,11 +37,6 @@ def test_pose_is_the_integral_of_the_velocity():
     np.testing.assert_allclose(step[:, 2], turn, atol=1e-12)
 
 
-def test_a_turn_that_starts_and_ends_straight_turns_by_its_angle():
-    corner = (Segment(2, 0.8), Segment(np.pi / 2 / 0.6, 0.5, turn=0.6), Segment(2, 0.8))
-    assert whole_course(corner, DT, 1.0).pose[-1, 2] == pytest.approx(np.pi / 2, abs=0.003)
-
-
 def test_laps_of_a_square_close():
     side = (Segment(5, 0.8), Segment(np.pi / 2 / 0.6, 0.5, turn=0.6))
     course = whole_course(side * 4, DT, 1.0, laps=2)

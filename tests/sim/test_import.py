@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import refusal, refused
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from studies.measured import measured_folder
 from surefoot.sim.importing.assemble import _rate
@@ -18,7 +18,6 @@ from surefoot.sim.importing.map_catalog import bundled_maps, map_file
 from surefoot.sim.importing.readers.file import read_file
 from surefoot.sim.importing.readers.table import column_readings
 from surefoot.sim.importing.recording import import_log
-from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.sections import EVENNESS, Source
 from surefoot.sim.log import JOINTS
 from surefoot.sim.robot.catalog import robot_file
@@ -197,20 +196,6 @@ def test_rows_outside_are_cut_and_gaps_are_marked(folder):
 def test_the_main_file_works_like_its_folder(folder):
     log = import_log(folder / "robot.csv", folder / "map.toml")
     pd.testing.assert_frame_equal(log.frame, import_log(folder, folder / "map.toml").frame)
-
-
-def test_interpolation_is_slerp_the_short_way():
-    rng = np.random.default_rng(3)
-    t = np.linspace(0.0, 1.0, 30)
-    q = Rotation.random(30, rng=rng).as_quat(scalar_first=True)
-    q[::2] *= np.sign(rng.normal(size=(15, 1)))
-    q[7] = -q[6]  # the same rotation under the other sign
-    now = np.linspace(0.0, 1.0, 997)
-    found = interpolate_reference(now, t, np.zeros((30, 3)), q)[1]
-    true = Slerp(t, Rotation.from_quat(q, scalar_first=True))(now)
-    apart = (Rotation.from_quat(found, scalar_first=True).inv() * true).magnitude()
-    assert apart.max() < 1e-7
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
 
 
 @given(

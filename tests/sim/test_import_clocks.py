@@ -1,7 +1,6 @@
 """Stamps that are wrong: each costs its row, is said, and changes no other; clocks that count from
 an epoch are rebased."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -243,10 +242,3 @@ def test_a_column_without_a_number_is_left_out_and_said(tmp_path):
     log, _ = read(tmp_path, table())
     assert "dq_knee" in log.frame
     refused(r"gyro_x.*NaN", read, tmp_path, table().assign(gyro_x=np.nan))
-
-
-def test_records_of_json_lose_single_rows_too(tmp_path):
-    records = again(50).to_dict("records")
-    (tmp_path / "robot.json").write_text(json.dumps(records))
-    (tmp_path / "map.toml").write_text(COLUMNS.replace("UNIT", "s"))
-    assert len(read_recording(tmp_path / "robot.json", tmp_path / "map.toml").log().t) == N

@@ -197,33 +197,6 @@ def test_a_simulated_log_with_columns_renamed_and_shuffled_is_drafted(tmp_path, 
     np.testing.assert_allclose(back.ref_p, log.ref_p[::5], atol=1e-9)
 
 
-def test_joints_are_known_by_the_names_of_the_robots_file(tmp_path, log):
-    model, letters = robot_file("spot_class").read_text(), {"hip": "A", "thigh": "B", "calf": "C"}
-    renamed = {j: f"axis{LEGS.index(j[:2])}{letters[j[3:]]}" for j in log.joints}
-    for ours, theirs in renamed.items():
-        model = model.replace(ours, theirs)
-    (tmp_path / "mine.xml").write_text(model)
-    rows = log.frame[::5]
-    columns = {"Time (s)": rows["t"], "Battery A": 24.0 - 0.01 * rows["t"]}
-    columns |= {f"Acc {a.upper()} [g]": IN_G * rows[f"accel_{a}"] for a in "xyz"}
-    columns |= {f"Gyro {a.upper()} [°/s]": DEGREES * rows[f"gyro_{a}"] for a in "xyz"}
-    columns |= {f"{name} angle (°)": DEGREES * rows[f"q_{j}"] for j, name in renamed.items()}
-    run = tmp_path / "run.csv"
-    pd.DataFrame(columns).to_csv(run, index=False, sep=";", decimal=",", encoding="utf-8-sig")
-    tracked = {"sec": rows["t"]} | {f"{a.upper()} (mm)": 1e3 * rows[f"ref_p_{a}"] for a in "xyz"}
-    tracked |= {f"q{a}": rows[f"ref_q_{a}"] for a in "xyzw"}
-    pd.DataFrame(tracked).to_csv(tmp_path / "vicon.txt", index=False, sep="\t")
-    draft = guess_map([run, tmp_path / "vicon.txt"], str(tmp_path / "mine.xml"))
-    assert {e.name: (e.theirs, e.unit) for e in draft.main if e.name.startswith("q_")} == {
-        f"q_{j}": (f"{name} angle (°)", "deg") for j, name in renamed.items()
-    }
-    assert not [e for e in draft.main if e.doubt]
-    assert ["contacts" in note for note in draft.notes] == [True]
-    back = imported(run, draft)
-    np.testing.assert_allclose(back.gyro, log.gyro[::5], atol=1e-9)
-    np.testing.assert_allclose(back.ref_p, log.ref_p[::5], atol=1e-9)
-
-
 VORNE_HINTEN = {"FL": "vl", "FR": "vr", "RL": "hl", "RR": "hr"}
 """Legs in German, of which two are words for other legs in English."""
 

@@ -139,17 +139,6 @@ def test_a_view_derives_a_value_again_only_if_what_it_depends_on_changes():
     assert [number_of_call(make_log()) for _ in range(2)] == [6, 7]
 
 
-def test_a_pendulum_has_one_joint_and_no_feet():
-    t = np.arange(10) / 100.0
-    log = Log(pd.DataFrame({"t": t, "q_shoulder": t, "tau_shoulder": t}), Meta(100.0))
-    assert log.joints == ("shoulder",)
-    assert log.has("tau")
-    assert not log.has("dq")
-    assert not log.has("imu")
-    with pytest.raises(LogError, match=r"lacks imu \(gyro_x.*dq \(dq_shoulder\)"):
-        log.require("imu", "q", "dq")
-
-
 def other_machine(joints: tuple[str, ...], legs: tuple[str, ...], n: int = 60) -> Log:
     rng = np.random.default_rng(1)
     columns = {"t": np.arange(n) / RATE}
@@ -188,11 +177,12 @@ def without_rates(log: Log, joints: tuple[str, ...]) -> Log:
 
 
 def test_a_missing_group_is_named_and_never_zero():
-    log = make_log()
-    log = replace(log, frame=log.frame.drop(columns=[f"dq_{joint}" for joint in JOINTS]))
+    log = without_rates(make_log(), JOINTS)
+    assert log.has("tau")
+    assert not log.has("dq")
     with pytest.raises(LogError, match=r"lacks dq \(dq_FL_hip"):
         _ = log.dq
-    refused("lacks commands", log.require, "commands", error=LogError)
+    refused(r"lacks dq \(dq_FL_hip.*commands", log.require, "q", "dq", "commands", error=LogError)
 
 
 def test_rows_keep_time_and_a_step_divides_the_rate():
@@ -231,7 +221,6 @@ def test_an_invalid_log_is_not_written(tmp_path):
     ("column", "rows", "value", "said"),
     [
         ("accel_z", slice(11, 14), np.nan, "column accel_z, row 11: NaN, for 4 rows"),
-        ("tau_RR_calf", slice(30, 30), -np.inf, "column tau_RR_calf, row 30: infinite, for 1 row"),
         ("ref_q_w", slice(9, 9), 2.0, "row 9: not a unit quaternion"),
         ("contact_FL", slice(4, 4), 0.5, "column contact_FL, row 4: 0.5 is not 0 or 1"),
         ("t", slice(6, 6), 12.01, "column t, row 6: time stops"),
@@ -389,10 +378,8 @@ def test_a_log_is_read_in_the_memory_of_a_chunk(tmp_path):
     ("row", "column", "value", "said"),
     [
         (500, "t", 12.0, "column t, row 500: time jumps back"),
-        (500, "t", 12.0 + 499 / RATE, "column t, row 500: time stops"),
         (777, "gyro_x", np.nan, "column gyro_x, row 777: NaN"),
         (999, "contact_FL", 0.5, "column contact_FL, row 999: 0.5 is not 0 or 1"),
-        (600, "ref_q_w", 3.0, "row 600: not a unit quaternion"),
     ],
 )
 def test_a_fault_is_found_across_chunks_with_its_row_in_the_log(tmp_path, row, column, value, said):

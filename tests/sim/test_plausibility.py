@@ -22,7 +22,6 @@ from surefoot.sim.log import LEGS, Log, Meta
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.log.schema import GROUPS
 from surefoot.sim.plausibility import RULES, check_log, rules_table
-from surefoot.sim.plausibility.comparison import lag_of, match_axes
 from surefoot.sim.plausibility.finding import PARAGRAPHS, Finding, Rule
 from surefoot.sim.plausibility.streams import _drop_outs
 from surefoot.sim.robot import Robot
@@ -692,30 +691,6 @@ def test_a_joint_that_is_held_throughout_rests_and_one_whose_rate_moves_hangs(lo
     assert not named("frozen", still)
     for other in (still.with_columns({"dq_FL_hip": rate}), without(still, "dq_")):
         assert named("frozen: q_FL_hip", changed(other, "q_FL_hip", np.zeros_like))
-
-
-def test_axes_are_matched_whatever_their_order_sign_and_size():
-    rng = np.random.default_rng(0)
-    b = rng.normal(size=(400, 3)) * [1.0, 0.1, 3.0]
-    a = np.column_stack([2.0 * b[:, 2], 0.5 * b[:, 1], -b[:, 0]]) + 5.0
-    match = match_axes(a + 0.01 * rng.normal(size=a.shape), b)
-    assert match.order.tolist() == [2, 1, 0]
-    assert match.wrong == (0, 2)
-    assert match.words == "x is z, z is -x"
-    np.testing.assert_allclose(match.scale, [2.0, 0.5, 1.0], rtol=0.02)
-    assert match_axes(b, b).wrong == ()
-
-
-@pytest.mark.parametrize("lag", [-0.314, 0.0, 0.127])
-def test_a_lag_is_found_between_samples(lag):
-    t = np.arange(0.0, 30.0, 0.02)
-
-    def motion(at):
-        return np.column_stack([np.sin(2 * at) + np.sin(3.1 * at), np.cos(1.3 * at)])
-
-    found, alike = lag_of(motion(t - lag), motion(t), 0.02, 1.0)
-    assert found == pytest.approx(lag, abs=2e-3)
-    assert alike > 0.98
 
 
 @pytest.mark.parametrize(

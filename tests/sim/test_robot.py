@@ -1,6 +1,7 @@
 """Legs found by the kinematic tree alone are the legs that MuJoCo moves."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -17,7 +18,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
+from surefoot.sim.robot.catalog import downloadable_robots, known_robots, of_robot, robot_file
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
 from surefoot.sim.robot.machine import FixedBase, load_machine, machine_for_log
@@ -65,11 +66,6 @@ def test_home_stands(robot):
     assert stands(robot.legs, robot.q_home)
     lower, upper = robot.joint_range.T
     assert ((robot.q_home > lower) & (robot.q_home < upper)).all()
-
-
-def test_bundled_masses_are_the_published_ones():
-    assert Robot.load("spot_class").mass == pytest.approx(32.7, abs=1e-6)
-    assert Robot.load("v60_class").mass == pytest.approx(51.0, abs=1e-6)
 
 
 MODEL = """<mujoco model="odd"><worldbody><body name="base"><freejoint/>
@@ -510,3 +506,60 @@ def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
     with pytest.raises(SurefootError, match="walk: is of a machine with legs; robot arm: none"):
         machine_for_log(Log(frame.assign(contact_left=1.0), meta, "walk"))
     refused("no body or site 'toe'", load_machine, file, feet={"left": "toe"})
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    """A bundled model with a heavier trunk: another robot."""
+    return robot_file("spot_class").read_text().replace('mass="13', 'mass="14')
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory, text) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("mine")
+    file = folder / "mine.xml"
+    file.write_text(text)
+    log = walk(Scenario("stand", (Segment(0.2),), Ground(0.8), stand=0.2), Robot.load(file), 0)
+    log.write(folder / "log.parquet")
+    return file, folder / "log.parquet"
+
+
+def test_a_file_that_moved_or_changed_is_replaced_by_what_the_log_keeps(
+    mine, text, tmp_path, monkeypatch
+):
+    file, path = mine
+    monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path / "cache"))
+    log, same = Log.read(path), Robot.load(file)
+    assert Robot.for_log(log).file == file
+    file.write_text(text.replace('mass="14', 'mass="19'))
+    try:
+        changed = Robot.for_log(log)
+        file.rename(file.with_name("moved.xml"))
+        moved = machine_for_log(log)
+    finally:
+        file.write_text(text)
+    for found in (changed, moved):
+        assert isinstance(found, Robot)
+        assert (found.name, found.mass, found.digest) == ("mine", same.mass, same.digest)
+
+
+def test_what_was_tampered_with_or_needs_other_files_is_one_line(mine, tmp_path):
+    _, path = mine
+    log = Log.read(path)
+    kept = log.meta.model["file"] | {"path": str(tmp_path / "gone.xml")}
+    for model, message in (
+        (kept | {"text": kept["text"] + " "}, "does not match its digest"),
+        ({k: v for k, v in kept.items() if k != "text"}, "gone.xml, is not there: say which"),
+        (kept | {"path": str(tmp_path / "..")}, "is not there: say which"),
+    ):
+        other = replace(log, meta=replace(log.meta, model={"file": model}))
+        with pytest.raises(SurefootError, match=message):
+            Robot.for_log(other)
+
+
+def test_a_robot_that_is_named_takes_the_place_of_the_log_s(mine):
+    file, path = mine
+    log = of_robot(Log.read(path), "spot_class")
+    assert "file" not in log.meta.model
+    assert Robot.for_log(log).file == robot_file("spot_class")
+    assert Robot.for_log(of_robot(log, file)).file == file

@@ -68,15 +68,12 @@ def test_an_edit_of_any_of_them_changes_the_digest(house, name):
     ("one", "other", "same"),
     [
         ("x = 1\n", '"""What x is."""\n\n# one\nx = 1\n', True),
-        ('def f():\n    """One."""\n    return 1\n', "def f():\n    return 1\n", True),
         (
             'class A:\n    x: int\n    """m"""\n',
             'class A:\n    x: int\n    """A\n\n    # foot."""\n',
             True,
         ),
         ('x = """a\n# b\n"""\n', 'x = """a\n# c\n"""\n', False),
-        ('x = f"""a\n# {1}\n"""\n', 'x = f"""a\n# {2}\n"""\n', False),
-        ('x = """a\n\nb"""\n', 'x = """a\nb"""\n', False),
         ('"""a"""; x = 1\n', '"""a"""; x = 2\n', False),
         ('def f():\n    """a"""\n', "def f():\n    return 1\n", False),
         ("if y:\n    x = 1\n", "if y:\n  x = 1\n", False),
@@ -89,13 +86,6 @@ def test_docstrings_and_lines_of_comment_may_change(house, one, other, same):
         sources_digest.cache_clear()
         digests.add(sources_digest("house.start"))
     assert (len(digests) == 1) is same
-
-
-def test_an_edit_of_another_module_does_not(house):
-    before = sources_digest("house.start")
-    (house / "alone.py").write_text("z = 4\n")
-    sources_digest.cache_clear()
-    assert sources_digest("house.start") == before
 
 
 @pytest.mark.parametrize("name", ["table.toml", "data/gains.csv"])
