@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from recorded import csv, drafted
 from refusals import refusal, refused
 from written import written
 
-from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
@@ -177,9 +177,8 @@ def test_a_reference_and_a_further_file_lose_single_rows_too(tmp_path):
     mocap.loc[200, "t"] = 0.0
     feet = pd.DataFrame({"t": STEP * np.arange(N), "on": 1.0})
     feet.loc[10, "t"] = 50.0
-    feet.to_csv(tmp_path / "feet.csv", index=False)
-    table().to_csv(tmp_path / "robot.csv", index=False)
-    mocap.to_csv(tmp_path / "mocap.csv", index=False)
+    for name, columns in (("feet", feet), ("robot", table()), ("mocap", mocap)):
+        csv(tmp_path, columns, f"{name}.csv")
     more = "x_on = 'feet:on'\n[sources.feet]\nfile = 'feet.csv'\nt = 't'\n"
     text = COLUMNS.replace("UNIT", "s") + more + REFERENCE.replace("OFFSET", "")
     found = read_recording(tmp_path / "robot.csv", written(tmp_path / "map.toml", text))
@@ -228,10 +227,10 @@ DRAFTED = {
 @pytest.mark.parametrize("case", DRAFTED)
 def test_one_bad_value_changes_no_other_entry_of_a_draft(tmp_path, case):
     frame, without = DRAFTED[case]
-    frame.to_csv(tmp_path / "robot.csv", index=False)
-    found = {e.name: (e.theirs, e.unit) for e in guess_map([tmp_path / "robot.csv"]).main}
-    table().to_csv(tmp_path / "good.csv", index=False)
-    good = {e.name: (e.theirs, e.unit) for e in guess_map([tmp_path / "good.csv"]).main}
+    found, good = (
+        {e.name: (e.theirs, e.unit) for e in drafted(tmp_path, columns).main}
+        for columns in (frame, table())
+    )
     assert found == {name: of for name, of in good.items() if name not in without}
 
 
