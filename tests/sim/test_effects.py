@@ -44,23 +44,6 @@ def walked(robot):
     return walk(Scenario("short", segments, Ground(0.8), stand=0.3), robot, seed=3)
 
 
-@pytest.fixture
-def streams():
-    rng = np.random.default_rng(0)
-    t = 0.002 * np.arange(500)
-    smooth = np.sin(2 * np.pi * rng.uniform(0.5, 2, 12) * t[:, None])
-    return Streams(
-        t=t,
-        gyro=rng.normal(size=(500, 3)),
-        accel=rng.normal(size=(500, 3)),
-        q=smooth,
-        dq=2 * smooth,
-        tau=3 * smooth,
-        tau_ff=3 * smooth,
-        force=np.ones((500, 4)),
-    )
-
-
 def edited(robot, one):
     spec = robot_spec(robot)
     one.edit_spec(spec, robot)
@@ -150,7 +133,8 @@ def test_a_bad_file_is_one_clear_line(tmp_path, text, said):
 
 
 @pytest.mark.parametrize("target", ["touchdown", "liftoff"])
-def test_contact_delay_leaves_a_foot_that_never_swings(robot, streams, target):
+def test_contact_delay_leaves_a_foot_that_never_swings(robot, target):
+    streams = still(500, force=np.ones((500, 4)))
     late = effect("contact_delay", target, 0.03).alter_streams(streams, robot)
     assert_array_equal(late.force, streams.force)
 
@@ -190,19 +174,19 @@ def test_no_drift_is_seen_in_a_gyro_that_shows_nothing_of_the_turning(walked, se
     assert len(CATALOGUE["clock_scale"].starts_on("imu", deaf)) == 1
 
 
-def test_contact_delay_is_late_by_its_size_whatever_the_threshold(robot, streams):
+def test_contact_delay_is_late_by_its_size_whatever_the_threshold(robot):
     """Loads that fall off within 0.1 s, four steps a second, all feet alike."""
     step = np.clip(np.arange(125) - 20.0, 0.0, 30.0) - np.clip(np.arange(125) - 60.0, 0.0, 30.0)
     weight = robot.mass * GRAVITY
     force = np.repeat(np.tile(step / 30.0, 4)[:, None], 4, axis=1) * weight
     for share in (0.08, 0.4):
-        own = replace(streams, force=force, contact_threshold=share)
+        own = still(500, force=force, contact_threshold=share)
         late = effect("contact_delay", "liftoff", 0.02).alter_streams(own, robot)
         ends = [
             np.flatnonzero(np.diff((f > share * weight)[:, 0].astype(int)) < 0)
             for f in (force, late.force)
         ]
-        assert np.diff(streams.t[ends], axis=0).mean() == pytest.approx(0.02, abs=0.002)
+        assert np.diff(own.t[ends], axis=0).mean() == pytest.approx(0.02, abs=0.002)
 
 
 @pytest.mark.parametrize("late", [(3e-4,), (3e-4, 4e-4), (1e-3, 1.5e-3), (2e-3,), (3.1e-3,)])
@@ -226,6 +210,19 @@ COLUMNS = {"gyro": "xyz", "accel": "xyz", "q": JOINTS, "dq": JOINTS, "tau": JOIN
 @pytest.fixture(scope="module")
 def log() -> Log:
     return synthetic_walk(0, 4.0, robot="spot_class")
+
+
+def still(rows: int, **readings) -> Streams:
+    """Readings of a robot that rests, but for some."""
+    widths = {"gyro": 3, "accel": 3, "q": 12, "dq": 12, "tau": 12, "tau_ff": 12, "force": 4}
+    zeros = {name: np.zeros((rows, width)) for name, width in widths.items()}
+    return Streams(0.002 * np.arange(rows), **zeros | readings)
+
+
+def log_of(t, **columns) -> Log:
+    """A log of joints that rest, but for some columns."""
+    rest = {f"{kind}_{joint}": 0.0 * t for kind in ("q", "dq", "tau") for joint in JOINTS}
+    return Log(pd.DataFrame({"t": t} | rest | columns), Meta(rate=1.0 / (t[1] - t[0])))
 
 
 def streams_of(log: Log) -> Streams:
@@ -317,9 +314,7 @@ def test_a_rotor_adds_its_inertia_to_its_own_joint_alone(robot):
 
 def test_a_current_may_say_half_of_a_torque_and_not_less(robot):
     """With half of it, a joint's torque is twice what was read; beyond, it is of another motor."""
-    tau = np.full((3, 12), 4.0)
-    still, at_rest = np.zeros((3, 3)), np.zeros((3, 12))
-    before = Streams(np.arange(3.0), still, still, at_rest, at_rest, tau, tau, tau)
+    before = still(3, tau=np.full((3, 12), 4.0))
     after = TorqueScale("FL_calf", -0.5).alter_streams(before, robot)
     assert_array_equal(after.tau[:, 2], 2.0)
     with pytest.raises(SurefootError, match=r"torque_scale \S+: value must lie between -0\.5 "):
@@ -330,9 +325,7 @@ def test_torques_at_1_khz_are_varied_by_a_row_as_it_was_read(robot):
     """Between rows they would be interpolated, which smooths their noise."""
     t = 1e-3 * np.arange(60)
     tau = np.random.default_rng(5).normal(0.0, 1.0, (len(t), len(JOINTS)))
-    columns = {f"tau_{joint}": tau[:, i] for i, joint in enumerate(JOINTS)}
-    columns |= {f"q_{joint}": 0.0 * t for joint in JOINTS}
-    log = Log(pd.DataFrame({"t": t} | columns), Meta(rate=1e3))
+    log = log_of(t, **{f"tau_{joint}": tau[:, i] for i, joint in enumerate(JOINTS)})
     known, _ = TorqueDelay("all", TorqueDelay.traced.step).compensate(log, robot)
     assert_allclose(known.tau[:-1], tau[1:], atol=1e-9)
 
@@ -341,22 +334,14 @@ def test_dry_friction_turns_round_within_a_hundredth_of_a_joints_rate(robot):
     """Of a rate without noise: at a hundredth of its RMS, tanh(1) of the friction is there."""
     t = 0.01 * np.arange(400)
     rate = np.sin(2.0 * np.pi * t + np.arcsin(0.01 * np.sqrt(0.5)))
-    rest = {f"{kind}_{joint}": 0.0 * t for kind in ("q", "dq", "tau") for joint in JOINTS}
-    log = Log(pd.DataFrame({"t": t} | rest | {"dq_FL_calf": rate}), Meta(rate=100.0))
-    known, _ = CoulombFriction("FL_calf", 2.0).compensate(log, robot)
+    known, _ = CoulombFriction("FL_calf", 2.0).compensate(log_of(t, dq_FL_calf=rate), robot)
     assert known.tau[::100, 2] == pytest.approx(-2.0 * np.tanh(1.0), rel=1e-6)
 
 
 def test_a_motor_without_torque_stays_on_the_side_where_it_lay(robot):
     tau = np.array([0.0, 2.0, 0.0, 0.0, -1.0, 0.0, 0.5])
-    turned = np.zeros((len(tau), 12))
-    torques = turned.copy()
-    torques[:, 1] = tau
-    flat = np.zeros((len(tau), 3))
-    before = Streams(
-        0.002 * np.arange(len(tau)), flat, flat, turned, turned, torques, torques, turned[:, :4]
-    )
-    after = Backlash("FL_thigh", 0.02).alter_streams(before, robot)
+    torques = np.outer(tau, np.eye(12)[1])
+    after = Backlash("FL_thigh", 0.02).alter_streams(still(len(tau), tau=torques), robot)
     assert_allclose(after.q[:, 1], 0.01 * np.array([0, 1, 1, 1, -1, -1, 1]))
 
 

@@ -131,16 +131,20 @@ def every_second_step(contact: np.ndarray) -> np.ndarray:
 # What is done to several columns together, or to the rows.
 
 
-def exchanged(log: Log, *pairs: tuple[str, str]) -> Log:
-    """Columns exchanged, whole families of them by a part of their name."""
-    values = {}
-    for a, b in pairs:
-        for c in map(str, log.frame):
-            if a in c and not c.startswith(("slip", "mu")):
-                other = c.replace(a, b)
-                values |= {c: log.frame[other], other: log.frame[c]}
-    assert values
-    return log.with_columns(values)
+def exchanged(*pairs: tuple[str, str]) -> Callable[[Log], Log]:
+    """Exchange columns, whole families of them by a part of their name."""
+
+    def change(log: Log) -> Log:
+        values = {}
+        for a, b in pairs:
+            for c in map(str, log.frame):
+                if a in c and not c.startswith(("slip", "mu")):
+                    other = c.replace(a, b)
+                    values |= {c: log.frame[other], other: log.frame[c]}
+        assert values
+        return log.with_columns(values)
+
+    return change
 
 
 def vectors(log: Log, **made: np.ndarray) -> Log:
@@ -353,8 +357,7 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
 }  # fmt: skip
 LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     # what is done to the log; the rule that notices it; what its line says, in part
-    "gyro with x and y swapped": (
-        lambda log: exchanged(log, ("gyro_x", "gyro_y")), "gyro", "x is y, y is x"),
+    "gyro with x and y swapped": (exchanged(("gyro_x", "gyro_y")), "gyro", "x is y, y is x"),
     "gyro and accelerometer swapped": (
         lambda log: vectors(log, gyro=log.accel, accel=log.gyro),
         "gyro's unit", "gyro_x to accel_z: gyro and accelerometer swapped"),
@@ -362,9 +365,9 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         lambda log: vectors(log, accel=log.accel - 9.81 * log.ref_R_GI[:, 2]),
         "gravity", "gravity was taken off"),
     "accelerometer's y and z swapped": (
-        lambda log: exchanged(log, ("accel_y", "accel_z")), "gravity", "gravity is on y, up is z"),
+        exchanged(("accel_y", "accel_z")), "gravity", "gravity is on y, up is z"),
     "accelerometer's x and y swapped": (
-        lambda log: exchanged(log, ("accel_x", "accel_y")), "accelerometer", "x is y, y is x"),
+        exchanged(("accel_x", "accel_y")), "accelerometer", "x is y, y is x"),
     "accelerometer that is a direction": (
         lambda log: vectors(
             log, accel=9.81 * log.accel / np.linalg.norm(log.accel, axis=1, keepdims=True)
@@ -384,7 +387,7 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         lambda log: log.with_columns({"q_FR_calf": log.columns["q_FL_calf"]}),
         "copied", "q_FR_calf"),
     "rates swapped": (
-        lambda log: exchanged(log, ("dq_FL_thigh", "dq_FL_calf")),
+        exchanged(("dq_FL_thigh", "dq_FL_calf")),
         "joint rates", "the rate of FL_calf"),
     "rates from differences": (
         partial(differenced, pattern="dq_"), "derived", "computed from q"),
@@ -408,7 +411,7 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         partial(euler_angles, read=lambda yaw, pitch, roll: (yaw, roll, pitch)),
         "reference's attitude", "roll and pitch are exchanged"),
     "positions with x and y swapped": (
-        lambda log: exchanged(log, ("ref_p_x", "ref_p_y"), ("ref_v_x", "ref_v_y")),
+        exchanged(("ref_p_x", "ref_p_y"), ("ref_v_x", "ref_v_y")),
         "accelerometer", "x is y"),
     "reference's positions turned": (
         partial(positions_turned, R=turned("z", 30)), "reference's motion", "30 deg about z"),
@@ -423,22 +426,19 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         "reference's point", "0.50) m in the IMU's axes"),
     "reference made of the legs": (leg_odometry, "reference from legs", "computed from the legs"),
     "legs swapped, left and right": (
-        lambda log: exchanged(log, ("_FL", "_FR"), ("_RL", "_RR")),
+        exchanged(("_FL", "_FR"), ("_RL", "_RR")),
         "legs", "FL is FR, FR is FL, RL is RR"),
     "legs swapped, front and rear": (
-        lambda log: exchanged(log, ("_FL", "_RL"), ("_FR", "_RR")), "legs", "FL is RL, FR is RR"),
-    "two legs swapped": (
-        lambda log: exchanged(log, ("_FL", "_FR")), "legs", "FL is FR, FR is FL"),
+        exchanged(("_FL", "_RL"), ("_FR", "_RR")), "legs", "FL is RL, FR is RR"),
+    "two legs swapped": (exchanged(("_FL", "_FR")), "legs", "FL is FR, FR is FL"),
     "joints of two legs swapped": (
-        lambda log: exchanged(log, ("q_FL", "q_FR"), ("tau_FL", "tau_FR")),
+        exchanged(("q_FL", "q_FR"), ("tau_FL", "tau_FR")),
         "legs", "swapped legs (joints)"),
     "contacts of two legs swapped": (
-        lambda log: exchanged(log, ("contact_FL", "contact_FR")),
+        exchanged(("contact_FL", "contact_FR")),
         "legs", "swapped legs (contacts)"),
-    "hips and thighs swapped": (
-        lambda log: exchanged(log, ("_hip", "_thigh")), "legs", "FL_hip is FL_thigh"),
-    "thighs and calves swapped": (
-        lambda log: exchanged(log, ("_thigh", "_calf")), "legs", "FL_thigh is FL_calf"),
+    "hips and thighs swapped": (exchanged(("_hip", "_thigh")), "legs", "FL_hip is FL_thigh"),
+    "thighs and calves swapped": (exchanged(("_thigh", "_calf")), "legs", "FL_thigh is FL_calf"),
     "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
     "a second lost": (partial(dropped, rows=slice(1000, 1500)), "rows", "500 rows missing"),
     "every twentieth row lost": (partial(dropped, rows=20), "single rows", "lost rows"),
@@ -617,7 +617,7 @@ def test_the_log_of_another_robot_is_noticed(log, name):
 @pytest.mark.parametrize("change", ["gyro_x", "gyro_y", "gyro_z"])
 def test_without_a_reference_legs_see_an_axis_that_is_not_the_gyros(log, change):
     others = {"gyro_x": "gyro_z", "gyro_y": "gyro_x", "gyro_z": "gyro_y"}
-    swapped = exchanged(without(log, "ref_"), (change, others[change]))
+    swapped = exchanged((change, others[change]))(without(log, "ref_"))
     assert [one.rule for one in check_log(swapped, SPOT)] == ["gyro and legs"]
 
 
@@ -720,7 +720,7 @@ def test_a_log_of_some_rows_has_nothing_to_compare(log, rows):
 
 
 def test_a_note_and_a_fault_of_a_stream_are_both_found(log):
-    found = check_log(exchanged(changed(log, "gyro_z", clipped), ("gyro_x", "gyro_y")), SPOT)
+    found = check_log(exchanged(("gyro_x", "gyro_y"))(changed(log, "gyro_z", clipped)), SPOT)
     assert {"saturated", "gyro"} <= {one.rule for one in found}
 
 
