@@ -49,13 +49,8 @@ def the_trot(made):
         R = rotation(*seen["orientation"])
         base = BaseMotion(seen["position"], R, seen["velocity"], seen["angular_velocity"])
         q, dq, load = seen["joint_position"], seen["joint_velocity"], seen["foot_force"]
-        tick(
-            SPOT.legs,
-            controller,
-            RobotState(made.course.t[i], base, q, dq, load),
-            targets[i],
-            torque,
-        )
+        state = RobotState(made.course.t[i], base, q, dq, load)
+        tick(SPOT.legs, controller, state, targets[i], torque)
         return torque
 
     return policy

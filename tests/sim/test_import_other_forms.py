@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from recorded import check_entries, csv, entries_of, imported, saved
 from refusals import refusal
+from written import written
 
 from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.log import JOINTS, LEGS
@@ -29,25 +30,11 @@ NAMES = [f"{joint}_joint" for joint in reversed(JOINTS)]
 
 
 def text(folder: Path, lines) -> Path:
-    (folder / "run.txt").write_text("\n".join(lines) + "\n")
-    return folder / "run.txt"
+    return written(folder / "run.txt", "\n".join(lines) + "\n")
 
 
 def npz(folder: Path, **arrays) -> Path:
     return saved(folder / "run.npz", arrays)
-
-
-def json_lines(folder: Path) -> Path:
-    kinds = [
-        one
-        for k in range(N)
-        for one in (
-            {"type": "imu", "t": T[k], "gyro": [*GYRO[k]], "acc": [*ACCEL[k]]},
-            {"type": "joints", "t": T[k], "q": [*ANGLES[k]]},
-        )
-    ]
-    (folder / "run.jsonl").write_text("".join(json.dumps(one) + "\n" for one in kinds))
-    return folder / "run.jsonl"
 
 
 def h5(folder: Path, **arrays) -> Path:
@@ -59,19 +46,11 @@ def poses(t) -> pd.DataFrame:
     return frame.assign(ref_p_x=0.1 * np.arange(len(t)), ref_q_w=1.0)
 
 
+SECONDS, NANOSECONDS = (UNIX + T).astype(int), np.round(T % 1.0 * 1e9).astype(int) % 10**9
 STAMPS = {
     # name of the stamps in the draft, the recording's columns of them
-    "seconds and nanoseconds": (
-        "header.stamp",
-        {
-            "header.stamp.secs": (UNIX + T).astype(int),
-            "header.stamp.nsecs": np.round(T % 1.0 * 1e9).astype(int) % 10**9,
-        },
-    ),
-    "dates": (
-        "time",
-        {"time": pd.to_datetime(UNIX + T, unit="s").strftime("%Y-%m-%d %H:%M:%S.%f")},
-    ),
+    "seconds and nanoseconds": ("stamp", {"stamp.secs": SECONDS, "stamp.nsecs": NANOSECONDS}),
+    "dates": ("time", {"time": pd.to_datetime(UNIX + T, unit="s").strftime("%F %H:%M:%S.%f")}),
     "dates of ISO": ("time", {"time": [f"{x.isoformat()}Z" for x in pd.to_datetime(T, unit="s")]}),
     "times of day": ("time", {"time": pd.to_datetime(T, unit="s").strftime("%H:%M:%S.%f")}),
 }
@@ -244,9 +223,14 @@ def test_a_dash_is_an_empty_cell_and_a_row_of_units_no_row(tmp_path):
 
 
 def test_records_of_two_kinds_with_one_clock_are_drafted(tmp_path):
-    draft = guess_map([json_lines(tmp_path)], "spot_class")
+    records = []
+    for t, gyro, accel, q in zip(T, GYRO.tolist(), ACCEL.tolist(), ANGLES.tolist(), strict=True):
+        records.append(json.dumps({"type": "imu", "t": t, "gyro": gyro, "acc": accel}))
+        records.append(json.dumps({"type": "joints", "t": t, "q": q}))
+    run = written(tmp_path / "run.jsonl", "\n".join(records))
+    draft = guess_map([run], "spot_class")
     assert {"t", "gyro_x", "accel_z", "q_FL_hip"} <= {one.name for one in draft.main}
-    np.testing.assert_allclose(imported(tmp_path / "run.jsonl", draft).q, ANGLES, atol=1e-9)
+    np.testing.assert_allclose(imported(run, draft).q, ANGLES, atol=1e-9)
 
 
 def lines_of(**columns: np.ndarray) -> list[str]:

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from backports import zstd
 from bags import EPOCH, IMU, write_bag
-from refusals import refusal
+from recorded import imported
+from refusals import refusal, refused
 from written import written
 
 from surefoot.models.observer.observer import Observer
@@ -35,18 +36,24 @@ MAP = '[columns]\nt = "/imu:header.stamp"\n' + "".join(
 )
 
 
+TIMES = '[columns]\nt = "t"\n'
+
+
+def check_refused(folder: Path, name: str, content: str | bytes, words, rules: str) -> None:
+    """Check that a draft and an import of a file are both refused with these words."""
+    path, rules_path = written(folder / name, content), written(folder / "map.toml", rules)
+    for line in (refusal(guess_map, [path]), refusal(read_recording, path, rules_path)):
+        assert all(word in line for word in words), line
+
+
 @pytest.mark.parametrize(
     "name",
     ["a.csv", "a.txt", "a.json", "a.jsonl", "a.npz", "a.npy", "a.mat", "a.h5", "a.parquet", "a.bag",
      "a.mcap", "a.db3"],
 )  # fmt: skip
 def test_a_pointer_to_a_recording_is_named(tmp_path, name):
-    (tmp_path / name).write_text(POINTER)
-    (tmp_path / "map.toml").write_text(MAP if name[-3:] in ("bag", "cap", "db3") else
-                                       '[columns]\nt = "t"\n')  # fmt: skip
-    for line in (refusal(guess_map, [tmp_path / name]),
-                 refusal(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
-        assert all(word in line for word in (name, "Git LFS", "git lfs pull"))
+    rules = MAP if name[-3:] in ("bag", "cap", "db3") else TIMES
+    check_refused(tmp_path, name, POINTER, (name, "Git LFS", "git lfs pull"), rules)
 
 
 MODEL = """<mujoco><asset><mesh name="m" file="body.stl"/></asset><worldbody><body><freejoint/>
@@ -104,11 +111,7 @@ OTHERS = {
 @pytest.mark.parametrize("case", OTHERS)
 def test_a_file_of_another_kind_is_named_with_the_next_step(tmp_path, case):
     name, content, words = OTHERS[case]
-    (tmp_path / name).write_bytes(content)
-    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
-    for line in (refusal(guess_map, [tmp_path / name]),
-                 refusal(read_recording, tmp_path / name, tmp_path / "map.toml")):  # fmt: skip
-        assert all(word in line for word in (name, *words)), line
+    check_refused(tmp_path, name, content, (name, *words), TIMES)
 
 
 EMPTY = {
@@ -127,24 +130,19 @@ EMPTY = {
 def test_a_text_that_is_mostly_empty_is_refused_before_it_is_read(tmp_path, monkeypatch, case):
     monkeypatch.setattr(limits, "SMALL", 1e6)
     name, text = EMPTY[case]
-    (tmp_path / name).write_bytes(text.encode())
-    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
-    line = refusal(read_recording, tmp_path / name, tmp_path / "map.toml")
-    assert all(word in line for word in (name, "times its size")), line
+    path = written(tmp_path / name, text.encode())
+    refused(f"{name}.*times its size", imported, path, TIMES)
 
 
 def test_cells_of_numbers_are_within_the_limits_of_memory(tmp_path, monkeypatch):
     """A cell is weighed by its time, not as memory."""
     monkeypatch.setenv(limits.VARIABLE, "memory=1000")
-    (tmp_path / "a.csv").write_text(CSV)
-    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
-    assert len(read_recording(tmp_path / "a.csv", tmp_path / "map.toml").main["t"]) == 40
+    assert len(imported(written(tmp_path / "a.csv", CSV), TIMES + 'x_k = "gyro_x"\n').t) == 40
 
 
 def test_the_first_word_among_numbers_is_named(tmp_path):
     path = written(tmp_path / "a.csv", "t\n1\n" + "no\n" * 5)
-    (tmp_path / "map.toml").write_text('[columns]\nt = "t"\n')
-    assert "line 3: 'no' is not a number" in refusal(read_recording, path, tmp_path / "map.toml")
+    refused("line 3: 'no' is not a number", imported, path, TIMES)
 
 
 @pytest.mark.parametrize(
@@ -176,7 +174,7 @@ def test_a_folder_of_a_bag_is_read_without_its_metadata(tmp_path, bags, kind, me
     (tmp_path / "run" / "metadata.yaml").unlink()
     if metadata is not None:
         (tmp_path / "run" / "metadata.yaml").write_text(metadata)
-    assert len(read_recording(tmp_path / "run", written(tmp_path / "map.toml", MAP)).log().t) == 200
+    assert len(imported(tmp_path / "run", MAP).t) == 200
     assert "/imu:header.stamp" in guess_map([tmp_path / "run"]).text
 
 
