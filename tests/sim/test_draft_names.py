@@ -112,10 +112,7 @@ IMUS = {
     "an estimate beside it": ({"gyro": GYRO, "gyro_ekf": TRIPLE}, "gyro_0"),
     "a bias beside it": ({"gyro_bias": TRIPLE, "gyro": GYRO}, "gyro_0"),
     "a set point beside it": ({"ang_vel_cmd": TRIPLE, "ang_vel": GYRO}, "ang_vel_0"),
-    "axes of the world beside it": (
-        {"root_ang_vel_w": TRIPLE, "root_ang_vel_b": GYRO},
-        "root_ang_vel_b_0",
-    ),
+    "axes of the world beside it": ({"ang_vel_w": TRIPLE, "ang_vel_b": GYRO}, "ang_vel_b_0"),
     "joints beside it": ({"ang_vel": GYRO, "dof_vel": RATES, "dof_pos": ANGLES}, "ang_vel_0"),
     "a filtered copy": ({"gyro_lpf": TRIPLE, "gyro_raw": GYRO}, "gyro_raw_0"),
 }
@@ -150,9 +147,7 @@ def test_two_imus_are_drafted_with_a_question(tmp_path):
 @pytest.mark.parametrize("name", ["{leg}_{part}", "{leg}_{part}_joint", "joints/{leg}_{part}"])
 def test_bare_names_of_joints_are_angles_and_asked_about(tmp_path, robot, name):
     names = [name.format(leg=joint[:2], part=joint[3:]) for joint in JOINTS]
-    frame = pd.DataFrame(dict(zip(["t", *names], [T, *ANGLES.T], strict=True)))
-    frame.to_csv(tmp_path / "run.csv", index=False)
-    draft = guess_map([tmp_path / "run.csv"], robot)
+    draft = drafted_table(tmp_path, robot, t=T, **dict(zip(names, ANGLES.T, strict=True)))
     found = {e.name: (e.theirs, bool(e.doubt)) for e in draft.main}
     assert found == {"t": ("t", False)} | {
         f"q_{joint}": (n, True) for joint, n in zip(JOINTS, names, strict=True)
@@ -201,9 +196,8 @@ def test_angles_beyond_the_limits_are_asked_about(tmp_path):
     notes = drafted_table(tmp_path, "spot_class", t=T, **named).notes
     assert [note for note in notes if "FL_calf" in note and "limits" in note]
     named["q_FL_calf"] = ANGLES[:, 2]
-    assert not [
-        n for n in drafted_table(tmp_path, "spot_class", t=T, **named).notes if "limits" in n
-    ]
+    notes = drafted_table(tmp_path, "spot_class", t=T, **named).notes
+    assert not [note for note in notes if "limits" in note]
 
 
 def test_names_that_the_robot_has_not_are_asked_about(tmp_path):

@@ -36,19 +36,13 @@ def fill(folder, texts, command="make", force=True):
             (made / name).write_text(text)
 
 
-def test_force_is_named_as_the_caller_would_give_it(tmp_path):
-    path = tmp_path / "a.txt"
-    write(path, "one")
-    refused("give --force to overwrite it", write, path, "two", force=False)
-    refused("give force=True to overwrite it", refuse_overwrite, path, force=False)
-
-
 def test_force_replaces_what_the_same_command_made(tmp_path):
     path = tmp_path / "a.txt"
     write(path, "one")
     write(path, "two")
     assert path.read_text() == "two"
-    refused("give --force", write, path, "three", force=False)
+    refused("give --force to overwrite it", write, path, "three", force=False)
+    refused("give force=True to overwrite it", refuse_overwrite, path, force=False)
     refused("surefoot make made it", write, path, "three", command="other")
     path.write_text("edited")
     refused("was changed since it was made", write, path, "three")

@@ -236,9 +236,8 @@ def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
 def test_advice_is_added_to_what_the_map_says(tmp_path):
     (tmp_path / "map.toml").write_text(
         "[columns]\nt = 't'\nq_knee = { column = 'a', unit = 'rad', sign = -1 }\ndq_knee = 'b'\n"
-        "q_ankle = { column = 'c', unit = 'deg' }\n"
-        "accel_x = 'ax'\naccel_y = { column = 'ay', unit = 'g' }\n"
-        "[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
+        "q_ankle = { column = 'c', unit = 'deg' }\naccel_x = 'ax'\n"
+        "accel_y = { column = 'ay', unit = 'g' }\n[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
         "[robot]\nname = 'ak80_pendulum'\njoint_sign = { knee = -1 }\n"
     )
     advice = (

@@ -84,7 +84,6 @@ FORMS = {
     "semicolons": (
         lambda d: csv(d, READINGS, sep=";", decimal=","), f'[source]\ndecimal = ","\n{PLAIN}'),
     "spaces": (lambda d: csv(d, READINGS, sep=" "), PLAIN),
-    "tabs": (lambda d: csv(d, READINGS, sep="\t"), PLAIN),
     "no header": (
         lambda d: csv(d, READINGS, header=False), f"[source]\nheader = false\n{NUMBERED}"),
     "lists": (lambda d: csv(d, CELLS), LISTS),

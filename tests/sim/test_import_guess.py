@@ -60,20 +60,10 @@ def judged(draft: Draft, truth: Truth) -> tuple[int, int, list[str]]:
     return len(right), len(truth), silent
 
 
-def theirs_of_so101(column: str) -> str:
-    """A column of the bundled map as a draft calls it, by the joints' names in the log."""
-    names = {"shoulder_pan": "Rotation", "shoulder_lift": "Pitch", "elbow_flex": "Elbow"}
-    names |= {"wrist_flex": "Wrist_Pitch", "wrist_roll": "Wrist_Roll", "gripper": "Jaw"}
-    column = column.replace("x_effort", "x_tau")
-    joint = next((name for name in names if column.endswith(name)), None)
-    return column.replace(joint, names[joint]) if joint else column
-
-
 MEASURED_LOGS = {
     "go1_square": (("imu_joints.csv", "reference_recounted.csv"), truth_of("go1_square")),
     "go2_in_air": (("joints.csv",), truth_of("go2_in_air")),
     "ak80_pendulum": (("pd_measured.csv",), truth_of("ak80_pendulum")),
-    "so101": (("prbs_excitation",), truth_of("so101")),
     "icub_biped": (("walking.mat",), truth_of("icub_biped")),
     "scaler_trot": (
         ("logs/scaler_06.csv", "reference/scaler_06_vicon.csv"),
@@ -89,8 +79,6 @@ def test_nine_entries_of_ten_are_right_on_measured_logs(capsys):
         draft = guess_map([MEASURED / folder / one for one in files])
         if folder == "ak80_pendulum":  # its one joint has no name in the file
             truth = {name.replace("shoulder", "joint"): one for name, one in truth.items()}
-        if folder == "so101":  # names of one's own, and the model's, which are not the log's
-            truth = {theirs_of_so101(name): one for name, one in truth.items()}
         if folder == "scaler_trot":  # contacts that the map does not believe, and a study's forces
             truth = {
                 name.removeprefix("x_"): one

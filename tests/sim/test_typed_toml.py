@@ -118,7 +118,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(table=st.dictionaries(st.sampled_from(KEYS), VALUES))
 def test_any_tables_are_a_model_or_a_surefoot_error(table):
     with suppress(SurefootError):
