@@ -317,8 +317,7 @@ def test_a_current_may_say_half_of_a_torque_and_not_less(robot):
     before = still(3, tau=np.full((3, 12), 4.0))
     after = TorqueScale("FL_calf", -0.5).alter_streams(before, robot)
     assert_array_equal(after.tau[:, 2], 2.0)
-    with pytest.raises(SurefootError, match=r"torque_scale \S+: value must lie between -0\.5 "):
-        TorqueScale("FL_calf", -0.52)
+    refused(r"torque_scale \S+: value must lie between -0\.5 ", TorqueScale, "FL_calf", -0.52)
 
 
 def test_torques_at_1_khz_are_varied_by_a_row_as_it_was_read(robot):

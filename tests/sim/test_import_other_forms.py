@@ -108,12 +108,6 @@ DRAFTED = {
     "more names than joints": (
         lambda d: npz(d, q=ANGLES, t=T, dof_names=[*NAMES, "arm_joint"]), None,
         {"q_FL_hip": ("q[0]", "rad", f"dof_names {UNLISTED.format(13)}")}, ""),
-    "more names than joints of a robot": (
-        lambda d: npz(d, q=ANGLES, t=T, dof_names=[*NAMES, "arm_joint"]), "spot_class",
-        {"q_FL_hip": ("q[0]", "rad", f"dof_names {UNLISTED.format(13)}")}, ""),
-    "names from a root": (
-        lambda d: npz(d, q=ANGLES, t=T, body_names=["base", *NAMES]), "spot_class",
-        {"q_FL_hip": ("q[0]", "rad", f"body_names {UNLISTED.format(13)}")}, ""),
     "places without a motor, as the last eight of a Go2": (
         lambda d: npz(d, motor_q=TWENTY, motor_dq=0.0 * TWENTY, t=T), "spot_class",
         {"q_RR_calf": ("motor_q[11]",), "q_joint12": ()}, ""),
@@ -122,16 +116,11 @@ DRAFTED = {
         "spot_class",
         {"q_FL_hip": ("motor_q[11]", "rad", "dof_names"), "q_7_wheel": ("motor_q[19]",)}, ""),
     "ticks": (lambda d: csv(d, {"tick": np.arange(N)} | IMU), None, {"t": ()}, "tick counts rows"),
-    "frames from 1": (
-        lambda d: csv(d, {"Frame": np.arange(1, N + 1)} | IMU), None, {"t": ()},
-        "Frame counts rows: which [source] rate"),
     "frames of a camera": (
         lambda d: csv(d, {"frame_number": 15_234 + np.arange(N)} | IMU), None, {"t": ()},
         "frame_number counts rows: which [source] rate"),
     "sequence with lost rows": (
         lambda d: csv(d, {"seq": LOST} | IMU), None, {"t": ()}, "seq counts rows"),
-    "milliseconds by their unit": (
-        lambda d: csv(d, {"time_ms": np.arange(N)} | IMU), None, {"t": ("time_ms", "ms")}, ""),
     "milliseconds by their epoch": (
         lambda d: csv(d, {"t": UNIX * 1e3 + np.arange(N)} | IMU), None, {"t": ("t", "ms")}, ""),
     "frames of a reference": (
@@ -148,10 +137,6 @@ DRAFTED = {
     "counted feet, in the order of their numbers": (
         lambda d: csv(d, {"t": T} | {f"contact_{k}": STANDS[:, k] for k in (2, 0, 3, 1)}), None,
         {f"contact_{leg}": (f"contact_{k}",) for k, leg in enumerate(LEGS)}, ""),
-    "counted contacts beside forces that are vectors": (
-        lambda d: h5(d, **GYM), None,
-        {f"contact_{leg}": (f"contact_state[{k}]", None, "legs") for k, leg in enumerate(LEGS)},
-        ""),
     "counted contacts of a group, as gym-quadruped writes them": (
         lambda d: h5(d, **{f"recordings/{name}": x for name, x in GYM.items()}), None,
         {f"contact_{leg}": (f"recordings/contact_state[{k}]", None, "legs")

@@ -3,6 +3,7 @@
 import sys
 
 import pytest
+from refusals import refused
 
 from surefoot.sim.common import plugins as plugins_module
 from surefoot.sim.common.errors import SurefootError
@@ -79,8 +80,7 @@ def test_a_bad_member_is_one_line_that_names_it(package, points, source, words):
 def test_one_name_of_two_packages_is_refused(package):
     package("mine = own_thing:Mine", "Mine = 1\n")
     package("mine = other_thing:Mine", "Mine = 2\n", name="other")
-    with pytest.raises(SurefootError, match="has that name too"):
-        dict(Registry(GROUP, {}))
+    refused("has that name too", dict, Registry(GROUP, {}))
 
 
 @pytest.mark.parametrize(

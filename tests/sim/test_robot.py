@@ -517,8 +517,7 @@ def test_what_was_tampered_with_or_needs_other_files_is_one_line(mine, tmp_path)
         (kept | {"path": str(tmp_path / "..")}, "is not there: say which"),
     ):
         other = replace(log, meta=replace(log.meta, model={"file": model}))
-        with pytest.raises(SurefootError, match=message):
-            Robot.for_log(other)
+        refused(message, Robot.for_log, other)
 
 
 def test_a_robot_that_is_named_takes_the_place_of_the_log_s(mine):

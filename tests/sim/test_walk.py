@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from ground_course import whole_course
 from perfect import PERFECT
+from refusals import refused
 from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
@@ -265,5 +266,4 @@ def test_a_fall_comes_behind_the_rows_before_it():
 def test_what_takes_a_whole_walk_is_said(change, effects, words):
     made = plan(replace(COURSE, **change), SPOT, 0, effects)
     assert words in needs_whole(made)
-    with pytest.raises(SurefootError, match="cannot be walked in pieces"):
-        next(walk_in_pieces(made))
+    refused("cannot be walked in pieces", next, walk_in_pieces(made))
