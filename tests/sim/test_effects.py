@@ -20,7 +20,7 @@ from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.body import FootRolling
 from surefoot.sim.effects.contact import ContactDelay, FootSlip
-from surefoot.sim.effects.drive import Armature, Backlash, CoulombFriction, ViscousFriction
+from surefoot.sim.effects.drive import Backlash, CoulombFriction, ViscousFriction
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.effects.readings import TorqueScale
 from surefoot.sim.effects.resampling import reference_lag, reference_lag_drift
@@ -69,18 +69,6 @@ def test_link_length_moves_the_foot_of_the_compiled_model_as_explained(robot, lo
 def test_foot_rolling_leaves_every_foot_a_radius(robot):
     with pytest.raises(SurefootError, match=r"foot FL has only .* m, from which 0.04"):
         edited(robot, effect("foot_rolling", "all", -0.04))
-
-
-def test_a_walk_keeps_its_effects_to_itself_when_undeclared(robot):
-    scenario = Scenario("tiny", (Segment(0.5, 0.2),), Ground(0.8), stand=0.2)
-    one = effect("encoder_offset", "FL_hip", 0.02)
-    plain = walk(scenario, robot, 1)
-    hidden = walk(scenario, robot, 1, effects=[one], declared=False)
-    told = walk(scenario, robot, 1, effects=[one])
-    assert hidden.meta == plain.meta
-    assert told.meta.effects == (one.as_dict(),)
-    assert_allclose(hidden.q[:, 0] - plain.q[:, 0], 0.02, atol=4e-4)
-    assert_array_equal(hidden.ref_p, plain.ref_p)
 
 
 @given(st.data())
@@ -295,23 +283,6 @@ def test_readings_change_by_the_formula_and_a_model_that_knows_takes_it_back(
         assert_allclose(getattr(known, name)[inside], getattr(log, name)[inside], atol=1e-9)
 
 
-def test_a_rotor_adds_its_inertia_to_its_own_joint_alone(robot):
-    """On the diagonal of the mass matrix: no other joint turns it."""
-    matrices = []
-    for size in (0.0, 0.02):
-        spec = robot_spec(robot)
-        Armature("FL_calf", size).edit_spec(spec, robot)
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        matrices.append(np.zeros((model.nv, model.nv)))
-        mujoco.mj_fullM(model, data, matrices[-1])
-    added = np.zeros_like(matrices[0])
-    at = model.joint(robot.joint_names[JOINTS.index("FL_calf")]).dofadr[0]
-    added[at, at] = 0.02
-    assert_allclose(matrices[1] - matrices[0], added, atol=1e-12)
-
-
 def test_a_current_may_say_half_of_a_torque_and_not_less(robot):
     """With half of it, a joint's torque is twice what was read; beyond, it is of another motor."""
     before = still(3, tau=np.full((3, 12), 4.0))
@@ -380,17 +351,6 @@ def test_delays_of_logs_one_after_the_other_do_not_mix_them_up(log, robot):
         assert_allclose(other.q, 2.0 * one.q, rtol=1e-12, atol=1e-12)
         assert_array_equal(other.dq, one.dq)
         assert_allclose(one.q, CubicSpline(log.t, log.q)(np.clip(log.t + value, None, log.t[-1])))
-
-
-def test_contacts_that_end_late_end_as_much_earlier_in_a_compensated_log(log, robot):
-    late, stands = int(0.05 * log.rate), np.zeros((len(log.t), len(LEGS)))
-    half = len(log.t) // 2
-    stands[late : half - late], stands[half + late :] = 1.0, 1.0
-    given = with_columns(log, {f"contact_{leg}": stands[:, i] for i, leg in enumerate(LEGS)})
-    found, known = ContactDelay("liftoff", 0.05).compensate(given, robot)
-    stands[half - 2 * late : half - late] = 0.0
-    assert_array_equal(found.contact, stands.astype(bool))
-    assert known.extras.liftoff_late == pytest.approx(0.0, abs=1.0 / log.rate)
 
 
 def test_what_was_declared_of_one_joint_may_be_less_there_alone():

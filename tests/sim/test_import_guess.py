@@ -16,7 +16,6 @@ from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.guessing.names import by_their_legs, read_name
 from surefoot.sim.importing.guessing.units import stride_in_turns, unit_of_gyro
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot.catalog import robot_file
 
@@ -106,9 +105,6 @@ MANNERS: dict[str, dict[str, str | tuple[str, float]]] = {
     | {"dq": "joint_states.velocity.{LF}_{HAA}", "tau": "joint_states.effort.{LF}_{HAA}"}
     | {"contact": "contacts.{LF}", "ref_p": "mocap.pose.position.{a}"}
     | {"ref_q": "mocap.pose.orientation.{a}"},
-    "degrees": {"t": ("Time_ms", 1e3), "gyro": ("Gyro{A}", DEGREES), "accel": ("Acc{A}", IN_G)}
-    | {"q": ("motor{i}.q", DEGREES), "dq": ("motor{i}.dq", DEGREES), "tau": "motor{i}.tau"}
-    | {"contact": "footContact_{leg}", "ref_p": "vicon_pos_{a}", "ref_q": "vicon_quat_{a}"},
     "words": {
         "t": "Time [s]",
         "gyro": ("Gyro {A} [deg/s]", DEGREES),
@@ -322,19 +318,6 @@ def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path,
         (frame.assign(**(-rates)), "dq_FL_hip", "sign = -1"),
     ):
         assert doubt in entries_of(drafted(tmp_path, changed))[entry].doubt
-
-
-def test_the_command_prints_a_draft_or_writes_it(tmp_path, capsys):
-    t = 0.01 * np.arange(200)
-    csv(tmp_path, {"time": t, "angle_knee": np.sin(t)})
-    main(["import", "--guess", str(tmp_path / "run.csv")])
-    assert 'q_knee = { column = "angle_knee", unit = "rad" }' in capsys.readouterr().out
-    main(["import", "--guess", str(tmp_path / "run.csv"), "-o", str(tmp_path / "map.toml")])
-    assert "no questions in it" in capsys.readouterr().out
-    assert import_log(tmp_path / "run.csv", tmp_path / "map.toml").joints == ("knee",)
-    for words in (["import", "run.csv"], ["import", "csv"]):
-        with pytest.raises(SystemExit, match="surefoot: "):
-            main(words)
 
 
 def test_a_draft_names_the_robots_file_from_its_own_folder(tmp_path, monkeypatch, capsys):
