@@ -365,9 +365,11 @@ def test_the_only_episode_of_a_file_has_its_rows(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["h5", "npz", "mat"])
-def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form):
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form, turned):
     """A log is of one; which of them would be read is not guessed."""
     arrays = {"time": np.zeros((2, 9)), "gyro": np.zeros((2, 9, 3)), "q": np.zeros((2, 9, 12))}
+    arrays = {name: x.swapaxes(0, 1) if turned else x for name, x in arrays.items()}
     run = saved(tmp_path / f"run.{form}", arrays)
     refused("gyro is of 2 episodes or robots of 9 rows", read_file, run, Source())
 

@@ -114,6 +114,8 @@ def test_what_a_leg_has_otherwise_is_in_the_inverse_dynamics(robot, name, target
         assert_allclose(wrench[k], data.qfrc_inverse[:6], atol=1e-9)
         assert_allclose(torque[k], data.qfrc_inverse[dof], atol=1e-9)
     assert np.abs(wrench - before[0]).max() > 0.05
+    at_rest = np.tile([*np.zeros(6), *-GRAVITY_G], (4, 1))
+    assert_array_equal(dynamics.inverse(q, dq, ddq)[1], dynamics.inverse(q, dq, ddq, at_rest)[1])
     # Nothing stays behind in the model.
     assert_array_equal(dynamics.inverse(q, dq, ddq, base)[0], before[0])
 
