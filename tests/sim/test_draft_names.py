@@ -78,6 +78,7 @@ KNOWN = [
     ("joint_pos[3]", "q", ""),
     ("default_dof_pos_3", "q", "parameter"),
     ("joint_pos_target[3]", "q", "command"),
+    ("q_ref_3", "q", "command"),
     ("/lowcmd:motor_cmd[3].q", "q", "command"),
     ("dof_pos_error_3", "q", "error"),
     ("dof_vel_3", "dq", ""),

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
@@ -71,6 +71,7 @@ def test_foot_rolling_leaves_every_foot_a_radius(robot):
         edited(robot, effect("foot_rolling", "all", -0.04))
 
 
+@settings(deadline=None)
 @given(st.data())
 def test_files_give_back_what_was_saved(tmp_path_factory, data):
     name = data.draw(st.sampled_from(sorted(CATALOGUE)))
