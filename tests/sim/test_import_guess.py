@@ -309,13 +309,14 @@ def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path,
 
     assert not any(one.doubt for one in drafted(tmp_path, frame).main)
     turned = {c: -frame[c] for c in ("accel_y", "accel_z")}
-    rates, other_axis = frame.filter(regex="^dq_"), {"accel_x": "accel_z", "accel_z": "accel_x"}
+    rates = {c: frame[c] for c in map(str, frame) if c.startswith("dq_")}
+    other_axis = {"accel_x": "accel_z", "accel_z": "accel_x"}
     for changed, entry, doubt in (
         (frame.rename(columns=swap), "q_FL_hip", "swapped"),
         (frame.assign(**turned), "accel_z", "upside down"),
         (frame.rename(columns=other_axis), "accel_x", "gravity reads + on x"),
-        (frame.assign(**(7.0 * rates)), "dq_FL_hip", "times the change"),
-        (frame.assign(**(-rates)), "dq_FL_hip", "sign = -1"),
+        (frame.assign(**{c: 7.0 * x for c, x in rates.items()}), "dq_FL_hip", "times the change"),
+        (frame.assign(**{c: -x for c, x in rates.items()}), "dq_FL_hip", "sign = -1"),
     ):
         assert doubt in entries_of(drafted(tmp_path, changed))[entry].doubt
 
